@@ -1,0 +1,3 @@
+from skope.cli import main
+
+main()

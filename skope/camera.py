@@ -1,0 +1,292 @@
+"""A calibrated camera: intrinsics, lens distortion, pose; projection and its inverse.
+
+Frames and units are OpenCV's (x right, y down, z forward; metres), pixels are continuous: the centre of pixel
+(col, row) is (col + 0.5, row + 0.5), so the principal point of a centred 1920x1080 camera is (960, 540).
+
+Distortion formulas: OpenCV's `calib3d` documentation (Brown-Conrady with rational and thin-prism terms, and the
+equidistant fisheye model of Kannala and Brandt).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope.errors import UserError, one_of
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
+_COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
+_NEAR: Final = 1e-6
+"""Points nearer than this to the camera's plane count as behind it."""
+
+
+def _first_positive_root(coefficients: list[float]) -> float:
+    """Smallest positive real root of a polynomial (constant term first); inf when there is none."""
+    roots = np.polynomial.Polynomial(coefficients).roots()
+    real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    return float(real.min()) if real.size else math.inf
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Lens distortion of normalised image coordinates, invertible inside its monotonic domain only."""
+
+    model: str = "none"
+    coefficients: tuple[float, ...] = ()
+    """OpenCV's order: brown k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; fisheye k1, k2, k3, k4."""
+
+    def __post_init__(self) -> None:
+        one_of("distortion.model", self.model, DISTORTION_MODELS)
+        counts = _COUNTS[self.model]
+        if len(self.coefficients) not in counts:
+            expected = " or ".join(map(str, counts))
+            raise UserError(
+                f"distortion.coefficients: {self.model} takes {expected} numbers, got {len(self.coefficients)}"
+            )
+        if not all(math.isfinite(c) for c in self.coefficients):
+            raise UserError("distortion.coefficients: not all are finite numbers")
+
+    def _brown(self) -> Array:
+        return np.array([*self.coefficients, *(0.0,) * (12 - len(self.coefficients))], dtype=np.float64)
+
+    def fold(self) -> float:
+        """Where the radial model stops growing: a radius tan(theta) for brown, an angle for fisheye; inf: nowhere."""
+        if self.model == "none":
+            return math.inf
+        if self.model == "fisheye":
+            k1, k2, k3, k4 = self.coefficients
+            return math.sqrt(_first_positive_root([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))
+        k1, k2, _, _, k3, k4, k5, k6, *_ = self._brown()
+        # r * N(q) / D(q) with q = r^2 grows while N D + 2 q (N' D - N D') > 0; it also ends at a pole of D.
+        poly = np.polynomial.Polynomial
+        n, d, q = poly([1.0, k1, k2, k3]), poly([1.0, k4, k5, k6]), poly([0.0, 1.0])
+        growth = n * d + 2 * q * (n.deriv() * d - n * d.deriv())
+        return math.sqrt(min(_first_positive_root(list(growth.coef)), _first_positive_root(list(d.coef))))
+
+    def _brown_forward(self, xy: Array) -> tuple[Array, Array]:
+        """(..., 2) ideal -> (..., 2) distorted, and the (..., 2, 2) Jacobian."""
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._brown()
+        x, y = xy[..., 0], xy[..., 1]
+        q = x * x + y * y
+        n, d = 1 + q * (k1 + q * (k2 + q * k3)), 1 + q * (k4 + q * (k5 + q * k6))
+        radial = n / d
+        slope = (k1 + q * (2 * k2 + 3 * q * k3) - radial * (k4 + q * (2 * k5 + 3 * q * k6))) / d  # d radial / d q
+        out = np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2),
+                y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y + q * (s3 + q * s4),
+            ],
+            axis=-1,
+        )
+        prism_x, prism_y = s1 + 2 * q * s2, s3 + 2 * q * s4
+        cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        jacobian = np.stack(
+            [
+                np.stack(
+                    [radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + 2 * x * prism_x, cross + 2 * y * prism_x],
+                    -1,
+                ),
+                np.stack(
+                    [cross + 2 * x * prism_y, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + 2 * y * prism_y],
+                    -1,
+                ),
+            ],
+            axis=-2,
+        )
+        return out, jacobian
+
+    def _fisheye_radius(self, theta: Array) -> tuple[Array, Array]:
+        """Distorted radius at an angle off the axis, and its derivative."""
+        k1, k2, k3, k4 = self.coefficients
+        q = theta * theta
+        radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
+        return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))
+
+    def distort(self, xy: Array) -> tuple[Array, Mask]:
+        """Ideal normalised coordinates x/z, y/z (..., 2) -> distorted ones, and where the model is monotonic."""
+        radius = np.linalg.norm(xy, axis=-1)
+        if self.model == "none":
+            return xy, np.ones(radius.shape, dtype=bool)
+        if self.model == "fisheye":
+            theta = np.arctan(radius)
+            distorted, _ = self._fisheye_radius(theta)
+            scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 0)
+            return xy * scale[..., None], theta < self.fold()
+        out, jacobian = self._brown_forward(xy)
+        return out, (radius < self.fold()) & (np.linalg.det(jacobian) > 0)
+
+    def undistort(self, xy: Array) -> tuple[Array, Mask]:
+        """Inverse of `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""
+        if self.model == "none":
+            return xy, np.ones(xy.shape[:-1], dtype=bool)
+        if self.model == "fisheye":
+            return self._undistort_fisheye(xy)
+        fold = self.fold()
+        ideal = xy.copy()
+        for _ in range(40):
+            # Staying inside the fold keeps an iterate from settling on a branch beyond it.
+            radius = np.linalg.norm(ideal, axis=-1, keepdims=True)
+            ideal = ideal * np.minimum(1.0, 0.999 * fold / np.maximum(radius, 1e-12))
+            value, jacobian = self._brown_forward(ideal)
+            regular = np.abs(np.linalg.det(jacobian)) > 1e-9
+            step = np.linalg.solve(np.where(regular[..., None, None], jacobian, np.eye(2)), (value - xy)[..., None])
+            ideal = ideal - step[..., 0]
+        back, monotonic = self.distort(ideal)
+        return ideal, monotonic & (np.linalg.norm(back - xy, axis=-1) < 1e-9)
+
+    def _undistort_fisheye(self, xy: Array) -> tuple[Array, Mask]:
+        target = np.linalg.norm(xy, axis=-1)
+        limit = min(self.fold(), math.pi / 2)
+        theta = np.minimum(target, 0.999 * limit)
+        for _ in range(40):
+            value, slope = self._fisheye_radius(theta)
+            theta = np.clip(theta - (value - target) / np.where(np.abs(slope) > 1e-9, slope, 1.0), 0.0, 0.9999 * limit)
+        value, _ = self._fisheye_radius(theta)
+        scale = np.divide(np.tan(theta), target, out=np.ones_like(target), where=target > 0)
+        return xy * scale[..., None], np.abs(value - target) < 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with distortion, fixed in the world.
+
+    Raises UserError when a field has the wrong shape, K is no intrinsic matrix or the pose is no rigid transform.
+    """
+
+    width: int
+    height: int
+    K: Array
+    """(3, 3) intrinsic matrix, pixels."""
+    T_camera_world: Array
+    """(4, 4) takes world points to the camera frame, metres."""
+    distortion: Distortion = field(default_factory=Distortion)
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise UserError(f"camera size: {self.width}x{self.height} is not positive")
+        for name, shape in (("K", (3, 3)), ("T_camera_world", (4, 4))):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise UserError(f"camera.{name}: expected {shape[0]}x{shape[1]} finite numbers")
+            object.__setattr__(self, name, value)
+        if (
+            self.K[0, 0] <= 0
+            or self.K[1, 1] <= 0
+            or not np.array_equal(self.K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
+        ):
+            raise UserError("camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive fx, fy")
+        R = self.T_camera_world[:3, :3]
+        if (
+            np.abs(R @ R.T - np.eye(3)).max() > 1e-6
+            or np.linalg.det(R) < 0
+            or list(self.T_camera_world[3]) != [0, 0, 0, 1]
+        ):
+            raise UserError("camera.T_camera_world: not a rigid transform")
+
+    @classmethod
+    def looking(
+        cls,
+        position: ArrayLike,
+        *,
+        yaw: float,
+        pitch_down: float,
+        roll: float = 0.0,
+        size: tuple[int, int] = (1920, 1080),
+        fov: float = math.radians(110),
+        distortion: Distortion | None = None,
+    ) -> Self:
+        """A centred camera at `position` [x, y, z] looking along `yaw` (from world x towards y), pitched down.
+
+        `fov` is the full horizontal field of view before distortion; all angles are radians.
+        """
+        width, height = size
+        focal = width / 2 / math.tan(fov / 2)
+        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch_down, roll) for f in (math.cos, math.sin))
+        forward = np.array([cy * cp, sy * cp, -sp])
+        right = np.array([sy, -cy, 0.0])
+        down = np.cross(forward, right)
+        T = np.eye(4)
+        T[:3, :3] = np.array([[cr, sr, 0], [-sr, cr, 0], [0, 0, 1]]) @ np.stack([right, down, forward])
+        T[:3, 3] = -T[:3, :3] @ np.asarray(position, dtype=np.float64)
+        return cls(width, height, K, T, distortion or Distortion())
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any], width: int, height: int) -> Self:
+        """Read the annotation schema's `camera` object {K, distortion, T_camera_world}."""
+        try:
+            distortion = value.get("distortion", {"model": "none", "coefficients": []})
+            return cls(
+                width,
+                height,
+                np.array(value["K"], dtype=np.float64),
+                np.array(value["T_camera_world"], dtype=np.float64),
+                Distortion(distortion["model"], tuple(float(c) for c in distortion["coefficients"])),
+            )
+        except KeyError as error:
+            raise UserError(f"camera: field {error} is missing") from None
+        except (TypeError, AttributeError) as error:
+            raise UserError(f"camera: {error}") from None
+        except ValueError as error:
+            raise error if isinstance(error, UserError) else UserError(f"camera: {error}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The annotation schema's `camera` object; matrices unrounded."""
+        return {
+            "K": self.K.tolist(),
+            "distortion": {"model": self.distortion.model, "coefficients": list(self.distortion.coefficients)},
+            "T_camera_world": self.T_camera_world.tolist(),
+        }
+
+    @property
+    def position(self) -> Array:
+        """(3,) centre of projection in the world, metres."""
+        R, t = self.T_camera_world[:3, :3], self.T_camera_world[:3, 3]
+        return -R.T @ t
+
+    def to_camera(self, points_world: ArrayLike) -> Array:
+        """(..., 3) world -> (..., 3) camera frame."""
+        return np.asarray(points_world, dtype=np.float64) @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
+
+    def project(self, points_world: ArrayLike) -> tuple[Array, Array, Mask]:
+        """World points (..., 3) -> pixels (..., 2), planar depth (...,), valid (...,).
+
+        `valid` holds in front of the camera and inside the distortion's monotonic domain; elsewhere pixels are NaN.
+        A valid point may still lie outside the image: see `inside`.
+        """
+        p = self.to_camera(points_world)
+        z = p[..., 2]
+        front = z > _NEAR
+        ideal = p[..., :2] / np.where(front, z, 1.0)[..., None]
+        distorted, monotonic = self.distortion.distort(np.where(front[..., None], ideal, 0.0))
+        valid = front & monotonic
+        x, y = distorted[..., 0], distorted[..., 1]
+        pixels = np.stack(
+            [self.K[0, 0] * x + self.K[0, 1] * y + self.K[0, 2], self.K[1, 1] * y + self.K[1, 2]], axis=-1
+        )
+        return np.where(valid[..., None], pixels, np.nan), z, valid
+
+    def rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
+        """Pixels (..., 2) -> camera-frame rays (..., 3) with z = 1, and where the distortion can be undone."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        y = (uv[..., 1] - self.K[1, 2]) / self.K[1, 1]
+        x = (uv[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
+        ideal, valid = self.distortion.undistort(np.stack([x, y], axis=-1))
+        return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), valid
+
+    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
+        """Pixels (..., 2) at planar depth (...,) metres -> world points (..., 3), and where distortion can be undone."""
+        rays, valid = self.rays(pixels)
+        p = rays * np.asarray(depth, dtype=np.float64)[..., None]
+        return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid
+
+    def inside(self, pixels: ArrayLike) -> Mask:
+        """Where pixels (..., 2) fall on the image; NaN does not."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        return np.asarray((uv >= 0).all(-1) & (uv[..., 0] < self.width) & (uv[..., 1] < self.height))

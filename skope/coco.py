@@ -1,0 +1,228 @@
+"""The only reader and writer of COCO JSON: annotation files and results files, both directions."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skope import __version__, keypoints, schema
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.files import read_json, write_text
+from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
+
+T = TypeVar("T")
+
+_IMAGE_FIELDS = tuple(Image.__dataclass_fields__)
+_ANNOTATION_FIELDS = tuple(Annotation.__dataclass_fields__)
+
+
+# ----------------------------------------------------------------------------------------------------------- reading
+
+
+def read(path: Path) -> AnnotationFile:
+    """Read an annotation file, ours or any COCO keypoints file with the same 33 keypoints.
+
+    Raises UserError, naming file, record and field, where something is missing, malformed or inconsistent.
+    """
+    document = read_json(path)
+    if not isinstance(document, dict):
+        raise UserError(f"{path}: expected a COCO object with images and annotations, got a {type(document).__name__}")
+    _check_scheme(path, document)
+    images = _records(path, document, "images", image_from_dict)
+    annotations = _records(path, document, "annotations", annotation_from_dict)
+    _check_ids(path, images, annotations)
+    return AnnotationFile(images=images, annotations=annotations, info=document.get("info") or {}, name=path.stem)
+
+
+def _records(path: Path, document: Mapping[str, Any], key: str, parse: Callable[[Any], T]) -> tuple[T, ...]:
+    rows = document.get(key)
+    if not isinstance(rows, list):
+        raise UserError(f"{path}: field {key} is missing or not a list")
+    return _parse_rows(path, key, rows, parse)
+
+
+def _parse_rows(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]) -> tuple[T, ...]:
+    out = []
+    for i, row in enumerate(rows):
+        try:
+            if not isinstance(row, dict):
+                raise UserError(f"expected an object, got {str(row)[:40]!r}")
+            out.append(parse(row))
+        except UserError as error:
+            raise UserError(f"{path}: {key}[{i}]: {error}") from None
+        except KeyError as error:
+            raise UserError(f"{path}: {key}[{i}]: field {error.args[0]} is missing") from None
+        except (TypeError, ValueError, AttributeError) as error:
+            raise UserError(f"{path}: {key}[{i}]: {error}") from None
+    return tuple(out)
+
+
+def _check_scheme(path: Path, document: Mapping[str, Any]) -> None:
+    info = document.get("info")
+    scheme = info.get("keypoint_scheme") if isinstance(info, dict) else None
+    if scheme not in (None, keypoints.SCHEME):
+        raise UserError(f"{path}: info.keypoint_scheme: {scheme!r} cannot be read as {keypoints.SCHEME}")
+    categories = document.get("categories")
+    if not isinstance(categories, list) or len(categories) != 1 or not isinstance(categories[0], dict):
+        raise UserError(f"{path}: field categories: expected exactly one category")
+    names = categories[0].get("keypoints")
+    if not isinstance(names, list) or len(names) != keypoints.K:
+        count = len(names) if isinstance(names, list) else "none"
+        raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
+    if tuple(names) != keypoints.NAMES:
+        first = next(i for i, (a, b) in enumerate(zip(names, keypoints.NAMES, strict=True)) if a != b)
+        raise UserError(
+            f"{path}: categories[0].keypoints[{first}]: {names[first]!r} is not scheme {keypoints.SCHEME}'s "
+            f"{keypoints.NAMES[first]!r}"
+        )
+
+
+def _check_ids(path: Path, images: tuple[Image, ...], annotations: tuple[Annotation, ...]) -> None:
+    by_id = {image.id: image for image in images}
+    if len(by_id) != len(images):
+        raise UserError(f"{path}: field images: two images share an id")
+    seen: set[int] = set()
+    for i, annotation in enumerate(annotations):
+        if annotation.id in seen:
+            raise UserError(f"{path}: annotations[{i}]: id {annotation.id} stands twice")
+        seen.add(annotation.id)
+        if annotation.image_id not in by_id:
+            raise UserError(f"{path}: annotations[{i}]: image_id {annotation.image_id} is not among the images")
+
+
+def image_from_dict(row: Mapping[str, Any]) -> Image:
+    """One element of `images`; unknown fields are left out."""
+    values = {name: row[name] for name in _IMAGE_FIELDS if name in row}
+    for name in ("id", "file_name", "width", "height"):
+        values[name] = row[name]
+    if values.get("camera") is not None:
+        values["camera"] = Camera.from_dict(row["camera"], row["width"], row["height"])
+    return Image(**values)
+
+
+def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
+    """One element of `annotations`; unknown fields are left out."""
+    values = {name: row[name] for name in _ANNOTATION_FIELDS if name in row}
+    for name in ("id", "image_id", "bbox", "keypoints"):
+        values[name] = row[name]
+    values.setdefault("area", float(row["bbox"][2]) * float(row["bbox"][3]))
+    if values.get("box_3d") is not None:
+        box = row["box_3d"]
+        values["box_3d"] = Box3D(center=box["center"], size_lwh=box["size_lwh"], yaw=float(box["yaw"]), R=box["R"])
+    return Annotation(**values)
+
+
+def read_results(path: Path) -> tuple[Result, ...]:
+    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints."""
+    document = read_json(path)
+    if not isinstance(document, list):
+        raise UserError(f"{path}: expected a list of results, got a {type(document).__name__}")
+    return _parse_rows(path, "results", document, result_from_dict)
+
+
+def result_from_dict(row: Mapping[str, Any]) -> Result:
+    """One element of a results file."""
+    points = schema.array("keypoints", row["keypoints"], keypoints.K, 3)
+    bbox = row.get("bbox")
+    if bbox is None:
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        bbox = np.concatenate([low, high - low])
+    return Result(
+        image_id=row["image_id"],
+        category_id=row.get("category_id", schema.CATEGORY_ID),
+        bbox=bbox,
+        keypoints=points,
+        score=row["score"],
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------- writing
+
+
+def _rounded(values: Any, digits: int) -> Any:
+    # Adding 0.0 turns -0.0 into 0.0, so that equal labels have equal bytes.
+    return (np.round(np.asarray(values, dtype=np.float64), digits) + 0.0).tolist()
+
+
+_DIGITS = {
+    **dict.fromkeys(("bbox", "bbox_visible", "keypoints"), 2),
+    **dict.fromkeys(("keypoints_3d", "velocity", "distance", "occlusion", "truncation"), 4),
+    "contrast": 2,
+}
+
+
+def image_to_dict(image: Image) -> dict[str, Any]:
+    """One element of `images`; fields that are None are left out."""
+    row: dict[str, Any] = {}
+    for name in _IMAGE_FIELDS:
+        value = getattr(image, name)
+        if value is not None:
+            row[name] = value.to_dict() if isinstance(value, Camera) else value
+    return row
+
+
+def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
+    """One element of `annotations`: 0.01 px and 0.1 mm, matrices unrounded; fields that are None are left out."""
+    row: dict[str, Any] = {}
+    for name in _ANNOTATION_FIELDS:
+        value = getattr(annotation, name)
+        if value is None:
+            continue
+        if isinstance(value, Box3D):
+            value = {
+                "center": _rounded(value.center, 4),
+                "size_lwh": _rounded(value.size_lwh, 4),
+                "yaw": value.yaw,
+                "R": value.R.tolist(),
+            }
+        elif name == "keypoints":
+            value = [x for point in value for x in (*_rounded(point[:2], 2), int(point[2]))]
+        elif name in _DIGITS:
+            value = _rounded(value, _DIGITS[name])
+        row[name] = value
+    row["num_keypoints"] = annotation.num_keypoints
+    return row
+
+
+def write(path: Path, file: AnnotationFile) -> None:
+    """Write an annotation file, one record a line, the same bytes for the same records."""
+    images = [image_to_dict(image) for image in file.images]
+    annotations = [annotation_to_dict(annotation) for annotation in file.annotations]
+    write_rows(path, file.info, images, annotations)
+
+
+def write_rows(
+    path: Path, info: Mapping[str, Any], images: Iterable[Mapping[str, Any]], annotations: Iterable[Mapping[str, Any]]
+) -> None:
+    """Write already serialised records (see `image_to_dict`, `annotation_to_dict`) as an annotation file."""
+
+    def lines(rows: Iterable[Mapping[str, Any]]) -> str:
+        return ",\n".join(json.dumps(row, allow_nan=False, separators=(",", ":")) for row in rows)
+
+    head = {"keypoint_scheme": keypoints.SCHEME, "schema_version": schema.VERSION, "skope": __version__, **info}
+    write_text(
+        path,
+        f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category()])},\n'
+        f'"images":[\n{lines(images)}\n],\n"annotations":[\n{lines(annotations)}\n]}}\n',
+    )
+
+
+def result_to_dict(result: Result) -> dict[str, Any]:
+    """One element of a results file."""
+    points = np.concatenate([np.round(result.keypoints[:, :2], 2), np.round(result.keypoints[:, 2:], 4)], axis=1)
+    return {
+        "image_id": result.image_id,
+        "category_id": result.category_id,
+        "bbox": _rounded(result.bbox, 2),
+        "keypoints": (points + 0.0).ravel().tolist(),
+        "score": round(result.score, 6),
+    }
+
+
+def write_results(path: Path, results: Iterable[Result]) -> None:
+    """Write a COCO results file, one result a line."""
+    rows = ",\n".join(json.dumps(result_to_dict(r), allow_nan=False, separators=(",", ":")) for r in results)
+    write_text(path, f"[\n{rows}\n]\n")

@@ -1,0 +1,51 @@
+"""What commands say while they work, and the options that every command has."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+import typer
+from tqdm import tqdm
+
+from skope import __version__
+
+T = TypeVar("T")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"skope {__version__}")
+        raise typer.Exit
+
+
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print results and errors only.")]
+VersionOption = Annotated[
+    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+]
+
+
+@dataclass(frozen=True)
+class Console:
+    """Commentary and progress, which `--quiet` silences, and results, which it does not."""
+
+    quiet: bool = False
+
+    def say(self, text: str) -> None:
+        """A line of commentary."""
+        if not self.quiet:
+            typer.echo(text)
+
+    def result(self, text: str) -> None:
+        """A line that the command was run for: always printed."""
+        typer.echo(text)
+
+    def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
+        """A progress bar with rate and time left, over `items` or updated by hand."""
+        return tqdm(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
+
+
+def minutes(seconds: float) -> str:
+    """A duration as people say it: 40 s, 12 min, 3.5 h."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

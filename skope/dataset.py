@@ -1,0 +1,107 @@
+"""Read a dataset folder: its card, splits, images and depth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, keypoints
+from skope.errors import UserError
+from skope.files import read_json
+from skope.schema import AnnotationFile, Image
+
+CARD: Final = "dataset.json"
+DEPTH_SCALE: Final = 256.0
+"""Depth files hold round(metres * 256), as KITTI's do."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset folder. Annotation files are read when asked for."""
+
+    root: Path
+    card: dict[str, Any]
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits whose annotation file exists, in alphabetical order."""
+        return tuple(sorted(path.stem for path in (self.root / "annotations").glob("*.json")))
+
+    def read(self, split: str) -> AnnotationFile:
+        """Annotations of one split; a UserError lists the splits there are."""
+        if split not in self.splits:
+            raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
+        return coco.read(self.root / "annotations" / f"{split}.json")
+
+    def image(self, image: Image) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB pixels."""
+        return read_image(self.root / image.file_name, size=(image.width, image.height))
+
+    def depth(self, image: Image) -> NDArray[np.float32] | None:
+        """(H, W) planar depth in metres, sky = +inf; 255.99 m means that or farther. None without a depth file."""
+        return read_depth(self.root / image.depth_file_name) if image.depth_file_name else None
+
+
+def open_dataset(root: Path) -> Dataset:
+    """Open a dataset folder, or raise a UserError that says what is missing."""
+    if not root.is_dir():
+        raise UserError(f"{root}: no such dataset folder; `skope gen --out {root}` makes one")
+    if not (root / CARD).is_file():
+        raise UserError(f"{root}: no {CARD} in it, so it is not a (finished) dataset; run `skope gen --out {root}`")
+    card = read_json(root / CARD)
+    scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
+    if scheme != keypoints.SCHEME:
+        raise UserError(f"{root / CARD}: keypoint_scheme: expected {keypoints.SCHEME!r}, got {scheme!r}")
+    return Dataset(root, card)
+
+
+def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """Decode an image file to (H, W, 3) RGB; a missing, broken or truncated one is a UserError.
+
+    `size` (width, height), when given, is what the file must have.
+    """
+    data = _read_bytes(path)
+    # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
+    if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-64:]:
+        raise UserError(f"{path}: truncated JPEG")
+    pixels = cv2.imdecode(data_array(data), cv2.IMREAD_COLOR_RGB) if data else None
+    if pixels is None:
+        raise UserError(f"{path}: not an image that can be decoded")
+    if size is not None and (pixels.shape[1], pixels.shape[0]) != size:
+        raise UserError(f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, its annotation says {size[0]}x{size[1]}")
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Decode a depth file to (H, W) metres, sky = +inf."""
+    data = _read_bytes(path)
+    raw = cv2.imdecode(data_array(data), cv2.IMREAD_UNCHANGED) if data else None
+    if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
+        raise UserError(f"{path}: not a 16-bit depth image")
+    depth: NDArray[np.float32] = raw.astype(np.float32) / np.float32(DEPTH_SCALE)
+    depth[raw == 0] = np.inf
+    return depth
+
+
+def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """(H, W) metres, sky = +inf -> the 16-bit values of a depth file (0 = sky, 65535 = 255.99 m or farther)."""
+    finite = np.isfinite(depth_m)
+    scaled = np.rint(np.where(finite, depth_m, 0.0).astype(np.float64) * DEPTH_SCALE)
+    return np.where(finite, np.clip(scaled, 1, 65535), 0).astype(np.uint16)
+
+
+def data_array(data: bytes) -> NDArray[np.uint8]:
+    """Bytes as OpenCV's decoders want them."""
+    return np.frombuffer(data, dtype=np.uint8)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None

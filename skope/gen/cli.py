@@ -1,0 +1,8 @@
+import typer
+
+app = typer.Typer()
+
+
+@app.callback(invoke_without_command=True)
+def run() -> None:
+    pass

@@ -1,0 +1,147 @@
+"""The 33 keypoints of scheme `skope33`: names, flip partners, skeleton, sigmas, colours, maps to other schemes.
+
+`NAMES` is the only place where the order stands; every index below is derived from names.
+"""
+
+import itertools
+from typing import Final
+
+SCHEME: Final = "skope33"
+
+NAMES: Final[tuple[str, ...]] = (
+    *("roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left"),
+    *("windscreen_base_right", "windscreen_base_left", "rear_window_base_right", "rear_window_base_left"),
+    *("headlight_outer_right", "headlight_outer_left", "taillight_outer_right", "taillight_outer_left"),
+    *("headlight_inner_right", "headlight_inner_left", "taillight_inner_right", "taillight_inner_left"),
+    *("wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left"),
+    *("bumper_front_right", "bumper_front_left", "bumper_rear_right", "bumper_rear_left"),
+    *("hood_front_right", "hood_front_left", "trunk_rear_right", "trunk_rear_left"),
+    *("mirror_right", "mirror_left"),
+    *("beltline_right", "beltline_left"),
+    "front_logo",
+)
+"""Names in file order; right and left are the vehicle's own."""
+
+K: Final = len(NAMES)
+INDEX: Final = {name: i for i, name in enumerate(NAMES)}
+SIGMAS: Final = (0.05,) * K
+"""Standard deviations of the object keypoint similarity, one per keypoint."""
+
+
+def _mirrored(name: str) -> str:
+    if name.endswith("_right"):
+        return name.removesuffix("right") + "left"
+    if name.endswith("_left"):
+        return name.removesuffix("left") + "right"
+    return name
+
+
+FLIP: Final = tuple(INDEX[_mirrored(name)] for name in NAMES)
+"""`FLIP[i]` is the keypoint that `i` becomes when the image is mirrored (a permutation, as Ultralytics' flip_idx)."""
+
+WHEELS: Final = tuple(INDEX[f"wheel_{end}_{side}"] for end in ("front", "rear") for side in ("right", "left"))
+"""The four wheel centres: front right, front left, rear right, rear left."""
+
+
+def _chain(*names: str) -> tuple[tuple[int, int], ...]:
+    return tuple((INDEX[a], INDEX[b]) for a, b in itertools.pairwise(names))
+
+
+def _both_sides(*stems: str) -> tuple[tuple[int, int], ...]:
+    return _chain(*(f"{stem}_right" for stem in stems)) + _chain(*(f"{stem}_left" for stem in stems))
+
+
+SKELETON: Final[tuple[tuple[int, int], ...]] = (
+    # roof
+    *_chain("roof_front_right", "roof_front_left", "roof_rear_left", "roof_rear_right", "roof_front_right"),
+    # pillars and glass bases
+    *_both_sides("roof_front", "windscreen_base"),
+    *_both_sides("roof_rear", "rear_window_base"),
+    *_chain("windscreen_base_right", "windscreen_base_left"),
+    *_chain("rear_window_base_right", "rear_window_base_left"),
+    # hood and trunk
+    *_both_sides("windscreen_base", "hood_front"),
+    *_chain("hood_front_right", "hood_front_left"),
+    *_both_sides("rear_window_base", "trunk_rear"),
+    *_chain("trunk_rear_right", "trunk_rear_left"),
+    # front
+    *_both_sides("hood_front", "headlight_outer", "headlight_inner"),
+    *_chain("headlight_inner_right", "front_logo", "headlight_inner_left"),
+    *_both_sides("headlight_outer", "bumper_front"),
+    *_chain("bumper_front_right", "bumper_front_left"),
+    # rear
+    *_both_sides("trunk_rear", "taillight_outer", "taillight_inner"),
+    *_chain("taillight_inner_right", "taillight_inner_left"),
+    *_both_sides("taillight_outer", "bumper_rear"),
+    *_chain("bumper_rear_right", "bumper_rear_left"),
+    # sides
+    *_both_sides("bumper_front", "wheel_front", "wheel_rear", "bumper_rear"),
+    # mirrors and beltline
+    *_both_sides("windscreen_base", "mirror"),
+    *_both_sides("windscreen_base", "beltline", "rear_window_base"),
+)
+"""Edges as 0-based index pairs (COCO files carry them 1-based)."""
+
+_GROUP_COLORS: Final = {
+    "roof": (86, 180, 233),
+    "windscreen": (0, 114, 178),
+    "rear_window": (0, 114, 178),
+    "headlight": (240, 228, 66),
+    "taillight": (213, 94, 0),
+    "wheel": (0, 158, 115),
+    "bumper": (204, 121, 167),
+    "hood": (230, 159, 0),
+    "trunk": (230, 159, 0),
+    "mirror": (255, 255, 255),
+    "beltline": (160, 160, 255),
+    "front_logo": (255, 64, 64),
+}
+"""sRGB by part, after Okabe and Ito's palette so that colour-blind readers can tell them apart."""
+
+COLORS: Final = tuple(next(c for part, c in _GROUP_COLORS.items() if name.startswith(part)) for name in NAMES)
+
+Map = dict[int, int]
+"""Foreign index -> index in `NAMES`, for the points that mean the same thing in both schemes."""
+
+
+def _foreign(*names: str | None) -> Map:
+    return {i: INDEX[name] for i, name in enumerate(names) if name is not None}
+
+
+# A foreign lamp that is one point (its middle, or one unnamed corner) has no counterpart among our outer and inner
+# points and is left out, as are exhausts, plates and centres.
+APOLLO24: Final = _foreign(
+    *("roof_front_right", "roof_front_left", None, None, "bumper_front_right", "bumper_front_left"),
+    *(None, "wheel_front_left", "wheel_rear_left", None, "roof_rear_left", "roof_rear_right"),
+    *(None, None, "bumper_rear_left", "bumper_rear_right", None, None),
+    *("wheel_rear_right", "wheel_front_right", None, None, "mirror_left", "mirror_right"),
+)
+"""ApolloCar3D's 24 points in OpenPifPaf's order."""
+
+CARFUSION14: Final = _foreign(
+    *("wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left"),
+    *(None, None, None, None, None),
+    *("roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left", None),
+)
+"""CarFusion's 14 points."""
+
+VERI20: Final = _foreign(
+    *("wheel_front_left", "wheel_rear_left", "wheel_front_right", "wheel_rear_right"),
+    *(None, None, None, None, "front_logo", None, "mirror_left", "mirror_right"),
+    *("roof_front_right", "roof_front_left", "roof_rear_left", "roof_rear_right", None, None, None, None),
+)
+"""VeRi-776's 20 points (Wang et al. 2017)."""
+
+SKOPE3D: Final = _foreign(*NAMES[:4], *(None,) * 28, "front_logo")
+"""The published SKoPe3D files: only the roof corners and the logo; their users disagree on the order of the wheels."""
+
+FOREIGN_SCHEMES: Final[dict[str, Map]] = {
+    "apollo24": APOLLO24,
+    "carfusion14": CARFUSION14,
+    "veri20": VERI20,
+    "skope3d": SKOPE3D,
+}
+
+assert K == 33
+assert all(FLIP[FLIP[i]] == i for i in range(K))
+assert {tuple(sorted((FLIP[a], FLIP[b]))) for a, b in SKELETON} == {tuple(sorted(edge)) for edge in SKELETON}

@@ -1,0 +1,102 @@
+"""Small annotated images that tests train on and score, drawn here without any renderer."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, keypoints
+from skope.camera import Camera
+from skope.files import write_json
+from skope.schema import Annotation, AnnotationFile, Image
+
+# A vehicle seen from its front left, in units of its box: x, y and v of each keypoint, all distinct.
+_RNG = np.random.default_rng(33)
+OUTLINE = np.stack([_RNG.uniform(0.08, 0.92, keypoints.K), _RNG.uniform(0.1, 0.9, keypoints.K)], axis=1)
+
+
+def make_image(image_id: int = 1, width: int = 160, height: int = 120, split: str = "train") -> Image:
+    return Image(
+        id=image_id,
+        file_name=f"images/site/00_{image_id:06d}.png",
+        width=width,
+        height=height,
+        site="site",
+        recording="00",
+        frame_index=image_id,
+        split=split,
+        weather="clear",
+        camera=Camera.looking([0, 0, 6], yaw=0, pitch_down=0.3, size=(width, height)),
+    )
+
+
+def make_annotation(
+    annotation_id: int,
+    image_id: int,
+    bbox: tuple[float, float, float, float],
+    *,
+    iscrowd: int = 0,
+    hidden: int = 0,
+    vehicle_type: str = "sedan",
+) -> Annotation:
+    """A vehicle whose keypoints are `OUTLINE` scaled to its box; the last `hidden` of them have v = 1."""
+    x, y, w, h = bbox
+    v = np.full(keypoints.K, 2.0)
+    if hidden:
+        v[-hidden:] = 1
+    points = np.concatenate([OUTLINE * [w, h] + [x, y], v[:, None]], axis=1)
+    return Annotation(
+        id=annotation_id,
+        image_id=image_id,
+        bbox=np.array(bbox),
+        bbox_visible=np.array(bbox),
+        keypoints=points,
+        area=w * h,
+        area_full=w * h,
+        iscrowd=iscrowd,
+        ignore_reason="small" if iscrowd else None,
+        track_id=annotation_id,
+        vehicle_type=vehicle_type,
+        distance=20.0,
+        occlusion=0.0,
+        truncation=0.0,
+    )
+
+
+def draw(image: Image, annotations: list[Annotation], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Grey noise with a coloured box per vehicle and a coloured dot per keypoint."""
+    pixels = rng.integers(90, 130, (image.height, image.width, 3), dtype=np.uint8)
+    for annotation in annotations:
+        x, y, w, h = (round(float(value)) for value in annotation.bbox)
+        pixels[y : y + h, x : x + w] = (40, 60, 150)
+        for (px, py, v), color in zip(annotation.keypoints, keypoints.COLORS, strict=True):
+            if v:
+                cv2.circle(pixels, (int(px), int(py)), 1, color, -1)
+    return pixels
+
+
+def make_dataset(root: Path, images: int = 2, splits: tuple[str, ...] = ("train", "easy"), seed: int = 0) -> Path:
+    """Write a dataset folder of PNG images, two vehicles in each; returns `root`."""
+    rng = np.random.default_rng(seed)
+    image_id = annotation_id = 0
+    for split in splits:
+        records, annotations = [], []
+        for _ in range(images):
+            image_id += 1
+            record = make_image(image_id, split=split)
+            boxes = [
+                (8 + rng.integers(10), 12 + rng.integers(8), 64, 44),
+                (84 + rng.integers(8), 56 + rng.integers(10), 60, 40),
+            ]
+            vehicles = [make_annotation(annotation_id + i, image_id, box) for i, box in enumerate(boxes, start=1)]
+            annotation_id += len(boxes)
+            path = root / record.file_name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), cv2.cvtColor(draw(record, vehicles, rng), cv2.COLOR_RGB2BGR))
+            records.append(record)
+            annotations.extend(vehicles)
+        file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split)
+        coco.write(root / "annotations" / f"{split}.json", file)
+    write_json(root / "dataset.json", {"version": 1, "keypoint_scheme": keypoints.SCHEME, "seed": seed})
+    return root
