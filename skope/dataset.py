@@ -1,6 +1,6 @@
 """Read a dataset folder: its card, splits, images and depth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,6 +56,21 @@ def open_dataset(root: Path) -> Dataset:
     if scheme != keypoints.SCHEME:
         raise UserError(f"{root / CARD}: keypoint_scheme: expected {keypoints.SCHEME!r}, got {scheme!r}")
     return Dataset(root, card)
+
+
+def take(file: AnnotationFile, n: int) -> AnnotationFile:
+    """At most `n` images that have a ground-truth (not ignored) vehicle, evenly spread, with only their annotations.
+
+    Training and evaluation choose by the same rule, so that the same number means the same images.
+    """
+    if n < 1:
+        raise UserError(f"--max-images: expected a whole number from 1, got {n}")
+    occupied = {annotation.image_id for annotation in file.annotations if not annotation.ignored}
+    candidates = [image for image in file.images if image.id in occupied]
+    count = min(n, len(candidates))
+    images = tuple(candidates[i * len(candidates) // count] for i in range(count))
+    chosen = {image.id for image in images}
+    return replace(file, images=images, annotations=tuple(a for a in file.annotations if a.image_id in chosen))
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:

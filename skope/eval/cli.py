@@ -1,8 +1,117 @@
+"""`skope eval`: flags, and the choice between a checkpoint and a results file."""
+
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
 import typer
 
-app = typer.Typer()
+from skope.console import Console, QuietOption, VersionOption
+from skope.errors import UserError, one_of
+
+DATA = Path("data/skope")
+RUN = Path("runs/skope")
+GIVEN = "given"
+
+app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
 
 
 @app.callback(invoke_without_command=True)
-def run() -> None:
-    pass
+def run(
+    data: Annotated[Path | None, typer.Option(help=f"Dataset folder.  [default: {DATA}]")] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help=f"Checkpoint file, or run folder for its newest one.  [default: {RUN}]")
+    ] = None,
+    split: Annotated[
+        list[str] | None,
+        typer.Option(help="Split to evaluate; several: repeat it or separate by commas.  [default: all test splits]"),
+    ] = None,
+    annotations: Annotated[
+        Path | None, typer.Option(help="Score --predictions against this COCO file, without a dataset folder.")
+    ] = None,
+    predictions: Annotated[
+        Path | None, typer.Option(help="Score this COCO results file, of any detector, instead of a checkpoint.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write.  [default: RUN/eval, or eval for a results file]")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    protocol: Annotated[str, typer.Option(help="What the table shows: pooled or paper.")] = "pooled",
+    labelled: Annotated[
+        str, typer.Option(help="Keypoints that count: visible, or all (hidden ones inside the image too).")
+    ] = "visible",
+    boxes: Annotated[
+        str,
+        typer.Option(help="full or visible ground-truth boxes, or given: keypoints on the ground truth's own boxes."),
+    ] = "full",
+    score: Annotated[float, typer.Option(help="A detection counts when it scores above this.")] = 0.9,
+    alpha: Annotated[
+        float, typer.Option(help="A keypoint is correct within this share of the box's longer edge.")
+    ] = 0.1,
+    max_images: Annotated[
+        int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
+    ] = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
+    from skope.eval import inputs
+    from skope.eval.match import BOX_KINDS
+    from skope.eval.metrics import PROTOCOLS, Options
+    from skope.eval.run import Job, evaluate
+
+    one_of("--protocol", protocol, PROTOCOLS)
+    one_of("--boxes", boxes, (*BOX_KINDS, GIVEN))
+    options = Options(score=score, alpha=alpha, labelled=labelled, boxes="full" if boxes == GIVEN else boxes)
+    if max_images is not None and max_images < 1:
+        raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
+    splits = [name.strip() for value in split or () for name in value.split(",") if name.strip()]
+    _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if annotations:
+        truth = inputs.read_annotations(annotations)
+    else:
+        truth = inputs.read_dataset(data or DATA, splits)
+    evaluate(
+        Job(
+            truth=truth,
+            out=out or _default_out(checkpoint, predictions),
+            options=options,
+            protocol=protocol,
+            checkpoint=None if predictions else checkpoint or RUN,
+            predictions=predictions,
+            given_boxes=boxes == GIVEN,
+            device=device,
+            max_images=max_images,
+        ),
+        Console(quiet),
+        width=shutil.get_terminal_size((120, 24)).columns,
+    )
+
+
+def _refuse_mixtures(
+    data: Path | None,
+    checkpoint: Path | None,
+    splits: list[str],
+    annotations: Path | None,
+    predictions: Path | None,
+    boxes: str,
+) -> None:
+    def clash(a: str, b: str, given_a: Any, given_b: Any, why: str) -> None:
+        if given_a and given_b:
+            raise UserError(f"{a} and {b} do not go together: {why}")
+
+    clash("--predictions", "--checkpoint", predictions, checkpoint, "results are scored as they are")
+    clash("--predictions", "--boxes given", predictions, boxes == GIVEN, "only a checkpoint can be run on given boxes")
+    clash("--annotations", "--data", annotations, data, "each says what the ground truth is")
+    clash("--annotations", "--split", annotations, splits, "an annotation file is one split")
+    if annotations and not predictions:
+        raise UserError("--annotations needs --predictions; to run a checkpoint, give its dataset with --data")
+    if predictions and not annotations and len(splits) != 1:
+        raise UserError("--predictions with a dataset needs exactly one --split, the one that was predicted")
+
+
+def _default_out(checkpoint: Path | None, predictions: Path | None) -> Path:
+    if predictions:
+        return Path("eval")
+    run = checkpoint or RUN
+    return (run.parent if run.is_file() else run) / "eval"

@@ -1,8 +1,87 @@
+"""`skope gen`: make datasets and check them."""
+
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-app = typer.Typer()
+from skope.console import Console, QuietOption, VersionOption
+from skope.errors import one_of
+
+app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 
 
-@app.callback(invoke_without_command=True)
-def run() -> None:
-    pass
+@app.callback()
+def gen(
+    ctx: typer.Context,
+    preset: Annotated[str, typer.Option(help="Which dataset to make (see the README).")] = "demo",
+    out: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("data/skope"),
+    seed: Annotated[int, typer.Option(help="Same seed, same dataset.")] = 0,
+    workers: Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")] = None,
+    renderer: Annotated[str, typer.Option(help="auto or pybullet.")] = "auto",
+    sites: Annotated[str | None, typer.Option(help="Comma-separated sites instead of the preset's.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames per site.")] = None,
+    interval: Annotated[float | None, typer.Option(help="Seconds between frames.")] = None,
+    size: Annotated[str | None, typer.Option(help="Image size, WIDTHxHEIGHT.")] = None,
+    fov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
+    localizer: Annotated[str, typer.Option(help="rigid, or trilateration as in the paper.")] = "rigid",
+    occlusion_rule: Annotated[
+        str, typer.Option(help="others: ignore what something else hides; paper: remove what is half hidden.")
+    ] = "others",
+    min_visible: Annotated[float, typer.Option(help="Ignore vehicles of which a smaller share is seen.")] = 0.15,
+    min_box: Annotated[float, typer.Option(help="Ignore boxes whose shorter edge is under this, pixels.")] = 12.0,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
+    if ctx.invoked_subcommand is not None:
+        return
+    from skope.gen.annotate import Rules
+    from skope.gen.plan import from_preset
+    from skope.gen.produce import check_workers, default_workers, produce
+    from skope.gen.render import RENDERERS
+
+    one_of("--renderer", renderer, RENDERERS)
+    rules = Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box)
+    parameters = from_preset(
+        preset,
+        seed=seed,
+        renderer="pybullet" if renderer == "auto" else renderer,
+        rules=rules,
+        sites=tuple(sites.split(",")) if sites else None,
+        frames=frames,
+        interval_s=interval,
+        size=size,
+        fov_deg=fov,
+    )
+    console = Console(quiet)
+    count = check_workers(default_workers() if workers is None else workers)
+    total = parameters.frames * len(parameters.sites)
+    console.say(
+        f"preset {preset}: {total} images of {parameters.size} from {len(parameters.sites)} sites, seed {seed}, "
+        f"{count} workers, renderer {parameters.renderer}"
+    )
+    made = produce(parameters, out, count, console)
+    done = f"wrote {out}" if made else f"{out} is complete already"
+    elsewhere = "" if out == Path("data/skope") else f" --data {out}"
+    console.result(f"{done}; next: skope train{elsewhere} --epochs 10")
+
+
+@app.command()
+def check(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = Path("data/skope"),
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Check a dataset: schema, ids, files, re-projection, visibility against depth; exit code 1 with findings."""
+    from skope.dataset import open_dataset
+    from skope.gen.check import check as find
+
+    console = Console(quiet)
+    count = 0
+    for finding in find(open_dataset(dataset)):
+        count += 1
+        console.result(finding)
+    console.result(f"{dataset}: {count or 'no'} finding{'' if count == 1 else 's'}")
+    if count:
+        raise typer.Exit(1)

@@ -1,0 +1,392 @@
+"""Keypoint R-CNN with 33 keypoints: build, initialise, save, load, run. Stock torchvision inside.
+
+Boxes and keypoints are continuous pixel coordinates of the image that was passed in, as everywhere in skope.
+torchvision resizes the image before the network and scales the answers back by the same two factors.
+"""
+
+import contextlib
+import functools
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Final, Self
+from urllib.parse import urlparse
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+from torchvision.models import ResNet50_Weights, WeightsEnum
+from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
+from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
+from torchvision.models.detection.transform import resize_boxes, resize_keypoints
+from torchvision.ops import FrozenBatchNorm2d
+
+from skope import keypoints
+from skope.errors import UserError, one_of
+from skope.files import replacing
+
+INITS: Final = ("auto", "coco", "imagenet", "random")
+NORMS: Final = ("frozen", "batch")
+MAX_DETECTIONS: Final = 300
+"""Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
+MIN_SCORE: Final = 0.05
+
+_COCO_KEYPOINTS: Final = 17
+_DEFAULT_EPS: Final = 1e-5
+_HEADER: Final = "skope"
+_FORMAT_VERSION: Final = 1
+_REGIONS_AT_ONCE: Final = 128
+
+
+# ---------------------------------------------------------------------------------------------------------- building
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorConfig:
+    """What a state dict does not tell about its model."""
+
+    norm: str
+    """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
+    norm_eps: float
+    """Added to each variance; 0 in the weights trained on COCO."""
+    min_size: int
+    """Short side of the image inside the network, pixels ..."""
+    max_size: int
+    """... unless the long side would exceed this."""
+
+    def __post_init__(self) -> None:
+        one_of("norm", self.norm, NORMS)
+        if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
+            raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
+        for name in ("min_size", "max_size"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 32 <= value <= 16384:
+                raise UserError(f"{name}: expected 32 to 16384 pixels, got {value!r}")
+        if self.max_size < self.min_size:
+            raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(values, Mapping) or set(values) != names:
+            raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
+        return cls(**values)
+
+
+def choose_device(name: str) -> torch.device:
+    """The device of a `--device` flag; `auto` is a GPU where there is one."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise UserError(f"device: {name!r} is not one of auto, cpu, cuda, cuda:N")
+    device = torch.device(name)
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise UserError(f"device: {name} is not there (torch sees {torch.cuda.device_count()} GPUs)")
+    return device
+
+
+def build(config: DetectorConfig, *, trainable_layers: int = 5) -> KeypointRCNN:
+    """Keypoint R-CNN (ResNet50-FPN) for one class and 33 keypoints, weights drawn from torch's random state.
+
+    `trainable_layers` (0 to 5) counts the backbone's stages that learn, from the last one.
+    """
+    return _build(config, trainable_layers, keypoints.K)
+
+
+def _build(config: DetectorConfig, trainable_layers: int, num_keypoints: int) -> KeypointRCNN:
+    norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
+    backbone = resnet_fpn_backbone(
+        backbone_name="resnet50",
+        weights=None,
+        norm_layer=functools.partial(norm, eps=config.norm_eps),
+        trainable_layers=trainable_layers,
+    )
+    return KeypointRCNN(
+        backbone,
+        num_classes=2,  # 0 is the background
+        num_keypoints=num_keypoints,
+        min_size=config.min_size,
+        max_size=config.max_size,
+        box_detections_per_img=MAX_DETECTIONS,
+    )
+
+
+# ------------------------------------------------------------------------------------------------------- first weights
+
+
+def initialise(
+    init: str, *, min_size: int, max_size: int, trainable_layers: int, seed: int
+) -> tuple[KeypointRCNN, DetectorConfig, str]:
+    """A model with its first weights, its config, and the choice in words.
+
+    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else random ones, and never uses
+    the network; `coco` and `imagenet` download what is not there. As in torchvision, trained weights come with frozen
+    normalisation, and random ones with normalisation and all layers that learn. `seed` draws what no file gives.
+    """
+    one_of("init", init, INITS)
+    coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        if init == "coco" or (init == "auto" and coco_file.is_file()):
+            # These weights were trained while FrozenBatchNorm2d added nothing to the variance.
+            config = DetectorConfig(norm="frozen", norm_eps=0.0, min_size=min_size, max_size=max_size)
+            return _from_coco(config, trainable_layers), config, "weights trained on COCO"
+        if init == "imagenet":
+            config = DetectorConfig(norm="frozen", norm_eps=_DEFAULT_EPS, min_size=min_size, max_size=max_size)
+            return _from_imagenet(config, trainable_layers), config, "a backbone trained on ImageNet"
+        config = DetectorConfig(norm="batch", norm_eps=_DEFAULT_EPS, min_size=min_size, max_size=max_size)
+        words = "random weights" + (" (no COCO weights in the cache)" if init == "auto" else "")
+        return build(config), config, words
+
+
+def _from_coco(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
+    path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+    model = _build(config, trainable_layers, _COCO_KEYPOINTS)
+    _load_published(path, model, _read_published(path))
+    heads = model.roi_heads
+    heads.keypoint_predictor = KeypointRCNNPredictor(heads.keypoint_predictor.kps_score_lowres.in_channels, keypoints.K)
+    return model
+
+
+def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
+    path = _fetch("imagenet", ResNet50_Weights.IMAGENET1K_V1)
+    model = build(config, trainable_layers=trainable_layers)
+    state = {name: tensor for name, tensor in _read_published(path).items() if not name.startswith("fc.")}
+    _load_published(path, model.backbone.body, state)
+    return model
+
+
+def _cached(weights: WeightsEnum) -> Path:
+    return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
+
+
+def _fetch(init: str, weights: WeightsEnum) -> Path:
+    path = _cached(weights)
+    if path.is_file():
+        return path
+    digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.hub.download_url_to_file(weights.url, str(path), digest.group(1) if digest else None)
+    except (OSError, RuntimeError) as error:
+        raise UserError(
+            f"--init {init}: cannot download {weights.url} ({error}); put the file at {path}, or take --init random"
+        ) from None
+    return path
+
+
+def _read_published(path: Path) -> dict[str, torch.Tensor]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise UserError(f"{path}: not a file of weights ({reason}); delete it and download it again") from None
+    if not isinstance(state, dict):
+        raise UserError(f"{path}: not a file of weights (it holds a {type(state).__name__}); delete it")
+    return state
+
+
+def _load_published(path: Path, model: nn.Module, state: dict[str, torch.Tensor]) -> None:
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        raise UserError(f"{path}: not the weights that its name says: {' '.join(str(error).split())[:160]}") from None
+
+
+# --------------------------------------------------------------------------------------------------------- checkpoints
+
+
+def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
+    """Write a checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
+
+    The tensors are those of torchvision's own model, so that they load there with `strict=True`.
+    """
+    header = {
+        "version": _FORMAT_VERSION,
+        "scheme": keypoints.SCHEME,
+        "num_keypoints": keypoints.K,
+        "config": config.to_dict(),
+        "metadata": dict(metadata),
+    }
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always there suits both.
+    for name in [name for name in state if name.endswith(".running_var")]:
+        state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
+    with replacing(path) as temporary:
+        save_file(state, str(temporary), metadata={"format": "pt", _HEADER: json.dumps(header, allow_nan=False)})
+
+
+def load_weights(
+    path: Path, device: torch.device | str, *, trainable_layers: int = 5
+) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
+    """Model in evaluation mode on `device`, config and metadata of a checkpoint that `save_weights` wrote.
+
+    Raises UserError, naming the file, where it is no such checkpoint or one of another keypoint scheme.
+    """
+    header, state = _read_checkpoint(path)
+    try:
+        config = DetectorConfig.from_dict(header["config"])
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    model = build(config, trainable_layers=trainable_layers)
+    _check_tensors(path, model.state_dict(), state)
+    model.load_state_dict(state)
+    return model.to(device).eval(), config, header["metadata"]
+
+
+def _read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    if not path.is_file():
+        raise UserError(f"{path}: no such checkpoint file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = _check_header(path, file.metadata() or {})
+            return header, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
+
+
+def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
+    if _HEADER not in metadata:
+        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {_HEADER})")
+    try:
+        header = json.loads(metadata[_HEADER])
+    except json.JSONDecodeError:
+        header = None
+    if not isinstance(header, dict) or not {"config", "metadata"} <= set(header):
+        raise UserError(f"{path}: the header's field {_HEADER} is damaged")
+    expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K, "scheme": keypoints.SCHEME}
+    for name, value in expected.items():
+        if header.get(name) != value:
+            raise UserError(f"{path}: {name}: expected {value!r}, got {header.get(name)!r}")
+    return header
+
+
+def _check_tensors(path: Path, expected: Mapping[str, torch.Tensor], got: Mapping[str, torch.Tensor]) -> None:
+    counts = {name for name in got if name.endswith(".num_batches_tracked")}
+    missing, extra = sorted(set(expected) - set(got)), sorted(set(got) - set(expected) - counts)
+    for what, names in (("lacks", missing), ("has unknown", extra)):
+        if names:
+            raise UserError(f"{path}: {what} {len(names)} tensor(s), first {names[0]}")
+    for name, tensor in expected.items():
+        if got[name].shape != tensor.shape:
+            raise UserError(f"{path}: tensor {name}: expected {tuple(tensor.shape)}, got {tuple(got[name].shape)}")
+
+
+def checkpoint_name(epoch: int) -> str:
+    """File name of the checkpoint after `epoch` epochs."""
+    return f"epoch_{epoch:03d}.safetensors"
+
+
+def checkpoints(run: Path) -> dict[int, Path]:
+    """Checkpoints of a run folder by the number of epochs behind them, ascending."""
+    found = ((re.fullmatch(r"epoch_(\d+)\.safetensors", path.name), path) for path in run.glob("epoch_*.safetensors"))
+    return dict(sorted((int(match.group(1)), path) for match, path in found if match))
+
+
+def find_checkpoint(path: Path) -> Path:
+    """`path` itself if it is a file, or the newest checkpoint of the run folder `path`."""
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise UserError(f"{path}: no such checkpoint or run folder; `skope train` makes one")
+    found = checkpoints(path)
+    if not found:
+        raise UserError(f"{path}: no checkpoint in this folder (epoch_NNN.safetensors); `skope train` makes one")
+    return found[max(found)]
+
+
+# -------------------------------------------------------------------------------------------------------------- running
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Vehicles found in one image, best score first."""
+
+    boxes_xyxy: NDArray[np.float64]
+    """(N, 4) pixels of the original image."""
+    scores: NDArray[np.float64]
+    """(N,) confidence that this is a vehicle, 0 to 1."""
+    keypoints: NDArray[np.float64]
+    """(N, 33, 3) x, y, p: pixels of the original image, and the sigmoid of the heat map's peak, 0 to 1.
+
+    p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden.
+    """
+
+
+def detect(
+    model: KeypointRCNN,
+    images: Sequence[NDArray[np.uint8]],
+    device: torch.device | str,
+    *,
+    min_score: float = MIN_SCORE,
+    max_detections: int = MAX_DETECTIONS,
+) -> list[Detections]:
+    """Find vehicles in `images`, each (H, W, 3) sRGB; they go through the network as one batch."""
+    with _inference(model, min_score, max_detections):
+        answers = model([_as_tensor(image, device) for image in images])
+    return [
+        Detections(
+            _float64(a["boxes"]), _float64(a["scores"]), _with_probability(a["keypoints"], a["keypoints_scores"])
+        )
+        for a in answers
+    ]
+
+
+def detect_on_boxes(
+    model: KeypointRCNN, image: NDArray[np.uint8], boxes_xyxy: ArrayLike, device: torch.device | str
+) -> NDArray[np.float64]:
+    """(N, 33, 3) x, y, p of the vehicles in N given boxes (pixels of `image`): localisation apart from detection."""
+    boxes = torch.as_tensor(np.asarray(boxes_xyxy, dtype=np.float32).reshape(-1, 4), device=device)
+    if not len(boxes):
+        return np.zeros((0, keypoints.K, 3))
+    size = list(image.shape[:2])
+    with _inference(model, MIN_SCORE, MAX_DETECTIONS):
+        batch, _ = model.transform([_as_tensor(image, device)])
+        inner_size = list(batch.image_sizes[0])
+        features = model.backbone(batch.tensors)
+        parts = []
+        for part in resize_boxes(boxes, size, inner_size).split(_REGIONS_AT_ONCE):
+            regions = model.roi_heads.keypoint_roi_pool(features, [part], batch.image_sizes)
+            heatmaps = model.roi_heads.keypoint_predictor(model.roi_heads.keypoint_head(regions))
+            points, logits = heatmaps_to_keypoints(heatmaps, part)
+            parts.append(_with_probability(resize_keypoints(points, inner_size, size), logits))
+    return np.concatenate(parts)
+
+
+@contextlib.contextmanager
+def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> Iterator[None]:
+    heads = model.roi_heads
+    before = model.training, heads.score_thresh, heads.detections_per_img
+    model.eval()
+    heads.score_thresh, heads.detections_per_img = min_score, max_detections
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        model.train(before[0])
+        heads.score_thresh, heads.detections_per_img = before[1:]
+
+
+def _as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
+    """(H, W, 3) 0..255 -> (3, H, W) 0..1."""
+    return torch.as_tensor(image, device=device).permute(2, 0, 1).float() / 255
+
+
+def _with_probability(points: torch.Tensor, logits: torch.Tensor) -> NDArray[np.float64]:
+    """(N, 33, 3) torchvision's points, whose third column is always 1, and (N, 33) peak logits -> x, y, p."""
+    return _float64(torch.cat([points[..., :2], logits.sigmoid()[..., None]], dim=-1))
+
+
+def _float64(tensor: torch.Tensor) -> NDArray[np.float64]:
+    return tensor.cpu().numpy().astype(np.float64)

@@ -1,0 +1,172 @@
+"""Overlays of vehicles on images, and sheets of several images. RGB uint8 in and out; OpenCV draws.
+
+Coordinates are skope's continuous pixels. OpenCV counts the centre of pixel i as i, so half a pixel is taken off on the
+way in, and sub-pixel positions are kept. Everything drawn grows with the image; `scale` enlarges small images first, so
+that their keypoints do not run together.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import keypoints
+from skope.boxes import xywh_to_xyxy
+from skope.errors import UserError
+from skope.files import replacing
+from skope.schema import Annotation, Result
+
+Pixels = NDArray[np.uint8]
+Color = tuple[int, int, int]
+
+PALETTE: Final[tuple[Color, ...]] = (
+    *((86, 180, 233), (230, 159, 0), (0, 200, 140), (240, 228, 66)),
+    *((90, 140, 255), (255, 110, 40), (230, 140, 190), (190, 230, 120)),
+)
+"""Colours of vehicles, by track: Okabe and Ito's, brightened where they would drown in asphalt."""
+IGNORED: Final[Color] = (200, 200, 200)
+_DARK: Final[Color] = (16, 16, 16)
+_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_SHIFT: Final = 4
+"""OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
+
+
+def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
+    """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
+
+    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); an ignored vehicle is a dashed box with
+    its reason. The label is the track's number, or the annotation's id.
+    """
+    canvas = _Canvas(image, scale)
+    for vehicle in sorted(vehicles, key=lambda a: not a.ignored):
+        number = vehicle.id if vehicle.track_id is None else vehicle.track_id
+        if vehicle.ignored:
+            canvas.dashed_box(vehicle.bbox, IGNORED)
+            canvas.label(vehicle.bbox, vehicle.ignore_reason or "ignored", IGNORED)
+            continue
+        color = PALETTE[number % len(PALETTE)]
+        canvas.vehicle(vehicle.bbox, vehicle.keypoints, vehicle.keypoints[:, 2] > 0, vehicle.keypoints[:, 2] > 1, color)
+        canvas.label(vehicle.bbox, str(number), color)
+    return canvas.pixels
+
+
+def results(image: Pixels, found: Iterable[Result], *, scale: int = 1) -> Pixels:
+    """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
+
+    Keypoints are filled from a probability of 0.5 and hollow below. The label is the score.
+    """
+    canvas = _Canvas(image, scale)
+    for i, result in enumerate(sorted(found, key=lambda r: r.score)):
+        color = PALETTE[i % len(PALETTE)]
+        shown = np.ones(keypoints.K, dtype=bool)
+        canvas.vehicle(result.bbox, result.keypoints, shown, result.keypoints[:, 2] >= 0.5, color)
+        canvas.label(result.bbox, f"{result.score:.2f}", color)
+    return canvas.pixels
+
+
+def caption(image: Pixels, text: str) -> Pixels:
+    """A copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened where it is too long."""
+    size = max(0.4, image.shape[1] / 1600)
+    strip = np.full((round(36 * size) + 4, image.shape[1], 3), _DARK, dtype=np.uint8)
+    # The Hershey fonts have ASCII only, about 18 pixels a letter.
+    text = text.encode("ascii", "replace").decode()[: int(image.shape[1] / (18 * size))]
+    origin = (round(8 * size), round(26 * size) + 2)
+    cv2.putText(strip, text, origin, _FONT, 0.8 * size, (255, 255, 255), max(1, round(size)), cv2.LINE_AA)
+    return np.concatenate([strip, image])
+
+
+def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pixels:
+    """Images (H, W, 3) in rows of `columns`, each at the top left of a cell as large as the largest of them."""
+    if not images or columns < 1:
+        raise ValueError("a contact sheet needs at least one image and one column")
+    columns = min(columns, len(images))
+    rows = -(-len(images) // columns)
+    height, width = (max(image.shape[axis] for image in images) + gap for axis in (0, 1))
+    sheet = np.full((rows * height - gap, columns * width - gap, 3), _DARK, dtype=np.uint8)
+    for i, image in enumerate(images):
+        y, x = i // columns * height, i % columns * width
+        sheet[y : y + image.shape[0], x : x + image.shape[1]] = image
+    return sheet
+
+
+def write(path: Path, image: Pixels) -> None:
+    """Write an RGB image atomically, in the format of the path's suffix."""
+    with replacing(path) as temporary:
+        if not cv2.imwrite(str(temporary), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
+            raise UserError(f"{path}: the image could not be encoded")
+
+
+class _Canvas:
+    """An image being drawn on; positions are pixels of the image before it was enlarged."""
+
+    def __init__(self, image: Pixels, scale: int) -> None:
+        size = (image.shape[1] * scale, image.shape[0] * scale)
+        self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
+        self._scale = scale
+        self._unit = max(1.0, min(size) / 540)
+        """One at 960x540 and below, two at 1920x1080."""
+        self._line = round(self._unit)
+
+    def vehicle(
+        self,
+        bbox: ArrayLike,
+        points: NDArray[np.float64],
+        shown: NDArray[np.bool_],
+        sure: NDArray[np.bool_],
+        color: Color,
+    ) -> None:
+        """A box, the skeleton between shown points (dimmer where an end is not sure), and the points."""
+        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
+        self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, self._line)
+        dim = tuple(c // 2 for c in color)
+        for a, b in keypoints.SKELETON:
+            if shown[a] and shown[b]:
+                edge = color if sure[a] and sure[b] else dim
+                self._polyline([points[a, :2], points[b, :2]], edge, max(1, self._line // 2))
+        # Small vehicles get small points, so that they do not merge into a blot.
+        extent = max(x1 - x0, y1 - y0) * self._scale
+        radius = float(np.clip(extent / 50, 1.5, 2.25 * self._unit))
+        for i in np.flatnonzero(shown):
+            self._point(points[i, :2], radius, keypoints.COLORS[i], filled=bool(sure[i]))
+
+    def dashed_box(self, bbox: ArrayLike, color: Color) -> None:
+        """The outline of a box in dashes."""
+        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
+        dash = 6 * self._unit / self._scale
+        corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+        for start, end in itertools.pairwise(corners):
+            length = float(np.hypot(*(end - start)))
+            for at in np.arange(0.0, length, 2 * dash):
+                ends = [start + (end - start) * min(s, length) / length for s in (at, at + dash)]
+                self._polyline(ends, color, self._line)
+
+    def label(self, bbox: ArrayLike, text: str, color: Color) -> None:
+        """Text in a filled tag on top of a box, kept inside the image."""
+        size = 0.4 * self._unit
+        (width, height), base = cv2.getTextSize(text, _FONT, size, self._line)
+        x, y = (int(v * self._scale) for v in np.asarray(bbox)[:2])
+        x = max(0, min(x, self.pixels.shape[1] - width - 2))
+        bottom = max(y, height + base)
+        cv2.rectangle(self.pixels, (x, bottom - height - base), (x + width + 2, bottom), color, -1)
+        cv2.putText(self.pixels, text, (x + 1, bottom - base // 2 - 1), _FONT, size, _DARK, self._line, cv2.LINE_AA)
+
+    def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
+        at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << _SHIFT)
+        # A stray prediction must not overflow OpenCV's fixed-point numbers.
+        return np.rint(np.clip(at, -(2**26), 2**26)).astype(np.int32)
+
+    def _polyline(self, points: ArrayLike, color: Sequence[int], thickness: int) -> None:
+        cv2.polylines(self.pixels, [self._fixed(points)], False, color, thickness, cv2.LINE_AA, _SHIFT)
+
+    def _point(self, at: ArrayLike, radius: float, color: Color, *, filled: bool) -> None:
+        x, y = self._fixed(at).tolist()
+        fixed_radius = round(radius * (1 << _SHIFT))
+        if filled:
+            cv2.circle(self.pixels, (x, y), fixed_radius + (1 << _SHIFT), _DARK, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, _SHIFT)
+        else:
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, _SHIFT)

@@ -1,0 +1,61 @@
+"""What is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from skope import coco, dataset
+from skope.errors import UserError
+from skope.schema import AnnotationFile, Result
+
+TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Ground truth: splits in the order in which they are reported, and where their images lie."""
+
+    splits: tuple[AnnotationFile, ...]
+    root: Path
+    """The folder that file names are relative to."""
+
+
+def read_dataset(root: Path, names: Sequence[str]) -> Truth:
+    """The named splits of a dataset folder; without names, all test splits that it has."""
+    data = dataset.open_dataset(root)
+    wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
+    if not wanted:
+        there = ", ".join(data.splits) or "none"
+        raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
+    return Truth(splits=tuple(data.read(name) for name in wanted), root=root)
+
+
+def read_annotations(path: Path) -> Truth:
+    """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
+    return Truth(splits=(coco.read(path),), root=path.parent.parent)
+
+
+def read_results(path: Path, file: AnnotationFile) -> tuple[Result, ...]:
+    """Results of any detector for the images of `file`; a UserError names a result that is for none of them."""
+    results = coco.read_results(path)
+    images = {image.id for image in file.images}
+    categories = {a.category_id for a in file.annotations}
+    for i, result in enumerate(results):
+        if result.image_id not in images:
+            raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
+        if categories and result.category_id not in categories:
+            known = ", ".join(map(str, sorted(categories)))
+            raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {known}")
+    return results
+
+
+def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
+    """`file`, or the images of it that `--max-images` leaves."""
+    return file if max_images is None else dataset.take(file, max_images)
+
+
+def for_images(results: Sequence[Result], file: AnnotationFile) -> tuple[Result, ...]:
+    """The results that belong to the images of `file`."""
+    images = {image.id for image in file.images}
+    return tuple(result for result in results if result.image_id in images)

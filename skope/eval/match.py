@@ -1,0 +1,150 @@
+"""Who found whom: greedy matching of detections to ground-truth vehicles, once per IoU threshold.
+
+Metrics are pure functions of the `Matches` made here.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import boxes as box_math
+from skope import keypoints
+from skope.errors import UserError, one_of
+from skope.schema import Annotation, AnnotationFile, Result
+
+THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
+"""IoU thresholds of the paper's table, in its order."""
+
+BOX_KINDS: Final = ("full", "visible")
+"""Which of a vehicle's boxes a detection has to meet: the whole silhouette's, or that of its visible pixels."""
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Matches:
+    """A split's ground truth (G vehicles), the detections that count (D), and which took which.
+
+    Images are numbered by their place in the file. Ground truth lies in order of image and id, detections in order of
+    image, falling score and place in the results file.
+    """
+
+    images: int
+    ignored: int
+    """Number of ignored vehicles."""
+    gt_image: Integers
+    """(G,) image number."""
+    gt_boxes_xyxy: Floats
+    """(G, 4) pixels."""
+    gt_keypoints: Floats
+    """(G, 33, 3) x, y, v."""
+    det_image: Integers
+    """(D,) image number."""
+    det_keypoints: Floats
+    """(D, 33, 3) x, y, score."""
+    det_on_ignored: Mask
+    """(D,) lies to half of its area or more inside one ignored vehicle's box."""
+    taken: Mapping[float, Integers]
+    """IoU threshold -> (D,) the ground-truth vehicle that each detection took, -1 for none."""
+
+
+def box_of(annotation: Annotation, kind: str) -> Floats:
+    """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
+    box = annotation.bbox_visible if one_of("--boxes", kind, BOX_KINDS) == "visible" else annotation.bbox
+    if box is None:
+        raise UserError(f"annotation {annotation.id}: field bbox_visible is missing, which --boxes visible needs")
+    return box
+
+
+def match(
+    file: AnnotationFile,
+    results: Sequence[Result],
+    *,
+    score: float = 0.9,
+    boxes: str = "full",
+    thresholds: Sequence[float] = THRESHOLDS,
+) -> Matches:
+    """Match the results that score above `score` to the vehicles of `file`, per image and greedily.
+
+    In falling score order (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
+    lowest id), if that IoU reaches the threshold. Every result's image must be in the file.
+    """
+    number = {image.id: i for i, image in enumerate(file.images)}
+    vehicles = sorted(file.annotations, key=lambda a: (number[a.image_id], a.id))
+    truth = [a for a in vehicles if not a.ignored]
+    ignored = [a for a in vehicles if a.ignored]
+    counted = sorted((r for r in results if r.score > score), key=lambda r: (number[r.image_id], -r.score))
+
+    gt_image = np.array([number[a.image_id] for a in truth], dtype=np.int64)
+    gt_boxes = _xyxy([box_of(a, boxes) for a in truth])
+    det_image = np.array([number[r.image_id] for r in counted], dtype=np.int64)
+    det_boxes = _xyxy([r.bbox for r in counted])
+    ignored_image = np.array([number[a.image_id] for a in ignored], dtype=np.int64)
+    ignored_boxes = _xyxy([box_of(a, boxes) for a in ignored])
+
+    on_ignored, _, _ = _pairs(det_image, det_boxes, ignored_image, ignored_boxes, box_math.share_inside, least=0.5)
+    overlaps = _pairs(det_image, det_boxes, gt_image, gt_boxes, box_math.iou, least=min(thresholds))
+    return Matches(
+        images=len(file.images),
+        ignored=len(ignored),
+        gt_image=gt_image,
+        gt_boxes_xyxy=gt_boxes,
+        gt_keypoints=_keypoints([a.keypoints for a in truth]),
+        det_image=det_image,
+        det_keypoints=_keypoints([r.keypoints for r in counted]),
+        det_on_ignored=np.isin(np.arange(len(counted)), on_ignored),
+        taken={t: _greedy(len(counted), len(truth), *overlaps, t) for t in thresholds},
+    )
+
+
+def _xyxy(boxes_xywh: list[Floats]) -> Floats:
+    return box_math.xywh_to_xyxy(np.array(boxes_xywh, dtype=np.float64).reshape(-1, 4))
+
+
+def _keypoints(points: list[Floats]) -> Floats:
+    return np.array(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
+
+
+def _shared_images(a_image: Integers, b_image: Integers) -> Iterator[tuple[slice, slice]]:
+    """Slices of two sorted columns of image numbers, for each image that both have."""
+    for image in np.intersect1d(a_image, b_image):
+        (a0, a1), (b0, b1) = (np.searchsorted(column, (image, image + 1)) for column in (a_image, b_image))
+        yield slice(a0, a1), slice(b0, b1)
+
+
+def _pairs(
+    a_image: Integers,
+    a_boxes: Floats,
+    b_image: Integers,
+    b_boxes: Floats,
+    measure: Callable[[Floats, Floats], Floats],
+    *,
+    least: float,
+) -> tuple[Integers, Integers, Floats]:
+    """Indices (P,), (P,) and values (P,) of the pairs of one image whose measure is at least `least`."""
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
+    for a, b in _shared_images(a_image, b_image):
+        table = measure(a_boxes[a], b_boxes[b])
+        row, column = np.nonzero(table >= least)
+        rows.append(row + a.start)
+        columns.append(column + b.start)
+        values.append(table[row, column])
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+
+def _greedy(detections: int, truths: int, det: Integers, gt: Integers, iou: Floats, threshold: float) -> Integers:
+    """(D,) ground truth taken by each detection, -1 for none, from the pairs that overlap."""
+    taken = np.full(detections, -1, dtype=np.int64)
+    free = np.ones(truths, dtype=bool)
+    # Detections stand in the order in which they choose, ground truth by id: sorting the pairs by detection, falling
+    # IoU and ground truth lists each one's choices from its best, ties to the lowest id.
+    for pair in np.lexsort((gt, -iou, det)):
+        if iou[pair] >= threshold and taken[det[pair]] < 0 and free[gt[pair]]:
+            taken[det[pair]] = gt[pair]
+            free[gt[pair]] = False
+    return taken

@@ -1,0 +1,130 @@
+"""One evaluation: predict (or read results), match, measure, draw, write, print."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from skope import coco, draw
+from skope.console import Console
+from skope.dataset import read_image, take
+from skope.errors import UserError
+from skope.eval import inputs, metrics, table
+from skope.eval.coco_ap import average_precision
+from skope.eval.inputs import Truth
+from skope.eval.metrics import Options
+from skope.files import replacing, write_json
+from skope.schema import AnnotationFile, Result
+
+OVERLAYS: Final = 4
+"""Pictures a split."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
+
+    truth: Truth
+    out: Path
+    options: Options
+    protocol: str
+    checkpoint: Path | None = None
+    predictions: Path | None = None
+    given_boxes: bool = False
+    """Place keypoints in the ground-truth boxes instead of detecting vehicles."""
+    device: str = "auto"
+    max_images: int | None = None
+
+
+def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
+    """Evaluate, write everything under `job.out`, print the table `width` wide; returns what `metrics.json` holds."""
+    splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
+    results = _predicted(job, splits, console) if job.checkpoint else _read(job, splits)
+    figures = {
+        file.name: {
+            **metrics.score_split(file, results[file.name], job.options),
+            "coco": average_precision(file, results[file.name], job.options),
+            "by": {},
+        }
+        for file in splits
+    }
+    document = metrics.document(job.options, figures)
+    write_json(job.out / "metrics.json", document)
+    pictures = [path for file in splits for path in _overlays(job, file, results[file.name])]
+
+    console.result(table.render(document, job.protocol, width))
+    for line in _advice(job, figures, results):
+        console.result(line)
+    console.result(_last_line(job, splits, pictures))
+    return document
+
+
+def _predicted(job: Job, splits: Sequence[AnnotationFile], console: Console) -> dict[str, tuple[Result, ...]]:
+    from skope.eval.predict import Predictor  # torch
+
+    assert job.checkpoint is not None
+    predictor = Predictor(job.checkpoint, job.device, given=job.given_boxes, console=console)
+    out = {}
+    for file in splits:
+        path = job.out / f"predictions_{file.name}.json"
+        coco.write_results(path, predictor.split(file, job.truth.root))
+        # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
+        out[file.name] = coco.read_results(path)
+    return out
+
+
+def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+    assert job.predictions is not None
+    (whole,), (part,) = job.truth.splits, splits
+    return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole), part)}
+
+
+def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result]) -> list[Path]:
+    """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
+    few = take(file, OVERLAYS)
+    truth = few.by_image()
+    written = []
+    for i, image in enumerate(few.images, start=1):
+        source = job.truth.root / image.file_name
+        if not source.is_file():
+            continue
+        pixels = read_image(source, size=(image.width, image.height))
+        found = [r for r in results if r.image_id == image.id and r.score > job.options.score]
+        panels = [
+            draw.caption(draw.annotations(pixels, truth[image.id]), f"ground truth  {image.file_name}"),
+            draw.caption(draw.results(pixels, found), f"{len(found)} detections > {job.options.score:g}"),
+        ]
+        path = job.out / "overlays" / f"{file.name}_{i}.jpg"
+        draw.write(path, draw.contact_sheet(panels, columns=2))
+        written.append(path)
+    return written
+
+
+def _advice(job: Job, figures: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
+    """What to say of splits in which nothing scored high enough to count."""
+    silent = [name for name, split in figures.items() if split["ground_truth"] and not split["detections"]]
+    if not silent:
+        return []
+    highest = max((r.score for name in silent for r in results[name]), default=None)
+    seen = "there is none at all" if highest is None else f"the highest score is {highest:.3f}"
+    lines = ["", f"No detection scores above {job.options.score:g} in {', '.join(silent)}: {seen}."]
+    if job.checkpoint:
+        lines.append(
+            "What helps: longer training (`skope train --epochs N --resume`), `--recipe scratch` where training starts "
+            "from random weights, `--init coco` to start from weights trained on COCO, and more images."
+        )
+    if highest:
+        lines.append(f"To see what there is: `skope eval --score {_below(highest):g}`. AP counts all detections.")
+    return lines
+
+
+def _below(score: float) -> float:
+    """A round threshold that lets through what scores best."""
+    return next((t for t in (0.7, 0.5, 0.3, 0.1) if t < score), 0.0)
+
+
+def _last_line(job: Job, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
+    names = "{" + ",".join(file.name for file in splits) + "}" if len(splits) > 1 else splits[0].name
+    files = ["metrics.json"] + ([f"predictions_{names}.json"] if job.checkpoint else [])
+    look = f"; look at {pictures[0].parent}/ (ground truth left, predictions right)" if pictures else ""
+    return f"Wrote {' and '.join(files)} to {job.out}{look}"

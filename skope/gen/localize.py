@@ -1,0 +1,44 @@
+"""Where the 33 keypoints of a frame's vehicles are in the world: by rigid transform or by trilateration."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.gen.vehicles.sidecar import wheel_plane
+
+Array = NDArray[np.float64]
+
+LOCALIZERS: Final = ("rigid", "trilateration")
+
+
+def transform(T_world_vehicle: Array, points: Array) -> Array:
+    """Points (V, 33, 3) of the vehicle frames -> world (V, 33, 3), by poses (V, 4, 4)."""
+    return np.asarray(points @ T_world_vehicle[:, :3, :3].transpose(0, 2, 1) + T_world_vehicle[:, None, :3, 3])
+
+
+def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
+    """World keypoints (V, 33, 3) from wheel centres (V, 4, 3), distances to them (V, 33, 4) and sides (V, 33).
+
+    Solves |p - w_i| = d_i for all keypoints at once. The wheel centres of a vehicle lie (nearly) in one plane, where
+    the equations' differences are linear: least squares there, then the height over the plane from what is left of
+    the distances, its square clamped at 0 and its sign taken from `side`. (SKoPe3D, section on simulation.)
+    """
+    center, axes, normal = wheel_plane(wheels)
+    centered = wheels - center[:, None]
+    w = centered @ axes.transpose(0, 2, 1)  # (V, 4, 2) wheels in their plane
+    # w_i . p = (|w_i|^2 - d_i^2) / 2 + the same unknown constant for every i, which the mean over i removes.
+    right = ((centered**2).sum(-1)[:, None] - distances**2) / 2
+    right = right - right.mean(-1, keepdims=True)
+    p = right @ np.linalg.pinv(w).transpose(0, 2, 1)  # (V, 33, 2)
+    across = ((p[:, :, None] - w[:, None]) ** 2).sum(-1)
+    height = np.sqrt(np.maximum((distances**2 - across).mean(-1), 0.0)) * side
+    return center[:, None] + p @ axes + height[..., None] * normal[:, None]
+
+
+def with_wheels(points: Array, wheels: Array) -> Array:
+    """Put the wheel links' own centres (V, 4, 3) in for keypoints 16-19 of (V, 33, 3)."""
+    out = points.copy()
+    out[:, list(keypoints.WHEELS)] = wheels
+    return out

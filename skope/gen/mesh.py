@@ -1,0 +1,135 @@
+"""Triangle meshes with a material per triangle, and the few shapes that everything here is made of."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles, counter-clockwise seen from outside."""
+
+    vertices: Array
+    """(V, 3) metres."""
+    normals: Array
+    """(V, 3) unit vectors; a hard edge has its vertices twice."""
+    triangles: NDArray[np.int64]
+    """(T, 3) vertex indices."""
+    materials: tuple[str, ...]
+    """Names of the materials that occur."""
+    material: NDArray[np.int64]
+    """(T,) index into `materials`."""
+
+    def moved(self, offset: ArrayLike, yaw: float = 0.0) -> "Mesh":
+        """The mesh turned about z by `yaw` radians, then shifted."""
+        c, s = np.cos(yaw), np.sin(yaw)
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Mesh(
+            self.vertices @ R.T + np.asarray(offset), self.normals @ R.T, self.triangles, self.materials, self.material
+        )
+
+    def mirrored(self) -> "Mesh":
+        """The mesh reflected left to right (y -> -y), still counter-clockwise from outside."""
+        flip = np.array([1.0, -1.0, 1.0])
+        return Mesh(self.vertices * flip, self.normals * flip, self.triangles[:, ::-1], self.materials, self.material)
+
+    def by_material(self) -> dict[str, "Mesh"]:
+        """One mesh per material, in the order of `materials`, with unused vertices left out."""
+        out = {}
+        for i, name in enumerate(self.materials):
+            chosen = self.triangles[self.material == i]
+            if len(chosen):
+                used, index = np.unique(chosen, return_inverse=True)
+                triangles = index.reshape(chosen.shape)
+                out[name] = Mesh(
+                    self.vertices[used], self.normals[used], triangles, (name,), np.zeros(len(chosen), np.int64)
+                )
+        return out
+
+
+def merged(meshes: Iterable[Mesh]) -> Mesh:
+    """All triangles of several meshes in one."""
+    parts = list(meshes)
+    names = tuple(dict.fromkeys(name for part in parts for name in part.materials))
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]),
+        names,
+        np.concatenate([np.array([names.index(n) for n in part.materials])[part.material] for part in parts]),
+    )
+
+
+def from_triangles(vertices: ArrayLike, triangles: ArrayLike, material: str) -> Mesh:
+    """A smooth mesh of one material; normals are the area-weighted means of the triangles around each vertex."""
+    v = np.asarray(vertices, dtype=np.float64)
+    t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    face = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
+    normals = np.zeros_like(v)
+    for corner in range(3):
+        np.add.at(normals, t[:, corner], face)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.tile([0.0, 0.0, 1.0], (len(v), 1)), where=length > 1e-12)
+    return Mesh(v, normals, t, (material,), np.zeros(len(t), dtype=np.int64))
+
+
+def grid(points: ArrayLike, cells: Sequence[Sequence[str]]) -> Mesh:
+    """A smooth surface over a grid of points (R, C, 3) with a material name for each of its (R-1, C-1) cells.
+
+    Counter-clockwise seen from where rows go up and columns go right.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    rows, columns = p.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
+    smooth = from_triangles(p.reshape(-1, 3), triangles, "")
+    names = tuple(dict.fromkeys(name for row in cells for name in row))
+    material = np.array([[names.index(name) for name in row] for row in cells]).repeat(2)
+    return Mesh(smooth.vertices, smooth.normals, triangles, names, material)
+
+
+def flat(polygons: Iterable[ArrayLike], material: str) -> Mesh:
+    """Convex planar polygons (N, 3) each, counter-clockwise from outside, with hard edges between them."""
+    parts = []
+    for polygon in polygons:
+        p = np.asarray(polygon, dtype=np.float64)
+        fan = [[0, i, i + 1] for i in range(1, len(p) - 1)]
+        parts.append(from_triangles(p, fan, material))
+    return merged(parts)
+
+
+def box(low: ArrayLike, high: ArrayLike, material: str) -> Mesh:
+    """An axis-aligned box between two corners."""
+    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
+    faces = [
+        [(x0, y0, z0), (x0, y1, z0), (x1, y1, z0), (x1, y0, z0)],
+        [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)],
+        [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x0, y0, z1)],
+        [(x1, y1, z0), (x0, y1, z0), (x0, y1, z1), (x1, y1, z1)],
+        [(x0, y1, z0), (x0, y0, z0), (x0, y0, z1), (x0, y1, z1)],
+        [(x1, y0, z0), (x1, y1, z0), (x1, y1, z1), (x1, y0, z1)],
+    ]
+    return flat(faces, material)
+
+
+def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -> Mesh:
+    """Turn a profile of (along, radius) pairs about `axis` ("y" or "z"); a material for each of its segments.
+
+    With `along` rising the surface faces outward.
+    """
+    p = np.asarray(profile, dtype=np.float64)
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    parts = []
+    for (a0, r0), (a1, r1), material in zip(p, p[1:], materials, strict=False):
+        along = np.array([a0, a1])[:, None] + np.zeros_like(angle)
+        radius = np.array([r0, r1])[:, None]
+        u, w = radius * np.cos(angle), radius * np.sin(angle)
+        points = np.stack([u, w, along] if axis == "z" else [w, along, u], axis=-1)
+        parts.append(grid(points, [[material] * sides]))
+    return merged(parts)

@@ -1,0 +1,94 @@
+"""What a dataset will hold: presets, the parameters that decide every byte, and the recordings they ask for."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from skope.errors import UserError, one_of
+from skope.gen.annotate import Rules
+from skope.gen.simulate import RecordingPlan, versions
+from skope.gen.towns import site
+from skope.gen.traffic import STEP
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Everything that decides a dataset's content; saved in its card."""
+
+    preset: str
+    seed: int
+    sites: tuple[str, ...]
+    frames: int
+    """Frames per site."""
+    recordings: int
+    """Recordings per site, which share its frames."""
+    interval_s: float
+    size: str
+    fov_deg: float
+    renderer: str
+    rules: Rules
+
+    def __post_init__(self) -> None:
+        self.pixels()
+        for name in self.sites:
+            site(name)
+        if not self.sites or len(set(self.sites)) < len(self.sites):
+            raise UserError("--sites: expected one or more different sites")
+        if self.frames < 1:
+            raise UserError(f"--frames: expected a whole number from 1, got {self.frames}")
+        if self.seed < 0:
+            raise UserError(f"--seed: expected a whole number from 0, got {self.seed}")
+        if not 5 <= self.fov_deg <= 150:
+            raise UserError(f"--fov: expected degrees from 5 to 150, got {self.fov_deg}")
+        if self.interval_s < STEP or abs(self.interval_s / STEP - round(self.interval_s / STEP)) > 1e-6:
+            raise UserError(f"--interval: expected a multiple of {STEP} seconds, got {self.interval_s}")
+
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        match = re.fullmatch(r"(\d+)x(\d+)", self.size)
+        if not match or not all(16 <= int(n) <= 8192 for n in match.groups()):
+            raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
+        return int(match[1]), int(match[2])
+
+    def plans(self) -> list[RecordingPlan]:
+        """The recordings, site by site; a site's frames are shared out evenly."""
+        count = min(self.recordings, self.frames)
+        shares = [self.frames // count + (i < self.frames % count) for i in range(count)]
+        return [
+            RecordingPlan(
+                site=site(name),
+                index=index,
+                frames=frames,
+                interval=self.interval_s,
+                size=self.pixels(),
+                fov_deg=self.fov_deg,
+                seed=self.seed,
+            )
+            for name in self.sites
+            for index, frames in enumerate(shares)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the card holds them, with the versions that decide the content too."""
+        values = asdict(self)
+        return {**values, "sites": list(self.sites), "versions": versions()}
+
+
+@cache
+def presets() -> Mapping[str, Mapping[str, Any]]:
+    """The presets of `presets.toml` by name."""
+    return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
+
+
+def from_preset(preset: str, *, seed: int, renderer: str, rules: Rules, **overrides: Any) -> Parameters:
+    """A preset's parameters with those `overrides` that are not None in their place."""
+    one_of("--preset", preset, tuple(presets()))
+    known = {f.name for f in fields(Parameters)}
+    values = {name: value for name, value in presets()[preset].items() if name in known}
+    values |= {name: value for name, value in overrides.items() if value is not None}
+    values["sites"] = tuple(values["sites"])
+    return Parameters(preset=preset, seed=seed, renderer=renderer, rules=rules, **values)

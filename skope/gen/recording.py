@@ -1,0 +1,149 @@
+"""A recording: everything that happened before one camera, so that rendering is a function of (recording, frame).
+
+One small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses. Equal recordings
+have equal bytes.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.files import replacing
+
+Array = NDArray[np.float64]
+
+VERSION: Final = 1
+
+
+@dataclass(frozen=True)
+class RecordedVehicle:
+    """What stays the same about a vehicle."""
+
+    track_id: int
+    model: str
+    shape: Mapping[str, float]
+    color: str
+    parked: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """One frame: the state of the N vehicles that are near the camera."""
+
+    time_s: float
+    vehicles: tuple[RecordedVehicle, ...]
+    T_world_chassis: Array
+    """(N, 4, 4) pose of each vehicle frame."""
+    T_world_wheels: Array
+    """(N, 4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
+    velocity: Array
+    """(N, 3) world, m/s."""
+    lamps: NDArray[np.uint8]
+    """(N,) bits of `skope.gen.traffic.LAMPS`."""
+    signals: Mapping[str, str]
+    """State string of each signal program."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    town: str
+    site: str
+    name: str
+    split: str
+    camera: Camera
+    weather: str
+    time_of_day: str
+    sun_elevation_deg: float
+    sun_azimuth_deg: float
+    """Where the sun stands, counter-clockwise from east."""
+    seed: int
+    versions: Mapping[str, str]
+    vehicles: tuple[RecordedVehicle, ...]
+    times_s: Array
+    """(F,) seconds since the recording began."""
+    signals: tuple[Mapping[str, str], ...]
+    """State strings of the signal programs in each frame."""
+    frame: NDArray[np.int32]
+    """(R,) frame of each row below, rising."""
+    vehicle: NDArray[np.int32]
+    """(R,) index into `vehicles`."""
+    T_world_chassis: Array
+    """(R, 4, 4)"""
+    T_world_wheels: Array
+    """(R, 4, 4, 4)"""
+    velocity: Array
+    """(R, 3)"""
+    lamps: NDArray[np.uint8]
+    """(R,)"""
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def moment(self, frame: int) -> Moment:
+        """The state at a frame."""
+        rows = slice(*np.searchsorted(self.frame, [frame, frame + 1]))
+        return Moment(
+            float(self.times_s[frame]),
+            tuple(self.vehicles[i] for i in self.vehicle[rows]),
+            self.T_world_chassis[rows],
+            self.T_world_wheels[rows],
+            self.velocity[rows],
+            self.lamps[rows],
+            self.signals[frame],
+        )
+
+    def image_name(self, frame: int) -> str:
+        """<site>/<recording>_<frame>: what image, depth and label files of a frame are called, without suffix."""
+        return f"{self.site}/{self.name}_{frame:06d}"
+
+
+_ARRAYS: Final = ("times_s", "frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+_HEADER: Final = (
+    *("town", "site", "name", "split", "weather", "time_of_day", "sun_elevation_deg", "sun_azimuth_deg", "seed"),
+    "versions",
+)
+
+
+def save(path: Path, recording: Recording) -> None:
+    """Write a recording atomically."""
+    header = {
+        "version": VERSION,
+        **{name: getattr(recording, name) for name in _HEADER},
+        "size": [recording.camera.width, recording.camera.height],
+        "camera": recording.camera.to_dict(),
+        "vehicles": [asdict(vehicle) for vehicle in recording.vehicles],
+        "signals": [dict(states) for states in recording.signals],
+    }
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        arrays = {name: getattr(recording, name) for name in _ARRAYS}
+        np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+
+
+def load(path: Path) -> Recording:
+    """Read a recording; a broken file or one of another version is a UserError."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header: dict[str, Any] = json.loads(str(file["header"]))
+            arrays = {name: file[name] for name in _ARRAYS}
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except Exception as error:  # zip, header and array errors of a damaged file come in a dozen types
+        raise UserError(f"{path}: not a readable recording: {error}") from None
+    if header.get("version") != VERSION:
+        raise UserError(
+            f"{path}: version: this skope reads recordings of version {VERSION}, got {header.get('version')}"
+        )
+    return Recording(
+        **{name: header[name] for name in _HEADER},
+        camera=Camera.from_dict(header["camera"], *header["size"]),
+        vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
+        signals=tuple(header["signals"]),
+        **arrays,
+    )

@@ -1,0 +1,417 @@
+"""Rendering with pybullet's own TinyRenderer: the fallback that needs no graphics library.
+
+The camera does not move, so the scenery is drawn once per recording and each frame draws only its vehicles, each by
+itself in its own window; the layers are then put together by depth. That gives every vehicle's whole silhouette, and
+the frame without it, at no further cost. Everything is drawn three times as fine as the image: the middle one of each
+3 x 3 samples is the pixel's centre (depth, ids), their mean is its colour.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.gen.mesh import Mesh
+from skope.gen.recording import Moment, RecordedVehicle, Recording
+from skope.gen.render import SKY, STATIC, Silhouette, View
+from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain
+from skope.gen.towns.scenery import scenery
+from skope.gen.traffic import LAMPS
+from skope.gen.vehicles import PAINTS, Vehicle, build
+
+Array = NDArray[np.float64]
+
+Window = tuple[int, int, int, int]
+"""Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
+Slices = tuple[slice, slice]
+
+FINE: Final = 3
+NEAR, FAR = 0.3, 1200.0
+NOISE_SIGMA: Final = 1.5
+"""Standard deviation of the sensor's noise, of 255."""
+SHADOW: Final = 0.45
+"""How much of the light a vehicle's shadow takes from the road."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Samples of a window of the image, `FINE` times as fine as it."""
+
+    x: int
+    y: int
+    """The window's first column and row in image pixels; may be negative."""
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    """Planar z, +inf where nothing was hit."""
+    part: NDArray[np.int32]
+    """Index of the mesh part hit, -1 where nothing was."""
+
+    @property
+    def window(self) -> Window:
+        rows, columns = self.depth.shape
+        return self.x, self.y, self.x + columns // FINE, self.y + rows // FINE
+
+    def within(self, window: Window) -> tuple[Slices, Slices] | None:
+        """Which fine samples of a window the layer covers, and with which of its own; None when with none."""
+        x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), self.window, window, strict=True))
+        if x0 >= x1 or y0 >= y1:
+            return None
+        there, own = (
+            (slice((y0 - y) * FINE, (y1 - y) * FINE), slice((x0 - x) * FINE, (x1 - x) * FINE))
+            for x, y in (window[:2], (self.x, self.y))
+        )
+        return there, own
+
+
+class _Stage:
+    """A pybullet client that holds the parts of one thing and draws windows of it."""
+
+    def __init__(self, light: Light) -> None:
+        import pybullet
+
+        self._engine, self._light = pybullet, light
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self.parts: list[str] = []
+        self._bodies: list[int] = []
+
+    def close(self) -> None:
+        self._engine.disconnect(self._client)
+
+    def add(self, mesh: Mesh, colors: Mapping[str, RGB]) -> list[int]:
+        """Add a mesh, one body per material; returns the parts' indices."""
+        first = len(self._bodies)
+        for material, part in mesh.by_material().items():
+            shape = self._engine.createVisualShape(
+                self._engine.GEOM_MESH,
+                vertices=part.vertices.tolist(),
+                indices=part.triangles.ravel().tolist(),
+                normals=part.normals.tolist(),
+                rgbaColor=[*colors[material], 1],
+                specularColor=[0, 0, 0],
+                physicsClientId=self._client,
+            )
+            body = self._engine.createMultiBody(0, -1, shape, physicsClientId=self._client)
+            assert body == len(self._bodies)
+            self._bodies.append(body)
+            self.parts.append(material)
+        return list(range(first, len(self._bodies)))
+
+    def paint(self, part: int, color: RGB) -> None:
+        self._engine.changeVisualShape(self._bodies[part], -1, rgbaColor=[*color, 1], physicsClientId=self._client)
+
+    def move(self, part: int, T: Array) -> None:
+        quaternion = _quaternion(T[:3, :3])
+        self._engine.resetBasePositionAndOrientation(
+            self._bodies[part], T[:3, 3], quaternion, physicsClientId=self._client
+        )
+
+    def draw(self, camera: Camera, T_camera_stage: Array, window: Window) -> _Layer:
+        """Draw a window (x0, y0, x1, y1) of the image, in image pixels."""
+        x0, y0, x1, y1 = window
+        width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
+        fx, fy = camera.K[0, 0] * FINE, camera.K[1, 1] * FINE
+        # TinyRenderer samples where continuous coordinates are whole: half a sample on are the centres.
+        cx, cy = (camera.K[0, 2] - x0) * FINE + 0.5, (camera.K[1, 2] - y0) * FINE + 0.5
+        projection = np.zeros((4, 4))
+        projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
+        projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
+        projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+        projection[3, 2] = -1
+        view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
+        sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(self._light.direction)
+        _, _, rgba, buffer, segmentation = self._engine.getCameraImage(
+            *(width, height, view.T.ravel().tolist(), projection.T.ravel().tolist()),
+            lightDirection=(100 * sun).tolist(),
+            lightColor=self._light.tint,
+            lightAmbientCoeff=self._light.ambient,
+            lightDiffuseCoeff=self._light.sun,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=self._engine.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        part = np.reshape(np.asarray(segmentation, dtype=np.int32), (height, width))
+        depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
+        z = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
+        rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
+        return _Layer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
+
+
+class TinyRenderer:
+    """Draws the frames of one recording with TinyRenderer."""
+
+    def __init__(self, recording: Recording) -> None:
+        if recording.camera.distortion.model != "none":
+            raise UserError(f"{recording.site}: --renderer pybullet draws cameras without distortion only")
+        self._recording, self._camera = recording, recording.camera
+        self._light = Light.of(recording)
+        self._image: Window = (0, 0, recording.camera.width, recording.camera.height)
+        self._models: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[_Stage, list[int], list[list[int]]]] = {}
+        self._signals = scenery(recording.town).signals
+        self._background, self._ground = self._draw_background()
+
+    # ------------------------------------------------------------------------------------------------------ scenery
+
+    def _draw_background(self) -> tuple[_Layer, NDArray[np.bool_]]:
+        camera = self._camera
+        stage = _Stage(self._light)
+        stage.add(scenery(self._recording.town).mesh, MATERIALS)
+        layer = stage.draw(camera, camera.T_camera_world, self._image)
+        stage.close()
+        is_ground = np.array([*(name in GROUND for name in stage.parts), False])  # part -1, the sky, is the last
+        ground = is_ground[layer.part]
+        rows, columns = np.mgrid[: layer.depth.shape[0], : layer.depth.shape[1]]
+        pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
+        rgb = layer.rgb.astype(np.float32)
+        positions, _ = camera.unproject(pixels, np.where(ground, layer.depth, 0))
+        rgb *= np.where(ground, grain(positions[..., :2]), np.float32(1))[..., None]
+        sky = layer.part < 0
+        rays, _ = camera.rays(pixels[sky])
+        up = (rays @ camera.T_camera_world[:3, :3])[:, 2] / np.linalg.norm(rays, axis=-1)
+        share = np.clip(up / 0.5, 0, 1)[:, None] ** 0.6
+        zenith, horizon = np.array(self._light.zenith), np.array(self._light.horizon)
+        rgb[sky] = 255 * (horizon + (zenith - horizon) * share)
+        return _Layer(0, 0, np.clip(rgb, 0, 255).astype(np.uint8), layer.depth, layer.part), ground
+
+    # ----------------------------------------------------------------------------------------------------- vehicles
+
+    def _model(self, recorded: RecordedVehicle) -> tuple[_Stage, list[int], list[list[int]]]:
+        """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
+        key = (recorded.model, tuple(sorted(recorded.shape.items())))
+        if key not in self._models:
+            vehicle = build(recorded.model, recorded.shape)
+            stage = _Stage(self._light)
+            colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
+            body = stage.add(vehicle.mesh, colors)
+            right, left = vehicle.wheel.mirrored(), vehicle.wheel
+            self._models[key] = stage, body, [stage.add(mesh, colors) for mesh in (right, left, right, left)]
+        return self._models[key]
+
+    def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
+        """A vehicle by itself; None when it lies outside the image."""
+        T_camera_chassis = self._camera.T_camera_world @ chassis
+        window = self._window(build(recorded.model, recorded.shape), T_camera_chassis)
+        if window is None:
+            return None
+        stage, body, wheel_parts = self._model(recorded)
+        for part in body:
+            if stage.parts[part] == "paint":
+                red, green, blue = PAINTS[recorded.color][1]
+                stage.paint(part, (red / 255, green / 255, blue / 255))
+            if stage.parts[part] == "taillight":
+                stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["taillight"])
+        for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
+            for part in parts:
+                stage.move(part, np.linalg.inv(chassis) @ T_world_wheel)
+        return stage.draw(self._camera, T_camera_chassis, window)
+
+    def _window(self, vehicle: Vehicle, T_camera_chassis: Array) -> Window | None:
+        """Pixels that the vehicle may cover, on a canvas that extends the image by its own size on each side."""
+        camera = self._camera
+        p = _in_front(_corners(vehicle) @ T_camera_chassis[:3, :3].T + T_camera_chassis[:3, 3])
+        pixels = p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
+        size = np.array([camera.width, camera.height])
+        low, high = pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)
+        if (low >= size).any() or (high <= 0).any():
+            return None
+        x0, y0 = np.maximum(np.floor(low) - 1, -size).astype(int).tolist()
+        x1, y1 = np.minimum(np.ceil(high) + 1, 2 * size).astype(int).tolist()
+        return x0, y0, x1, y1
+
+    def _shaded(self, moment: Moment) -> NDArray[np.uint8]:
+        """The background with the vehicles' shadows on the ground."""
+        mask = np.zeros(self._ground.shape, dtype=np.uint8)
+        contact = np.zeros_like(mask)
+        for recorded, chassis in zip(moment.vehicles, moment.T_world_chassis, strict=True):
+            vehicle = build(recorded.model, recorded.shape)
+            points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
+            height = points[:, 2:] - chassis[2, 3]
+            flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
+            if self._recording.weather == "clear":
+                sun = np.array(self._light.direction)
+                self._fill(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
+            self._fill(contact, flat)
+        if not contact.any():
+            return self._background.rgb.copy()
+        shade = 1 - SHADOW * cv2.blur(mask, (3, 3)).astype(np.float32) / 255
+        shade *= 1 - 0.35 * cv2.blur(contact, (7, 7)).astype(np.float32) / 255
+        shade = np.where(self._ground, shade, np.float32(1))
+        return (self._background.rgb * shade[..., None]).astype(np.uint8)
+
+    def _fill(self, mask: NDArray[np.uint8], points: Array) -> None:
+        """Fill the convex hull of ground points (N, 3) in a fine mask."""
+        pixels, depth, valid = self._camera.project(points)
+        if valid.all() and (depth > NEAR).all() and np.abs(pixels).max() < 20 * self._camera.width:
+            hull = cv2.convexHull((pixels * FINE).astype(np.int32))
+            cv2.fillConvexPoly(mask, hull, 255)
+
+    # ------------------------------------------------------------------------------------------------------- frames
+
+    def render(self, frame: int) -> View:
+        """Draw a frame."""
+        moment = self._recording.moment(frame)
+        layers = [
+            self._draw_vehicle(recorded, chassis, wheels, int(lamps))
+            for recorded, chassis, wheels, lamps in zip(
+                moment.vehicles, moment.T_world_chassis, moment.T_world_wheels, moment.lamps, strict=True
+            )
+        ]
+        shaded = self._shaded(moment)
+        rgb, depth = shaded.copy(), self._background.depth.copy()
+        ids = np.where(self._background.part >= 0, STATIC, SKY).astype(np.int32)
+        for i, layer in enumerate(layers):
+            _put(layer, self._image, rgb, depth, ids, i + 1)
+        self._light_signals(moment, rgb, depth)
+        clean = _mean(rgb)
+        middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
+        return View(
+            self._with_noise(clean, frame),
+            np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE]),
+            _slope(depth),
+            np.ascontiguousarray(middle),
+            tuple(_silhouette(layer) for layer in layers),
+            contrast,
+        )
+
+    def _contrast(
+        self,
+        i: int,
+        layers: list[_Layer | None],
+        shaded: NDArray[np.uint8],
+        clean: NDArray[np.float32],
+        ids: NDArray[np.int32],
+    ) -> float:
+        """How far the visible pixels of vehicle i are from what would be there without it."""
+        layer = layers[i]
+        place = layer.within(self._image) if layer else None
+        if layer is None or place is None:
+            return 0.0
+        fine = place[0]
+        coarse = tuple(slice(s.start // FINE, s.stop // FINE) for s in fine)
+        visible = ids[coarse] == i + 1
+        if not visible.any():
+            return 0.0
+        rgb, depth = shaded[fine].copy(), self._background.depth[fine].copy()
+        window = (coarse[1].start, coarse[0].start, coarse[1].stop, coarse[0].stop)
+        for other in (*layers[:i], *layers[i + 1 :]):
+            _put(other, window, rgb, depth)
+        return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean()) / NOISE_SIGMA
+
+    def _light_signals(self, moment: Moment, rgb: NDArray[np.uint8], depth: NDArray[np.float32]) -> None:
+        for signal in self._signals:
+            state = moment.signals[signal.program][signal.link].lower()
+            lit = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}.get(state)
+            pixels, z, valid = self._camera.project(signal.lamps)
+            away = self._camera.position - signal.lamps[0]
+            if lit is None or not valid[lit] or not self._camera.inside(pixels[lit]) or away @ signal.facing <= 0:
+                continue
+            at = (pixels[lit] * FINE).astype(int)
+            if z[lit] < depth[at[1], at[0]] + 0.3:
+                radius = max(1, round(0.1 * self._camera.K[0, 0] / z[lit] * FINE))
+                cv2.circle(rgb, at.tolist(), radius, ((235, 40, 30), (250, 190, 40), (40, 220, 110))[lit], -1)
+
+    def _with_noise(self, clean: NDArray[np.float32], frame: int) -> NDArray[np.uint8]:
+        recording = self._recording
+        seed = [recording.seed, *recording.site.encode(), int(recording.name), frame]
+        noise = np.random.default_rng(seed).standard_normal(clean.shape, dtype=np.float32)
+        return np.clip(np.rint(clean + NOISE_SIGMA * noise), 0, 255).astype(np.uint8)
+
+
+def _put(
+    layer: _Layer | None,
+    window: Window,
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    ids: NDArray[np.int32] | None = None,
+    number: int = 0,
+) -> None:
+    """Draw a layer over the fine buffers of a window, where it is nearer."""
+    place = layer.within(window) if layer else None
+    if layer is None or place is None:
+        return
+    there, own = place
+    nearer = layer.depth[own] < depth[there]
+    depth[there][nearer] = layer.depth[own][nearer]
+    rgb[there][nearer] = layer.rgb[own][nearer]
+    if ids is not None:
+        ids[there][nearer] = number
+
+
+@cache
+def _corners(vehicle: Vehicle) -> Array:
+    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels, a hand's breadth wider."""
+    points = np.concatenate([vehicle.mesh.vertices, vehicle.shape.wheel_centers()])
+    low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
+    low[2] = -0.1
+    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+
+
+_PAIRS: Final = [(i, j) for i in range(8) for j in range(i + 1, 8)]
+
+
+def _in_front(corners: Array) -> Array:
+    """Corners (8, 3) in the camera frame -> corners of the part of their hull that lies beyond the near plane."""
+    z = corners[:, 2]
+    cut = []
+    for i, j in _PAIRS:
+        if (z[i] < NEAR) != (z[j] < NEAR):
+            share = (NEAR - z[i]) / (z[j] - z[i])
+            cut.append(corners[i] + share * (corners[j] - corners[i]))
+    return np.concatenate([corners[z >= NEAR], np.array(cut).reshape(-1, 3)])
+
+
+def _quaternion(R: Array) -> list[float]:
+    """Unit quaternion x, y, z, w of a rotation, by its largest component (Shepperd's method)."""
+    q = np.array([R[0, 0], R[1, 1], R[2, 2], R.trace()])
+    k = int(q.argmax())
+    if k == 3:
+        out = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1 + q[3]])
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        out = np.zeros(4)
+        out[k] = 1 + R[k, k] - R[i, i] - R[j, j]
+        out[i], out[j] = R[i, k] + R[k, i], R[j, k] + R[k, j]
+        out[3] = R[j, i] - R[i, j]
+    result: list[float] = (out / np.linalg.norm(out)).tolist()
+    return result
+
+
+def _mean(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Fine colours -> image colours, before rounding."""
+    rows, columns = rgb.shape[0] // FINE, rgb.shape[1] // FINE
+    return np.asarray(cv2.resize(rgb.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W, 2) slope of the surface at pixel centres, from the fine depth.
+
+    On a plane the inverse depth is linear in the pixel; of the two one-sided differences the smaller one belongs to
+    the surface itself, the other may jump to what lies behind it.
+    """
+    m = FINE // 2
+    inverse = 1 / depth.astype(np.float64)
+    center = inverse[m::FINE, m::FINE]
+    out = np.empty((*center.shape, 2))
+    sides = (
+        (inverse[m::FINE, m - 1 :: FINE], inverse[m::FINE, m + 1 :: FINE]),
+        (inverse[m - 1 :: FINE, m::FINE], inverse[m + 1 :: FINE, m::FINE]),
+    )
+    for axis, (before, after) in enumerate(sides):
+        back, forth = center - before[: center.shape[0], : center.shape[1]], after - center
+        out[..., axis] = FINE * np.where(np.abs(back) < np.abs(forth), back, forth)
+    finite = center > 0
+    z = np.divide(1, center, out=np.zeros_like(center), where=finite)
+    return np.asarray(-out * (z * z)[..., None], dtype=np.float32)
+
+
+def _silhouette(layer: _Layer | None) -> Silhouette:
+    if layer is None:
+        return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+    return Silhouette(layer.x, layer.y, layer.part[FINE // 2 :: FINE, FINE // 2 :: FINE] >= 0)

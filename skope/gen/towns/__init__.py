@@ -1,0 +1,72 @@
+"""Towns and their camera sites, as shipped with the package: a SUMO network, scenery grown from it, cameras."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from skope.camera import Camera
+from skope.errors import UserError
+
+SUN_ELEVATION_DEG: Final[dict[str, float]] = {"noon": 55.0, "low_sun": 20.0, "dawn": 8.0, "dusk": 8.0, "night": -20.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """A camera where a road authority would hang one, with the traffic and the hour that it is recorded at."""
+
+    name: str
+    town: str
+    split: str
+    mounting: str
+    """What the camera hangs on, and after which source."""
+    position: tuple[float, float, float]
+    """World x, y and height of the camera, metres."""
+    yaw_deg: float
+    """Viewing direction, counter-clockwise from east."""
+    pitch_deg: float
+    """Downwards from the horizon."""
+    vehicles_per_hour: float
+    """Over all ways into the town."""
+    weather: str
+    time_of_day: str
+
+    def camera(self, size: tuple[int, int], fov_deg: float) -> Camera:
+        """The site's camera for an image size (width, height) and a horizontal field of view."""
+        return Camera.looking(
+            self.position,
+            yaw=math.radians(self.yaw_deg),
+            pitch_down=math.radians(self.pitch_deg),
+            size=size,
+            fov=math.radians(fov_deg),
+        )
+
+
+def _folder(town: str) -> Path:
+    return Path(str(resources.files("skope.gen.towns"))) / town
+
+
+@cache
+def sites() -> Mapping[str, Site]:
+    """All camera sites by name, town by town."""
+    out = {}
+    for path in sorted(_folder("").glob("*/sites.toml")):
+        for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items():
+            out[name] = Site(name=name, town=path.parent.name, **{**row, "position": tuple(row["position"])})
+    return out
+
+
+def site(name: str) -> Site:
+    """The site of that name, or a UserError that lists them."""
+    if name not in sites():
+        raise UserError(f"site: {name!r} is not one of {', '.join(sites())}")
+    return sites()[name]
+
+
+def network(town: str) -> Path:
+    """The town's compiled SUMO network."""
+    return _folder(town) / "town.net.xml"

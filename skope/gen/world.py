@@ -1,0 +1,258 @@
+"""The pybullet world: each vehicle a multibody with a sprung chassis and four wheels that roll and steer.
+
+SUMO says where a vehicle drives. Its carrier (the multibody's base) follows that path on the road; chassis and wheels
+hang on it by joints, and the engine integrates them: heave, pitch and roll on springs and dampers under the inertial
+loads of accelerating, braking and cornering, wheels driven to roll without slip. What is recorded is read back from
+the engine. Only this module and the pybullet renderer import pybullet.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.traffic import Driven
+from skope.gen.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+
+SUBSTEPS: Final = 3
+"""Physics steps per SUMO step: 120 Hz."""
+
+_HEAVE, _PITCH, _CHASSIS = 0, 1, 2
+_STEER: Final = (3, 5)
+_WHEELS: Final = (4, 6, 7, 8)
+"""Links of the wheels front right, front left, rear right, rear left; a front wheel hangs on its steering link."""
+
+_GRAVITY: Final = 9.81
+_CENTER_OF_MASS: Final = 0.36
+"""Height of the centre of mass as a share of the vehicle's height."""
+_ROLL_CENTER: Final = 0.12
+"""Height of the axes of pitch and roll over the road, metres."""
+_DAMPING: Final = 0.35
+"""Share of critical damping, as passenger cars have it."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """What the engine says of one vehicle."""
+
+    T_world_chassis: Array
+    """(4, 4) pose of the vehicle frame."""
+    T_world_wheels: Array
+    """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
+    velocity: Array
+    """(3,) of the carrier in the world, m/s."""
+
+
+@dataclass
+class _Suspension:
+    """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and the lever of the inertial loads (m)."""
+
+    stiffness: Array
+    damping: Array
+    mass: float
+    lever: float
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> "_Suspension":
+        length, width, height = vehicle.size_lwh
+        lever = _CENTER_OF_MASS * height - _ROLL_CENTER
+        inertia = np.array(
+            [
+                vehicle.mass,
+                vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
+                vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
+            ]
+        )
+        # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
+        per_g = vehicle.mass * _GRAVITY * lever
+        stiffness = np.array(
+            [vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)]
+        )
+        return cls(stiffness, 2 * _DAMPING * np.sqrt(stiffness * inertia), vehicle.mass, lever)
+
+
+class _Body:
+    """One vehicle's multibody, with the carrier's motion of the last step."""
+
+    def __init__(self, engine: Any, client: int, vehicle: Vehicle, start: Driven) -> None:
+        self.engine, self.client, self.vehicle = engine, client, vehicle
+        self.suspension = _Suspension.of(vehicle)
+        self.state = start
+        self.load = np.zeros(2)
+        self.velocity = np.zeros(3)
+        self.id = self._create()
+        self._place(start.position, start.yaw, start.pitch)
+
+    def _create(self) -> int:
+        e, s = self.engine, self.vehicle.shape
+        wheels = s.wheel_centers()
+        y_axis, z_axis = [0, 1, 0], [0, 0, 1]
+        links: list[tuple[float, Sequence[float], int, int, list[int]]] = [
+            (1.0, [0, 0, _ROLL_CENTER], 0, e.JOINT_PRISMATIC, z_axis),
+            (1.0, [0, 0, 0], 1, e.JOINT_REVOLUTE, y_axis),
+            (self.vehicle.mass, [0, 0, 0], 2, e.JOINT_REVOLUTE, [1, 0, 0]),
+            (1.0, wheels[0].tolist(), 0, e.JOINT_REVOLUTE, z_axis),
+            (20.0, [0, 0, 0], 4, e.JOINT_REVOLUTE, y_axis),
+            (1.0, wheels[1].tolist(), 0, e.JOINT_REVOLUTE, z_axis),
+            (20.0, [0, 0, 0], 6, e.JOINT_REVOLUTE, y_axis),
+            (20.0, wheels[2].tolist(), 0, e.JOINT_REVOLUTE, y_axis),
+            (20.0, wheels[3].tolist(), 0, e.JOINT_REVOLUTE, y_axis),
+        ]
+        count, none = len(links), [-1] * len(links)
+        upright, origin = [[0, 0, 0, 1]] * count, [[0, 0, 0]] * count
+        inertial = [list(point) for point in origin]
+        inertial[_CHASSIS] = [0, 0, self.suspension.lever]
+        body = e.createMultiBody(
+            baseMass=0,
+            linkMasses=[link[0] for link in links],
+            linkCollisionShapeIndices=none,
+            linkVisualShapeIndices=none,
+            linkPositions=[link[1] for link in links],
+            linkOrientations=upright,
+            linkInertialFramePositions=inertial,
+            linkInertialFrameOrientations=upright,
+            linkParentIndices=[link[2] for link in links],
+            linkJointTypes=[link[3] for link in links],
+            linkJointAxis=[link[4] for link in links],
+            physicsClientId=self.client,
+        )
+        length, width, height = self.vehicle.size_lwh
+        mass, radius = self.vehicle.mass, s.wheel_radius
+        diagonals = {
+            _CHASSIS: [mass * (a * a + b * b) / 12 for a, b in ((width, height), (length, height), (length, width))],
+            **{link: [5 * radius**2, 10 * radius**2, 5 * radius**2] for link in _WHEELS},
+        }
+        for link in range(count):
+            inertia = diagonals.get(link, [0.05] * 3)
+            e.changeDynamics(
+                *(body, link),
+                localInertiaDiagonal=inertia,
+                linearDamping=0,
+                angularDamping=0,
+                jointDamping=0,
+                maxJointVelocity=1000,
+                physicsClientId=self.client,
+            )
+            # Joints come with a velocity motor that holds them; these are free.
+            e.setJointMotorControl2(body, link, e.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
+        return int(body)
+
+    def _place(self, position: Any, yaw: float, pitch: float) -> None:
+        orientation = self.engine.getQuaternionFromEuler([0, -pitch, yaw])
+        self.engine.resetBasePositionAndOrientation(self.id, position, orientation, physicsClientId=self.client)
+
+    def aim(self, target: Driven, dt: float) -> None:
+        """Take up the carrier's motion of the coming step: loads on the springs, speed and angle of the wheels."""
+        before = self.state
+        turn = _angle(target.yaw - before.yaw) / dt
+        slope = _GRAVITY * math.sin(target.pitch)
+        load = np.array([(target.speed - before.speed) / dt + slope, target.speed * turn])
+        # SUMO decides speeds anew at each step: 0.1 s is what tyres take to build up a force.
+        self.load += (load - self.load) * (dt / (0.1 + dt))
+        self.velocity = (np.array(target.position) - before.position) / dt
+        e, s = self.engine, self.vehicle.shape
+        rolling = [target.speed / s.wheel_radius] * 4
+        e.setJointMotorControlArray(
+            self.id,
+            _WHEELS,
+            e.VELOCITY_CONTROL,
+            targetVelocities=rolling,
+            forces=[2e4] * 4,
+            physicsClientId=self.client,
+        )
+        e.setJointMotorControlArray(
+            *(self.id, _STEER, e.POSITION_CONTROL),
+            targetPositions=self._steering(turn, target.speed),
+            forces=[2e3] * 2,
+            positionGains=[0.2] * 2,
+            physicsClientId=self.client,
+        )
+
+    def _steering(self, turn: float, speed: float) -> list[float]:
+        """Ackermann angles of the front wheels (right, left) for a rate of turn."""
+        s = self.vehicle.shape
+        curvature = float(np.clip(turn / speed, -0.2, 0.2)) if speed > 0.5 else 0.0
+        return [
+            float(np.clip(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), -0.7, 0.7))
+            for side in (-1, 1)
+        ]
+
+    def substep(self, target: Driven, share: float) -> None:
+        """Move the carrier to `share` of the way and press the springs."""
+        before = self.state
+        position = [a + (b - a) * share for a, b in zip(before.position, target.position, strict=True)]
+        yaw = before.yaw + _angle(target.yaw - before.yaw) * share
+        self._place(position, yaw, before.pitch + (target.pitch - before.pitch) * share)
+        e, spring = self.engine, self.suspension
+        joints = e.getJointStates(self.id, (_HEAVE, _PITCH, _CHASSIS), physicsClientId=self.client)
+        q, speed = np.array([j[0] for j in joints]), np.array([j[1] for j in joints])
+        # The inertial force -m a acts on the centre of mass, a lever above the axes: braking (a < 0) turns the nose
+        # down, which is positive about y; a left turn leans the body to the right, positive about x.
+        thrust = spring.mass * spring.lever * self.load
+        force = np.array([0.0, -thrust[0], thrust[1]]) - spring.stiffness * q - spring.damping * speed
+        e.setJointMotorControlArray(
+            self.id, (_HEAVE, _PITCH, _CHASSIS), e.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self.client
+        )
+
+    def pose(self) -> Pose:
+        links = self.engine.getLinkStates(
+            self.id, (_CHASSIS, *_WHEELS), computeForwardKinematics=1, physicsClientId=self.client
+        )
+        frames = np.tile(np.eye(4), (5, 1, 1))
+        for frame, link in zip(frames, links, strict=True):
+            frame[:3, :3] = np.array(self.engine.getMatrixFromQuaternion(link[5])).reshape(3, 3)
+            frame[:3, 3] = link[4]
+        chassis = frames[0].copy()
+        chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, _ROLL_CENTER]
+        return Pose(chassis, frames[1:], self.velocity.copy())
+
+
+class World:
+    """All vehicles near a camera. Use as a context manager."""
+
+    def __init__(self, dt: float) -> None:
+        """`dt` is the time between two calls of `advance`, seconds."""
+        self._dt = dt
+        self._bodies: dict[str, _Body] = {}
+
+    def __enter__(self) -> "World":
+        import pybullet
+
+        self._engine = pybullet
+        self._client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=self._dt / SUBSTEPS, deterministicOverlappingPairs=1, physicsClientId=self._client
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._engine.disconnect(self._client)
+
+    def advance(self, driven: dict[str, tuple[Vehicle, Driven]]) -> None:
+        """Drive to where `driven` says; newcomers start there at rest on their springs, absent ones are removed."""
+        for name in self._bodies.keys() - driven.keys():
+            self._engine.removeBody(self._bodies.pop(name).id, physicsClientId=self._client)
+        for name, (vehicle, state) in driven.items():
+            if name not in self._bodies:
+                self._bodies[name] = _Body(self._engine, self._client, vehicle, state)
+            self._bodies[name].aim(state, self._dt)
+        for k in range(SUBSTEPS):
+            for name, body in self._bodies.items():
+                body.substep(driven[name][1], (k + 1) / SUBSTEPS)
+            self._engine.stepSimulation(physicsClientId=self._client)
+        for name, body in self._bodies.items():
+            body.state = driven[name][1]
+
+    def poses(self) -> dict[str, Pose]:
+        """Poses of all vehicles as the engine has them now."""
+        return {name: body.pose() for name, body in self._bodies.items()}
+
+
+def _angle(value: float) -> float:
+    """An angle brought into -pi to pi."""
+    return math.remainder(value, 2 * math.pi)

@@ -1,0 +1,127 @@
+"""Training recipes as data: every value that shapes the result, in one place."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
+from typing import Any, Final, Self
+
+from skope.errors import UserError, one_of
+
+SUPERVISE: Final = ("visible", "all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a detector is trained. Sizes are pixels, rates per step, counts per image where not said otherwise."""
+
+    name: str
+    init: str
+    """First weights where `--init` is not given."""
+    learning_rate: float
+    momentum: float
+    weight_decay: float
+    step_size: int
+    """The learning rate is multiplied by `gamma` after every so many epochs."""
+    gamma: float
+    epochs: int
+    batch_size: int
+    """Images a step."""
+    warmup_steps: int
+    """Steps over which the learning rate rises linearly from 0."""
+    gradient_clip: float | None
+    """Largest 2-norm of all gradients together; None leaves them alone."""
+    min_size: int
+    max_size: int
+    trainable_layers: int
+    """Stages of a trained backbone that learn on, 0 to 5 from the last (random weights learn in all)."""
+    regions: int
+    """Regions that the second stage learns from, a quarter of them vehicles: these enter the keypoint head."""
+    flip_probability: float
+    supervise: str
+    """Which keypoints are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
+    bfloat16: bool
+    """Multiply in bfloat16 where autocast thinks it safe."""
+
+    def __post_init__(self) -> None:
+        one_of("supervise", self.supervise, SUPERVISE)
+        for name in ("epochs", "batch_size", "step_size", "regions"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name}: expected at least 1, got {getattr(self, name)}")
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(values, Mapping) or set(values) != names:
+            raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
+        return cls(**values)
+
+    def rate(self, epoch: int, step: int) -> float:
+        """Learning rate in `epoch` (from 0) at `step` (from 0, counted over the whole run)."""
+        warm = min(1.0, (step + 1) / self.warmup_steps) if self.warmup_steps else 1.0
+        return self.learning_rate * warm * float(self.gamma ** (epoch // self.step_size))
+
+    def describe(self) -> str:
+        """What was chosen, in one line."""
+        return (
+            f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} "
+            f"x {self.gamma:g} every {self.step_size}, short side {self.min_size} px"
+        )
+
+
+_PAPER: Final[dict[str, Any]] = {
+    # What the paper gives ...
+    "learning_rate": 0.001,
+    "momentum": 0.9,
+    "step_size": 3,
+    "gamma": 0.2,
+    "epochs": 10,
+    # ... and what it leaves open.
+    "init": "auto",
+    "weight_decay": 0.0,
+    "batch_size": 2,
+    "warmup_steps": 0,
+    "gradient_clip": None,
+    "min_size": 800,
+    "max_size": 1333,
+    "trainable_layers": 3,
+    "regions": 512,
+    "flip_probability": 0.5,
+    "supervise": "visible",
+    "bfloat16": False,
+}
+
+# Time a step on two cores goes into pixels and into the 14x14x512 maps of the keypoint head.
+_SMALL: Final[dict[str, Any]] = {"min_size": 360, "max_size": 640, "regions": 64}
+
+RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
+    {
+        "paper": Recipe(**{**_PAPER, "name": "paper"}),
+        "laptop": Recipe(**{**_PAPER, **_SMALL, "name": "laptop"}),
+        # Random weights need a higher rate, which needs a warm-up and bounded gradients at first.
+        "scratch": Recipe(
+            **{
+                **_PAPER,
+                **_SMALL,
+                "name": "scratch",
+                "init": "random",
+                "learning_rate": 0.02,
+                "weight_decay": 1e-4,
+                "step_size": 20,
+                "epochs": 30,
+                "warmup_steps": 50,
+                "gradient_clip": 10.0,
+            }
+        ),
+    }
+)
+CHOICES: Final = ("auto", *RECIPES)
+
+
+def choose(name: str, *, gpu: bool) -> Recipe:
+    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU."""
+    one_of("recipe", name, CHOICES)
+    return RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
