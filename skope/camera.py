@@ -281,7 +281,7 @@ class Camera:
         return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), valid
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
-        """Pixels (..., 2) at planar depth (...,) metres -> world points (..., 3), and where distortion can be undone."""
+        """Pixels (..., 2) at planar depth (...,) metres -> world points (..., 3), and where that can be undone."""
         rays, valid = self.rays(pixels)
         p = rays * np.asarray(depth, dtype=np.float64)[..., None]
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid

@@ -108,7 +108,8 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
     values = {name: row[name] for name in _ANNOTATION_FIELDS if name in row}
     for name in ("id", "image_id", "bbox", "keypoints"):
         values[name] = row[name]
-    values.setdefault("area", float(row["bbox"][2]) * float(row["bbox"][3]))
+    if "area" not in row:
+        values["area"] = float(schema.array("bbox", row["bbox"], 4)[2:].prod())
     if values.get("box_3d") is not None:
         box = row["box_3d"]
         values["box_3d"] = Box3D(center=box["center"], size_lwh=box["size_lwh"], yaw=float(box["yaw"]), R=box["R"])

@@ -46,7 +46,7 @@ def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1
         number = vehicle.id if vehicle.track_id is None else vehicle.track_id
         if vehicle.ignored:
             canvas.dashed_box(vehicle.bbox, IGNORED)
-            canvas.label(vehicle.bbox, vehicle.ignore_reason or "ignored", IGNORED)
+            canvas.note(vehicle.bbox, vehicle.ignore_reason or "ignored", IGNORED)
             continue
         color = PALETTE[number % len(PALETTE)]
         canvas.vehicle(vehicle.bbox, vehicle.keypoints, vehicle.keypoints[:, 2] > 0, vehicle.keypoints[:, 2] > 1, color)
@@ -136,13 +136,14 @@ class _Canvas:
     def dashed_box(self, bbox: ArrayLike, color: Color) -> None:
         """The outline of a box in dashes."""
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)
-        dash = 6 * self._unit / self._scale
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
         for start, end in itertools.pairwise(corners):
-            length = float(np.hypot(*(end - start)))
-            for at in np.arange(0.0, length, 2 * dash):
-                ends = [start + (end - start) * min(s, length) / length for s in (at, at + dash)]
-                self._polyline(ends, color, self._line)
+            edge = float(np.hypot(*(end - start))) * self._scale
+            # An odd number of equal dashes and gaps, so that each corner is drawn.
+            parts = 2 * int(np.clip(edge / (12 * self._unit), 2, 200)) + 1
+            for i in range(0, parts, 2):
+                ends = [start + (end - start) * at / parts for at in (i, i + 1)]
+                self._polyline(ends, color, max(1, self._line // 2))
 
     def label(self, bbox: ArrayLike, text: str, color: Color) -> None:
         """Text in a filled tag on top of a box, kept inside the image."""
@@ -150,9 +151,17 @@ class _Canvas:
         (width, height), base = cv2.getTextSize(text, _FONT, size, self._line)
         x, y = (int(v * self._scale) for v in np.asarray(bbox)[:2])
         x = max(0, min(x, self.pixels.shape[1] - width - 2))
-        bottom = max(y, height + base)
+        bottom = min(max(y, height + base), self.pixels.shape[0] - 1)
         cv2.rectangle(self.pixels, (x, bottom - height - base), (x + width + 2, bottom), color, -1)
         cv2.putText(self.pixels, text, (x + 1, bottom - base // 2 - 1), _FONT, size, _DARK, self._line, cv2.LINE_AA)
+
+    def note(self, bbox: ArrayLike, text: str, color: Color) -> None:
+        """Small text below a box, without a tag: what is ignored must not hide what counts."""
+        x, y, _, height = np.asarray(bbox, dtype=np.float64) * self._scale
+        size = 0.3 * self._unit
+        (_, text_height), _ = cv2.getTextSize(text, _FONT, size, 1)
+        origin = (int(x), min(int(y + height) + text_height + 2, self.pixels.shape[0] - 2))
+        cv2.putText(self.pixels, text, origin, _FONT, size, color, 1, cv2.LINE_AA)
 
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
         at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << _SHIFT)
@@ -166,7 +175,8 @@ class _Canvas:
         x, y = self._fixed(at).tolist()
         fixed_radius = round(radius * (1 << _SHIFT))
         if filled:
-            cv2.circle(self.pixels, (x, y), fixed_radius + (1 << _SHIFT), _DARK, -1, cv2.LINE_AA, _SHIFT)
+            rim = round(min(1.0, radius / 3) * (1 << _SHIFT))
+            cv2.circle(self.pixels, (x, y), fixed_radius + rim, _DARK, -1, cv2.LINE_AA, _SHIFT)
             cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, _SHIFT)
         else:
             cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, _SHIFT)

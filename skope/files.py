@@ -16,15 +16,16 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The temporary name keeps the suffix, because encoders (OpenCV, numpy) choose the format by it.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         temporary.replace(path)
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
+            temporary.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

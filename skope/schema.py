@@ -187,6 +187,9 @@ class Annotation:
     def __post_init__(self) -> None:
         _integer("id", self.id, 0)
         _integer("image_id", self.image_id, 0)
+        _integer("category_id", self.category_id, 0)
+        if self.track_id is not None:
+            _integer("track_id", self.track_id, 0)
         if self.iscrowd not in (0, 1):
             raise UserError(f"iscrowd: expected 0 or 1, got {self.iscrowd!r}")
         shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
@@ -258,6 +261,7 @@ class Result:
 
     def __post_init__(self) -> None:
         _integer("image_id", self.image_id, 0)
+        _integer("category_id", self.category_id, 0)
         object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))
         object.__setattr__(self, "keypoints", array("keypoints", self.keypoints, keypoints.K, 3))
         if isinstance(self.score, bool) or not isinstance(self.score, int | float) or not 0 <= self.score <= 1:

@@ -18,13 +18,15 @@ app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0
 
 @app.callback(invoke_without_command=True)
 def run(
-    data: Annotated[Path | None, typer.Option(help=f"Dataset folder.  [default: {DATA}]")] = None,
+    data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help=f"Checkpoint file, or run folder for its newest one.  [default: {RUN}]")
+        Path | None, typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN))
     ] = None,
     split: Annotated[
         list[str] | None,
-        typer.Option(help="Split to evaluate; several: repeat it or separate by commas.  [default: all test splits]"),
+        typer.Option(
+            help="Split to evaluate; several: repeat it or separate by commas.", show_default="all test splits"
+        ),
     ] = None,
     annotations: Annotated[
         Path | None, typer.Option(help="Score --predictions against this COCO file, without a dataset folder.")
@@ -33,7 +35,7 @@ def run(
         Path | None, typer.Option(help="Score this COCO results file, of any detector, instead of a checkpoint.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where to write.  [default: RUN/eval, or eval for a results file]")
+        Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
     protocol: Annotated[str, typer.Option(help="What the table shows: pooled or paper.")] = "pooled",
@@ -67,14 +69,14 @@ def run(
         raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
     splits = [name.strip() for value in split or () for name in value.split(",") if name.strip()]
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
-    if annotations:
-        truth = inputs.read_annotations(annotations)
-    else:
-        truth = inputs.read_dataset(data or DATA, splits)
+    out = out or _default_out(checkpoint, predictions)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out: {out} is a file, expected a folder")
+    truth = inputs.read_annotations(annotations) if annotations else inputs.read_dataset(data or DATA, splits)
     evaluate(
         Job(
             truth=truth,
-            out=out or _default_out(checkpoint, predictions),
+            out=out,
             options=options,
             protocol=protocol,
             checkpoint=None if predictions else checkpoint or RUN,

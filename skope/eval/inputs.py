@@ -7,6 +7,7 @@ from typing import Final
 
 from skope import coco, dataset
 from skope.errors import UserError
+from skope.eval.match import box_of
 from skope.schema import AnnotationFile, Result
 
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
@@ -53,6 +54,15 @@ def read_results(path: Path, file: AnnotationFile) -> tuple[Result, ...]:
 def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
     """`file`, or the images of it that `--max-images` leaves."""
     return file if max_images is None else dataset.take(file, max_images)
+
+
+def check_boxes(file: AnnotationFile, kind: str) -> None:
+    """Raise a UserError if a vehicle of `file` lacks its box of `kind`, before hours are spent on predicting."""
+    for annotation in file.annotations:
+        try:
+            box_of(annotation, kind)
+        except UserError as error:
+            raise UserError(f"{file.name}: {error}") from None
 
 
 def for_images(results: Sequence[Result], file: AnnotationFile) -> tuple[Result, ...]:

@@ -13,7 +13,7 @@ from skope.eval import inputs, metrics, table
 from skope.eval.coco_ap import average_precision
 from skope.eval.inputs import Truth
 from skope.eval.metrics import Options
-from skope.files import replacing, write_json
+from skope.files import write_json
 from skope.schema import AnnotationFile, Result
 
 OVERLAYS: Final = 4
@@ -39,6 +39,8 @@ class Job:
 def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     """Evaluate, write everything under `job.out`, print the table `width` wide; returns what `metrics.json` holds."""
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
+    for file in splits:
+        inputs.check_boxes(file, job.options.boxes)
     results = _predicted(job, splits, console) if job.checkpoint else _read(job, splits)
     figures = {
         file.name: {
@@ -50,7 +52,7 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     }
     document = metrics.document(job.options, figures)
     write_json(job.out / "metrics.json", document)
-    pictures = [path for file in splits for path in _overlays(job, file, results[file.name])]
+    pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 
     console.result(table.render(document, job.protocol, width))
     for line in _advice(job, figures, results):
@@ -79,7 +81,7 @@ def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result,
     return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole), part)}
 
 
-def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result]) -> list[Path]:
+def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
     """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
     few = take(file, OVERLAYS)
     truth = few.by_image()
@@ -88,11 +90,18 @@ def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result]) -> list
         source = job.truth.root / image.file_name
         if not source.is_file():
             continue
-        pixels = read_image(source, size=(image.width, image.height))
+        try:
+            pixels = read_image(source, size=(image.width, image.height))
+        except UserError as error:
+            console.say(f"no overlay: {error}")
+            continue
+        scale = 2 if image.width < 960 else 1
         found = [r for r in results if r.image_id == image.id and r.score > job.options.score]
+        labels = draw.annotations(pixels, truth[image.id], scale=scale)
+        answers = draw.results(pixels, found, scale=scale)
         panels = [
-            draw.caption(draw.annotations(pixels, truth[image.id]), f"ground truth  {image.file_name}"),
-            draw.caption(draw.results(pixels, found), f"{len(found)} detections > {job.options.score:g}"),
+            draw.caption(labels, f"ground truth  {image.file_name}"),
+            draw.caption(answers, f"{len(found)} detections > {job.options.score:g}"),
         ]
         path = job.out / "overlays" / f"{file.name}_{i}.jpg"
         draw.write(path, draw.contact_sheet(panels, columns=2))

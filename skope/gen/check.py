@@ -1,21 +1,26 @@
 """Does a dataset hold what it says? Schema, ids, files, re-projection, visibility against the depth files."""
 
+import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera import Camera
 from skope.dataset import Dataset
 from skope.errors import UserError
-from skope.gen.annotate import POINT_TOLERANCE, behind
-from skope.gen.render import STATIC, View
+from skope.gen.annotate import POINT_TOLERANCE, SLOPE_CAP
 from skope.schema import Annotation, Image
 
+Array = NDArray[np.floating[Any]]
+
 REPROJECTION_PX = 0.1
-WHEEL_HALF_WIDTH = 0.11
+DEPTH_LIMIT = 250.0
+"""Depth files end soon after this, metres."""
 DOUBT = 0.15
-"""Metres by which the depth file must contradict a flag before it counts: the file is rounded and has no slope."""
+"""Metres by which the depth file must contradict a flag before it counts."""
 
 
 def check(dataset: Dataset) -> Iterator[str]:
@@ -58,14 +63,13 @@ def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) 
         found, size = f"{depth.shape[1]}x{depth.shape[0]}", f"{image.width}x{image.height}"
         yield f"image {image.id}: depth_file_name: is {found} instead of {size}"
         depth = None
-    view = _view(depth) if depth is not None else None
     for annotation in annotations:
         where = f"image {image.id}, annotation {annotation.id}"
         yield from (f"{where}: {finding}" for finding in _check_annotation(image, annotation))
         if image.camera is not None and annotation.keypoints_3d is not None:
             yield from (f"{where}: {finding}" for finding in _check_projection(image.camera, annotation))
-            if view is not None:
-                yield from (f"{where}: {finding}" for finding in _check_visibility(view, image.camera, annotation))
+            if depth is not None:
+                yield from (f"{where}: {finding}" for finding in _check_visibility(depth, image.camera, annotation))
 
 
 def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
@@ -97,36 +101,55 @@ def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:
         yield f"keypoints: {keypoints.NAMES[k]} projects into the image but has v = 0"
 
 
-def _view(depth: np.ndarray) -> View:
-    """A view with the depth file's values and the slope that neighbouring pixels show."""
-    inverse = 1 / depth.astype(np.float64)
-    slope = np.zeros((*depth.shape, 2), dtype=np.float32)
-    for axis in (0, 1):
-        step = np.diff(inverse, axis=axis)
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (1, 0)
-        back = np.pad(step, pad, mode="edge")
-        pad[axis] = (0, 1)
-        forth = np.pad(step, pad, mode="edge")
-        # The larger change is the safe one here: what a flag may claim, not what it must.
-        change = np.where(np.abs(back) > np.abs(forth), back, forth)
-        z2 = np.where(np.isfinite(depth), depth.astype(np.float64) ** 2, 0)
-        slope[..., 1 - axis] = -change * z2
-    ids = np.full(depth.shape, STATIC, dtype=np.int32)
-    return View(np.zeros((*depth.shape, 3), np.uint8), depth, slope, ids, (), np.zeros(0))
+def _gaps(depth: Array, camera: Camera, points: Array) -> Array:
+    """How far points (..., 3) lie behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
+    pixels, _, valid = camera.project(points)
+    seen = valid & camera.inside(pixels)
+    at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)
+    distance = np.linalg.norm(camera.to_camera(points), axis=-1)
+    out = []
+    for down, right in itertools.product((-1, 0, 1), repeat=2):
+        columns = np.clip(at[..., 0] + right, 0, camera.width - 1)
+        rows = np.clip(at[..., 1] + down, 0, camera.height - 1)
+        rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        shown = depth[rows, columns] * np.linalg.norm(rays, axis=-1)
+        out.append(np.where(seen, distance - shown, np.nan))
+    return np.stack(out)
 
 
-def _check_visibility(view: View, camera: Camera, annotation: Annotation) -> Iterator[str]:
+def _tested_places(annotation: Annotation) -> Array:
+    """(C, 33, 3) places where each point's visibility may have been tested.
+
+    A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
+    along an axle that may be steered.
+    """
     assert annotation.keypoints_3d is not None
-    points = annotation.keypoints_3d.copy()
-    if annotation.box_3d is not None:
-        # A wheel is tested at the middle of its outer face: about that far out along the axle.
-        outward = np.array([[-1.0], [1.0], [-1.0], [1.0]]) * WHEEL_HALF_WIDTH
-        points[list(keypoints.WHEELS)] += outward * annotation.box_3d.R[:, 1]
-    gap, _ = behind(view, camera, points)
+    if annotation.box_3d is None:
+        return annotation.keypoints_3d[None]
+    forward, left = annotation.box_3d.R[:, 0], annotation.box_3d.R[:, 1]
+    side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
+    places = []
+    for out, turn in itertools.product((0.09, 0.11, 0.13), (-0.6, -0.3, 0.0, 0.3, 0.6)):
+        points = annotation.keypoints_3d.copy()
+        points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
+        places.append(points)
+    return np.stack(places)
+
+
+def _check_visibility(depth: Array, camera: Camera, annotation: Annotation) -> Iterator[str]:
+    """Flags that no pixel near the point bears out.
+
+    The file is rounded, has no slope, and a point may lie at an edge: where the pixels around it differ, their spread
+    is allowed for.
+    """
+    assert annotation.keypoints_3d is not None
+    gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)
+    least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
+    with np.errstate(invalid="ignore"):
+        doubt = DOUBT + np.minimum(np.nan_to_num(most - least, nan=SLOPE_CAP, posinf=SLOPE_CAP), SLOPE_CAP)
     v = annotation.keypoints[:, 2]
-    far = np.linalg.norm(camera.to_camera(points), axis=1) > 250
-    for k in np.flatnonzero((v == 2) & ~far & (gap > POINT_TOLERANCE + DOUBT)):
-        yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows a surface {gap[k]:.2f} m before it"
-    for k in np.flatnonzero((v == 1) & ~far & (gap < POINT_TOLERANCE - DOUBT - 5)):
+    near = np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < DEPTH_LIMIT
+    for k in np.flatnonzero(near & (v == 2) & (least > POINT_TOLERANCE + doubt)):
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
+    for k in np.flatnonzero(near & (v == 1) & (most < POINT_TOLERANCE - doubt)):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"

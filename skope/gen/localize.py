@@ -31,10 +31,10 @@ def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
     # w_i . p = (|w_i|^2 - d_i^2) / 2 + the same unknown constant for every i, which the mean over i removes.
     right = ((centered**2).sum(-1)[:, None] - distances**2) / 2
     right = right - right.mean(-1, keepdims=True)
-    p = right @ np.linalg.pinv(w).transpose(0, 2, 1)  # (V, 33, 2)
-    across = ((p[:, :, None] - w[:, None]) ** 2).sum(-1)
+    foot = right @ np.linalg.pinv(w).transpose(0, 2, 1) @ axes  # (V, 33, 3) below or above the keypoints, in the plane
+    across = ((foot[:, :, None] - centered[:, None]) ** 2).sum(-1)
     height = np.sqrt(np.maximum((distances**2 - across).mean(-1), 0.0)) * side
-    return center[:, None] + p @ axes + height[..., None] * normal[:, None]
+    return np.asarray(center[:, None] + foot + height[..., None] * normal[:, None])
 
 
 def with_wheels(points: Array, wheels: Array) -> Array:

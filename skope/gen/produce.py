@@ -142,7 +142,7 @@ def _localizer_difference(store: Store, plans: list[RecordingPlan]) -> dict[str,
 @contextmanager
 def _pool(workers: int) -> Iterator[Run]:
     if workers == 1:
-        yield map
+        yield lambda function, tasks: iter(map(function, tasks))
         return
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
 

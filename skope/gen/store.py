@@ -50,8 +50,10 @@ class Store:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     raise UserError(f"{self.root}: another `skope gen` is writing to this folder") from None
-                yield
-            (self.root / ".lock").unlink(missing_ok=True)
+                try:
+                    yield
+                finally:
+                    (self.root / ".lock").unlink(missing_ok=True)
         except OSError as error:
             raise UserError(f"{self.root}: cannot be written: {error.strerror or error}") from None
 

@@ -3,17 +3,17 @@
 SUMO says where a vehicle drives. Its carrier (the multibody's base) follows that path on the road; chassis and wheels
 hang on it by joints, and the engine integrates them: heave, pitch and roll on springs and dampers under the inertial
 loads of accelerating, braking and cornering, wheels driven to roll without slip. What is recorded is read back from
-the engine. Only this module and the pybullet renderer import pybullet.
+the engine.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.bullet import engine
 from skope.gen.traffic import Driven
 from skope.gen.vehicles import Vehicle
 
@@ -89,58 +89,56 @@ class _Body:
         self._place(start.position, start.yaw, start.pitch)
 
     def _create(self) -> int:
-        e, s = self.engine, self.vehicle.shape
-        wheels = s.wheel_centers()
-        y_axis, z_axis = [0, 1, 0], [0, 0, 1]
-        links: list[tuple[float, Sequence[float], int, int, list[int]]] = [
-            (1.0, [0, 0, _ROLL_CENTER], 0, e.JOINT_PRISMATIC, z_axis),
-            (1.0, [0, 0, 0], 1, e.JOINT_REVOLUTE, y_axis),
-            (self.vehicle.mass, [0, 0, 0], 2, e.JOINT_REVOLUTE, [1, 0, 0]),
-            (1.0, wheels[0].tolist(), 0, e.JOINT_REVOLUTE, z_axis),
-            (20.0, [0, 0, 0], 4, e.JOINT_REVOLUTE, y_axis),
-            (1.0, wheels[1].tolist(), 0, e.JOINT_REVOLUTE, z_axis),
-            (20.0, [0, 0, 0], 6, e.JOINT_REVOLUTE, y_axis),
-            (20.0, wheels[2].tolist(), 0, e.JOINT_REVOLUTE, y_axis),
-            (20.0, wheels[3].tolist(), 0, e.JOINT_REVOLUTE, y_axis),
+        e, wheels = self.engine, self.vehicle.shape.wheel_centers().tolist()
+        x, y, z, here = [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.0, 0.0, 0.0]
+        heave, turn, light, wheel = e.JOINT_PRISMATIC, e.JOINT_REVOLUTE, 1.0, 20.0
+        # mass, position on the parent, parent (0 is the carrier, i + 1 is link i), joint, axis
+        links: list[tuple[float, list[float], int, int, list[int]]] = [
+            (light, [0, 0, _ROLL_CENTER], 0, heave, z),
+            (light, here, 1, turn, y),
+            (self.vehicle.mass, here, 2, turn, x),
+            (light, wheels[0], 0, turn, z),
+            (wheel, here, 4, turn, y),
+            (light, wheels[1], 0, turn, z),
+            (wheel, here, 6, turn, y),
+            (wheel, wheels[2], 0, turn, y),
+            (wheel, wheels[3], 0, turn, y),
         ]
-        count, none = len(links), [-1] * len(links)
-        upright, origin = [[0, 0, 0, 1]] * count, [[0, 0, 0]] * count
-        inertial = [list(point) for point in origin]
-        inertial[_CHASSIS] = [0, 0, self.suspension.lever]
+        count = len(links)
+        upright = [[0, 0, 0, 1]] * count
         body = e.createMultiBody(
             baseMass=0,
             linkMasses=[link[0] for link in links],
-            linkCollisionShapeIndices=none,
-            linkVisualShapeIndices=none,
+            linkCollisionShapeIndices=self._shapes(count),
+            linkVisualShapeIndices=[-1] * count,
             linkPositions=[link[1] for link in links],
             linkOrientations=upright,
-            linkInertialFramePositions=inertial,
+            linkInertialFramePositions=[
+                [0.0, 0.0, self.suspension.lever if link == _CHASSIS else 0.0] for link in range(count)
+            ],
             linkInertialFrameOrientations=upright,
             linkParentIndices=[link[2] for link in links],
             linkJointTypes=[link[3] for link in links],
             linkJointAxis=[link[4] for link in links],
             physicsClientId=self.client,
         )
-        length, width, height = self.vehicle.size_lwh
-        mass, radius = self.vehicle.mass, s.wheel_radius
-        diagonals = {
-            _CHASSIS: [mass * (a * a + b * b) / 12 for a, b in ((width, height), (length, height), (length, width))],
-            **{link: [5 * radius**2, 10 * radius**2, 5 * radius**2] for link in _WHEELS},
-        }
         for link in range(count):
-            inertia = diagonals.get(link, [0.05] * 3)
+            e.setCollisionFilterGroupMask(body, link, 0, 0, physicsClientId=self.client)
             e.changeDynamics(
-                *(body, link),
-                localInertiaDiagonal=inertia,
-                linearDamping=0,
-                angularDamping=0,
-                jointDamping=0,
-                maxJointVelocity=1000,
-                physicsClientId=self.client,
+                *(body, link), linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self.client
             )
             # Joints come with a velocity motor that holds them; these are free.
             e.setJointMotorControl2(body, link, e.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
         return int(body)
+
+    def _shapes(self, count: int) -> list[int]:
+        """A collision shape per link, from which the engine takes its inertia; nothing collides."""
+        e, s = self.engine, self.vehicle.shape
+        half = [side / 2 for side in self.vehicle.size_lwh]
+        hub = e.createCollisionShape(e.GEOM_SPHERE, radius=0.1, physicsClientId=self.client)
+        box = e.createCollisionShape(e.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        wheel = e.createCollisionShape(e.GEOM_SPHERE, radius=s.wheel_radius, physicsClientId=self.client)
+        return [box if link == _CHASSIS else wheel if link in _WHEELS else hub for link in range(count)]
 
     def _place(self, position: Any, yaw: float, pitch: float) -> None:
         orientation = self.engine.getQuaternionFromEuler([0, -pitch, yaw])
@@ -221,11 +219,9 @@ class World:
         self._bodies: dict[str, _Body] = {}
 
     def __enter__(self) -> "World":
-        import pybullet
-
-        self._engine = pybullet
-        self._client = pybullet.connect(pybullet.DIRECT)
-        pybullet.setPhysicsEngineParameter(
+        self._engine = engine()
+        self._client = self._engine.connect(self._engine.DIRECT)
+        self._engine.setPhysicsEngineParameter(
             fixedTimeStep=self._dt / SUBSTEPS, deterministicOverlappingPairs=1, physicsClientId=self._client
         )
         return self

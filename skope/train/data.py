@@ -18,7 +18,7 @@ from skope import keypoints
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
-from skope.train import ignore
+from skope.train import assign
 
 SPLIT = "train"
 
@@ -138,7 +138,7 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles) -> Sampl
         "boxes": torch.as_tensor(vehicles.boxes_xyxy, dtype=torch.float32),
         "labels": torch.ones(len(vehicles.boxes_xyxy), dtype=torch.int64),
         "keypoints": torch.as_tensor(vehicles.keypoints, dtype=torch.float32),
-        ignore.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
+        assign.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
     return Sample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
 

@@ -13,7 +13,7 @@ from skope.console import Console, minutes
 from skope.dataset import open_dataset
 from skope.detector import checkpoint_name
 from skope.errors import UserError
-from skope.train import data, ignore, run
+from skope.train import assign, data, run
 from skope.train.data import Sample, TrainingSet
 from skope.train.recipe import Recipe
 from skope.train.run import RunConfig, Training
@@ -50,8 +50,7 @@ def train(
         max_images=config.max_images,
     )
     training = run.resume(out, config, device) if resume else run.start(out, config, device)
-    ignore.heed(training.model)
-    training.model.roi_heads.fg_bg_sampler.batch_size_per_image = recipe.regions
+    assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
     _announce(config, training, training_set, f"on {device} with {workers} loading workers", console)
 
     steps = math.ceil(len(training_set) / recipe.batch_size)
@@ -117,11 +116,11 @@ def _step(
     if not math.isfinite(values["loss"]):
         names = ", ".join(sample.name for sample in batch)
         raise UserError(
-            f"epoch {training.epochs_done + 1}: the loss is no longer a finite number, at {names}; the last checkpoint is as it was. "
-            "`--recipe laptop` takes smaller steps"
+            f"epoch {training.epochs_done + 1}: the loss is no longer a finite number, at {names}; see these "
+            "images, or take a recipe with a lower rate (the last checkpoint is as it was)"
         )
     training.optimizer.zero_grad(set_to_none=True)
-    total.backward()
+    total.backward()  # type: ignore[no-untyped-call]
     if recipe.gradient_clip is not None:
         torch.nn.utils.clip_grad_norm_(training.model.parameters(), recipe.gradient_clip)
     training.optimizer.step()

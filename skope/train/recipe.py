@@ -1,7 +1,7 @@
 """Training recipes as data: every value that shapes the result, in one place."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, Final, Self
 
@@ -20,8 +20,8 @@ class Recipe:
     learning_rate: float
     momentum: float
     weight_decay: float
-    step_size: int
-    """The learning rate is multiplied by `gamma` after every so many epochs."""
+    step_size: int | None
+    """The learning rate is multiplied by `gamma` after every so many epochs; None: once, after half of them."""
     gamma: float
     epochs: int
     batch_size: int
@@ -35,7 +35,9 @@ class Recipe:
     trainable_layers: int
     """Stages of a trained backbone that learn on, 0 to 5 from the last (random weights learn in all)."""
     regions: int
-    """Regions that the second stage learns from, a quarter of them vehicles: these enter the keypoint head."""
+    """Regions that the second stage learns from, at most a quarter of them vehicles."""
+    keypoint_regions: int | None
+    """How many of these vehicles enter the keypoint head; None for all."""
     flip_probability: float
     supervise: str
     """Which keypoints are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
@@ -44,9 +46,10 @@ class Recipe:
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE)
-        for name in ("epochs", "batch_size", "step_size", "regions"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        for name in ("epochs", "batch_size", "step_size", "regions", "keypoint_regions"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise UserError(f"{name}: expected at least 1, got {value}")
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -62,13 +65,18 @@ class Recipe:
     def rate(self, epoch: int, step: int) -> float:
         """Learning rate in `epoch` (from 0) at `step` (from 0, counted over the whole run)."""
         warm = min(1.0, (step + 1) / self.warmup_steps) if self.warmup_steps else 1.0
-        return self.learning_rate * warm * float(self.gamma ** (epoch // self.step_size))
+        return self.learning_rate * warm * float(self.gamma ** (epoch // self._step_size))
+
+    @property
+    def _step_size(self) -> int:
+        return self.step_size or (self.epochs + 1) // 2
 
     def describe(self) -> str:
         """What was chosen, in one line."""
         return (
             f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} "
-            f"x {self.gamma:g} every {self.step_size}, short side {self.min_size} px"
+            f"x {self.gamma:g} every {self._step_size}, short side {self.min_size} px, "
+            f"{'bfloat16' if self.bfloat16 else 'float32'}"
         )
 
 
@@ -89,39 +97,46 @@ _PAPER: Final[dict[str, Any]] = {
     "max_size": 1333,
     "trainable_layers": 3,
     "regions": 512,
+    "keypoint_regions": None,
     "flip_probability": 0.5,
     "supervise": "visible",
     "bfloat16": False,
 }
 
-# Time a step on two cores goes into pixels and into the 14x14x512 maps of the keypoint head.
-_SMALL: Final[dict[str, Any]] = {"min_size": 360, "max_size": 640, "regions": 64}
+# A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
+_SMALL: Final[dict[str, Any]] = {"min_size": 360, "max_size": 640, "keypoint_regions": 16}
+
+# Random weights need a high rate, which needs a warm-up and bounded gradients; while weights change that fast the
+# running means of BatchNorm2d lag behind them and nothing is found: the slower second half mends that.
+_FROM_NOTHING: Final[dict[str, Any]] = {
+    "init": "random",
+    "learning_rate": 0.02,
+    "weight_decay": 1e-4,
+    "step_size": None,
+    "epochs": 40,
+    "batch_size": 1,
+    "warmup_steps": 20,
+    "gradient_clip": 5.0,
+    "regions": 128,
+    "keypoint_regions": 8,
+}
 
 RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     {
         "paper": Recipe(**{**_PAPER, "name": "paper"}),
         "laptop": Recipe(**{**_PAPER, **_SMALL, "name": "laptop"}),
-        # Random weights need a higher rate, which needs a warm-up and bounded gradients at first.
-        "scratch": Recipe(
-            **{
-                **_PAPER,
-                **_SMALL,
-                "name": "scratch",
-                "init": "random",
-                "learning_rate": 0.02,
-                "weight_decay": 1e-4,
-                "step_size": 20,
-                "epochs": 30,
-                "warmup_steps": 50,
-                "gradient_clip": 10.0,
-            }
-        ),
+        "scratch": Recipe(**{**_PAPER, **_SMALL, **_FROM_NOTHING, "name": "scratch"}),
     }
 )
 CHOICES: Final = ("auto", *RECIPES)
 
 
-def choose(name: str, *, gpu: bool) -> Recipe:
-    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU."""
-    one_of("recipe", name, CHOICES)
-    return RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
+def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
+    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU.
+
+    `bfloat16` says that this processor multiplies such numbers faster, which all recipes but `paper` make use of: on
+    two cores a step takes half the time. It is part of the recipe that the run records.
+    """
+    one_of("--recipe", name, CHOICES)
+    recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
+    return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)

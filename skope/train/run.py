@@ -10,7 +10,6 @@ process is killed, resume.pt and the checkpoint that it names lie there whole.
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -81,9 +80,14 @@ class Training:
     """Mean losses of the epochs so far."""
 
 
+def resumable(run: Path) -> bool:
+    """Whether a run folder holds an epoch to resume from."""
+    return (run / _RESUME).is_file()
+
+
 def start(run: Path, config: RunConfig, device: torch.device) -> Training:
     """Begin a run in a folder that holds none."""
-    if (run / _RESUME).exists() or detector.checkpoints(run):
+    if resumable(run) or detector.checkpoints(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     recipe = config.recipe
     model, detector_config, origin = detector.initialise(
@@ -101,7 +105,7 @@ def start(run: Path, config: RunConfig, device: torch.device) -> Training:
 def resume(run: Path, config: RunConfig, device: torch.device) -> Training:
     """Take up the run in a folder after the last epoch that it saved."""
     path = run / _RESUME
-    if not path.is_file():
+    if not resumable(run):
         raise UserError(f"{run}: no finished epoch to resume from ({_RESUME} is missing); leave out --resume")
     try:
         saved = torch.load(path, map_location=device, weights_only=True)
@@ -151,13 +155,3 @@ def _history(run: Path, epochs: int) -> list[dict[str, float]]:
         return [row for row in rows if row["epoch"] <= epochs]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: cannot be read ({error})") from None
-
-
-def differences(recorded: RunConfig, given: Mapping[str, Any]) -> list[str]:
-    """Flags that ask for something else than the run began with, in words; None asks for nothing."""
-    known = {**recorded.to_dict(), **recorded.recipe.to_dict(), "init": recorded.init, "recipe": recorded.recipe.name}
-    return [
-        f"--{name.replace('_', '-')} {value} (the run has {known[name]})"
-        for name, value in given.items()
-        if value is not None and value != known[name]
-    ]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.errors import UserError
+from skope.gen.bullet import engine
 from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
@@ -73,10 +74,8 @@ class _Stage:
     """A pybullet client that holds the parts of one thing and draws windows of it."""
 
     def __init__(self, light: Light) -> None:
-        import pybullet
-
-        self._engine, self._light = pybullet, light
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._engine, self._light = engine(), light
+        self._client = self._engine.connect(self._engine.DIRECT)
         self.parts: list[str] = []
         self._bodies: list[int] = []
 
@@ -116,8 +115,9 @@ class _Stage:
         x0, y0, x1, y1 = window
         width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
         fx, fy = camera.K[0, 0] * FINE, camera.K[1, 1] * FINE
-        # TinyRenderer samples where continuous coordinates are whole: half a sample on are the centres.
-        cx, cy = (camera.K[0, 2] - x0) * FINE + 0.5, (camera.K[1, 2] - y0) * FINE + 0.5
+        # TinyRenderer samples where continuous coordinates, counted from the lower left, are whole: half a sample to
+        # the right and up lie the centres.
+        cx, cy = (camera.K[0, 2] - x0) * FINE - 0.5, (camera.K[1, 2] - y0) * FINE + 0.5
         projection = np.zeros((4, 4))
         projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
         projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
@@ -390,25 +390,28 @@ def _mean(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, 2) slope of the surface at pixel centres, from the fine depth.
-
-    On a plane the inverse depth is linear in the pixel; of the two one-sided differences the smaller one belongs to
-    the surface itself, the other may jump to what lies behind it.
-    """
+    """(H, W, 2) slope of the surface at pixel centres, from the fine depth."""
     m = FINE // 2
     inverse = 1 / depth.astype(np.float64)
     center = inverse[m::FINE, m::FINE]
-    out = np.empty((*center.shape, 2))
-    sides = (
-        (inverse[m::FINE, m - 1 :: FINE], inverse[m::FINE, m + 1 :: FINE]),
-        (inverse[m - 1 :: FINE, m::FINE], inverse[m + 1 :: FINE, m::FINE]),
-    )
-    for axis, (before, after) in enumerate(sides):
-        back, forth = center - before[: center.shape[0], : center.shape[1]], after - center
-        out[..., axis] = FINE * np.where(np.abs(back) < np.abs(forth), back, forth)
-    finite = center > 0
-    z = np.divide(1, center, out=np.zeros_like(center), where=finite)
-    return np.asarray(-out * (z * z)[..., None], dtype=np.float32)
+    z = np.divide(1, center, out=np.zeros_like(center), where=center > 0)
+    change = np.stack([_line_slope(inverse[m::FINE]), _line_slope(inverse[:, m::FINE].T).T], axis=-1)
+    return np.asarray(-change * (z * z)[..., None], dtype=np.float32)
+
+
+def _line_slope(inverse: Array) -> Array:
+    """Change of the inverse depth per pixel along fine rows (R, C * FINE) -> (R, C); 0 where no neighbours lie on it.
+
+    On a plane the inverse depth is linear in the pixel. Of the three samples before, around and after a centre, the
+    straightest belong to the surface shown; others reach over an edge to what lies behind or before it.
+    """
+    padded = np.pad(inverse, ((0, 0), (1, 1)), mode="edge")
+    a, b, c, d, e = (padded[:, k : k + inverse.shape[1] : FINE] for k in range(FINE + 2))
+    slopes = np.stack([c - a, d - b, e - c]) / 2
+    bends = np.abs(np.stack([c - 2 * b + a, d - 2 * c + b, e - 2 * d + c]))
+    straightest = bends.argmin(axis=0)[None]
+    slope, bend = (np.take_along_axis(values, straightest, axis=0)[0] for values in (slopes, bends))
+    return np.asarray(FINE * np.where(bend < 0.25 * np.abs(slope), slope, 0.0))
 
 
 def _silhouette(layer: _Layer | None) -> Silhouette:

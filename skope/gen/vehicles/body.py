@@ -337,7 +337,7 @@ def wheel_mesh(radius: float, width: float) -> Mesh:
     half, rim = width / 2, radius * 0.66
     tyre = lathe(
         [
-            (-half, 0.05),
+            (-half, 0.0),
             (-half, radius * 0.93),
             (-half * 0.6, radius),
             (half * 0.6, radius),

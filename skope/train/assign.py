@@ -1,0 +1,117 @@
+"""How a model is trained beyond stock torchvision: ignored vehicles, and fewer regions for the keypoint head.
+
+torchvision assigns labels to anchors and proposals in two methods; subclasses here discard what lies on an ignored
+vehicle (label -1, which its samplers leave out), so that it counts neither as vehicle nor as background. They add no
+weights: `prepare` turns a stock model's parts into these.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.roi_heads import RoIHeads, fastrcnn_loss, keypointrcnn_loss
+from torchvision.models.detection.rpn import RegionProposalNetwork
+from torchvision.models.detection.transform import GeneralizedRCNNTransform, resize_boxes
+from torchvision.ops import box_iou
+
+KEY = "ignored_boxes"
+"""Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
+
+_DISCARD = -1
+_SHARE = 0.5
+_IOU = 0.5
+
+Target = dict[str, Tensor]
+
+
+def on_ignored(boxes: Tensor, ignored: Tensor, vehicles: Tensor) -> Tensor:
+    """(N,) bool: lies to half of its area inside one of (M, 4) ignored boxes and overlaps no vehicle by 0.5 IoU."""
+    if not len(ignored):
+        return torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
+    sides = torch.minimum(boxes[:, None, 2:], ignored[:, 2:]) - torch.maximum(boxes[:, None, :2], ignored[:, :2])
+    shared = sides.clamp(min=0).prod(dim=-1).amax(dim=1)  # (N, M, 2) -> (N,)
+    own = (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
+    inside = (shared >= _SHARE * own) & (own > 0)
+    on_vehicle: Tensor = (box_iou(boxes, vehicles) >= _IOU).any(dim=1)
+    return inside & ~on_vehicle
+
+
+def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None) -> None:
+    """Make `model` heed the ignored boxes of its targets from now on, and learn from so many regions an image.
+
+    Of `regions` a quarter are vehicles; at most `keypoint_regions` of these enter the keypoint head, None for all.
+    """
+    # Only methods differ, so changing the class keeps weights, settings and hooks as they are.
+    model.transform.__class__ = _Transform
+    model.rpn.__class__ = _ProposalNetwork
+    model.roi_heads.__class__ = _RoIHeads
+    model.roi_heads.fg_bg_sampler.batch_size_per_image = regions
+    model.roi_heads._keypoint_regions = keypoint_regions
+
+
+class _Transform(GeneralizedRCNNTransform):  # type: ignore[misc]
+    def resize(self, image: Tensor, target: Target | None = None) -> tuple[Tensor, Target | None]:
+        before = image.shape[-2:]
+        image, target = super().resize(image, target)
+        if target is not None:
+            target[KEY] = resize_boxes(target[KEY], before, image.shape[-2:])
+        return image, target
+
+
+class _ProposalNetwork(RegionProposalNetwork):  # type: ignore[misc]
+    def assign_targets_to_anchors(
+        self, anchors: list[Tensor], targets: list[Target]
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        labels, matched = super().assign_targets_to_anchors(anchors, targets)
+        for label, boxes, target in zip(labels, anchors, targets, strict=True):
+            label[on_ignored(boxes, target[KEY], target["boxes"])] = _DISCARD
+        return labels, matched
+
+
+class _RoIHeads(RoIHeads):  # type: ignore[misc]
+    _ignored: list[Tensor]
+    _keypoint_regions: int | None
+
+    def assign_targets_to_proposals(
+        self, proposals: list[Tensor], gt_boxes: list[Tensor], gt_labels: list[Tensor]
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        matched, labels = super().assign_targets_to_proposals(proposals, gt_boxes, gt_labels)
+        for label, boxes, ignored, vehicles in zip(labels, proposals, self._ignored, gt_boxes, strict=True):
+            label[on_ignored(boxes, ignored, vehicles)] = _DISCARD
+        return matched, labels
+
+    def forward(
+        self,
+        features: dict[str, Tensor],
+        proposals: list[Tensor],
+        image_shapes: list[tuple[int, int]],
+        targets: list[Target] | None = None,
+    ) -> Any:
+        """torchvision's forward; in training the keypoint head gets `_keypoint_regions` of an image's vehicles."""
+        if not self.training:
+            return super().forward(features, proposals, image_shapes, targets)
+        assert targets is not None
+        self._ignored = [target[KEY] for target in targets]  # the assignment is not given the targets
+        proposals, matched, labels, regression = self.select_training_samples(proposals, targets)
+        logits, deltas = self.box_predictor(self.box_head(self.box_roi_pool(features, proposals, image_shapes)))
+        loss_classifier, loss_box_reg = fastrcnn_loss(logits, deltas, labels, regression)
+
+        chosen = [self._choose(label) for label in labels]
+        regions = [boxes[index] for boxes, index in zip(proposals, chosen, strict=True)]
+        pooled = self.keypoint_roi_pool(features, regions, image_shapes)
+        loss_keypoint = keypointrcnn_loss(
+            self.keypoint_predictor(self.keypoint_head(pooled)),
+            regions,
+            [target["keypoints"] for target in targets],
+            [index_of[index] for index_of, index in zip(matched, chosen, strict=True)],
+        )
+        losses = {"loss_classifier": loss_classifier, "loss_box_reg": loss_box_reg, "loss_keypoint": loss_keypoint}
+        return [], losses
+
+    def _choose(self, labels: Tensor) -> Tensor:
+        """Indices of at most `_keypoint_regions` regions of vehicles, drawn without preference."""
+        vehicles = torch.where(labels > 0)[0]
+        if self._keypoint_regions is None or len(vehicles) <= self._keypoint_regions:
+            return vehicles
+        return vehicles[torch.randperm(len(vehicles), device=vehicles.device)[: self._keypoint_regions]]

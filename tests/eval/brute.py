@@ -1,0 +1,111 @@
+"""An evaluator in plain Python loops, written from the definitions; it shares no code with skope.eval."""
+
+import math
+from typing import Any
+
+Vehicle = dict[str, Any]
+"""id, image, ignored, box (x, y, w, h), points [(x, y, v)]."""
+Detection = dict[str, Any]
+"""image, score, box (x, y, w, h), points [(x, y, p)]."""
+
+
+def overlap(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    width = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    height = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return width * height if width > 0 and height > 0 else 0.0
+
+
+def iou(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    shared = overlap(a, b)
+    union = a[2] * a[3] + b[2] * b[3] - shared
+    return shared / union if union > 0 else 0.0
+
+
+def assign(truth: list[Vehicle], detections: list[Detection], t: float) -> list[Vehicle | None]:
+    """Which vehicle each of one image's detections (in order of choice) takes."""
+    free = list(truth)
+    out: list[Vehicle | None] = []
+    for detection in detections:
+        best = None
+        for vehicle in sorted(free, key=lambda v: v["id"]):
+            if best is None or iou(detection["box"], vehicle["box"]) > iou(detection["box"], best["box"]):
+                best = vehicle
+        if best is not None and iou(detection["box"], best["box"]) >= t:
+            free = [vehicle for vehicle in free if vehicle is not best]
+            out.append(best)
+        else:
+            out.append(None)
+    return out
+
+
+def count_labelled(vehicle: Vehicle, labelled: str) -> int:
+    return sum(1 for _, _, v in vehicle["points"] if v == 2 or (v == 1 and labelled == "all"))
+
+
+def count_correct(vehicle: Vehicle, detection: Detection, labelled: str, alpha: float) -> int:
+    reach = alpha * max(vehicle["box"][2], vehicle["box"][3])
+    correct = 0
+    for (x, y, v), (px, py, _) in zip(vehicle["points"], detection["points"], strict=True):
+        if (v == 2 or (v == 1 and labelled == "all")) and math.sqrt((x - px) ** 2 + (y - py) ** 2) <= reach:
+            correct += 1
+    return correct
+
+
+def on_ignored(detection: Detection, ignored: list[Vehicle]) -> bool:
+    own = detection["box"][2] * detection["box"][3]
+    return any(own > 0 and overlap(detection["box"], v["box"]) / own >= 0.5 for v in ignored)
+
+
+def divide(a: float, b: float) -> float | None:
+    return a / b if b else None
+
+
+def evaluate(
+    images: list[int],
+    vehicles: list[Vehicle],
+    detections: list[Detection],
+    t: float,
+    labelled: str,
+    score: float,
+    alpha: float,
+) -> dict[str, Any]:
+    """One entry of `iou` in metrics.json, and the split's own counts."""
+    sums = dict.fromkeys(
+        ("truth", "ignored", "detections", "matched", "labelled", "labelled_all", "correct", "on_ignored"), 0
+    )
+    own: dict[str, list[float]] = {"bp": [], "br": [], "kp": [], "kr": []}
+    for image in images:
+        truth = [v for v in vehicles if v["image"] == image and not v["ignored"]]
+        ignored = [v for v in vehicles if v["image"] == image and v["ignored"]]
+        here = [d for d in detections if d["image"] == image and d["score"] > score]
+        here.sort(key=lambda d: -d["score"])
+        taken = assign(truth, here, t)
+        matched = sum(1 for vehicle in taken if vehicle is not None)
+        correct = 0
+        for detection, vehicle in zip(here, taken, strict=True):
+            if vehicle is not None:
+                correct += count_correct(vehicle, detection, labelled, alpha)
+                sums["labelled"] += count_labelled(vehicle, labelled)
+            elif on_ignored(detection, ignored):
+                sums["on_ignored"] += 1
+        sums["truth"] += len(truth)
+        sums["ignored"] += len(ignored)
+        sums["detections"] += len(here)
+        sums["matched"] += matched
+        sums["correct"] += correct
+        sums["labelled_all"] += sum(count_labelled(v, labelled) for v in truth)
+        if truth:
+            own["bp"].append(matched / len(here) if here else 0.0)
+            own["br"].append(matched / len(truth))
+            own["kp"].append(correct / (33 * matched) if matched else 0.0)
+            own["kr"].append(1.0 if matched else 0.0)
+    judged = sums["detections"] - sums["on_ignored"]
+    mean = {name: divide(sum(values), len(values)) for name, values in own.items()}
+    return {
+        "counts": sums,
+        "pck": divide(sums["correct"], sums["labelled"]),
+        "box_precision": {"paper": mean["bp"], "pooled": divide(sums["matched"], judged)},
+        "box_recall": {"paper": mean["br"], "pooled": divide(sums["matched"], sums["truth"])},
+        "keypoint_precision": {"paper": mean["kp"], "pooled": divide(sums["correct"], 33 * judged)},
+        "keypoint_recall": {"paper": mean["kr"], "pooled": divide(sums["correct"], sums["labelled_all"])},
+    }

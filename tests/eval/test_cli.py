@@ -1,0 +1,269 @@
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from skope import coco
+from skope.schema import AnnotationFile, Result
+from tests.eval.conftest import files_of
+from tests.samples import make_annotation, make_dataset, make_image
+
+
+def write_pair(folder: Path, score: float = 0.95) -> tuple[Path, Path]:
+    """Ground truth of two images, one of them empty, and results that find one of two vehicles and a false one."""
+    vehicles = (make_annotation(1, 1, (10, 10, 60, 40)), make_annotation(2, 1, (80, 50, 60, 40)))
+    truth, results = folder / "crossing.json", folder / "results.json"
+    coco.write(truth, AnnotationFile(images=(make_image(1), make_image(2)), annotations=vehicles))
+    (found, _) = (Result(image_id=1, score=score, bbox=a.bbox, keypoints=a.keypoints) for a in vehicles)
+    coco.write_results(results, [found, replace(found, image_id=2)])
+    return truth, results
+
+
+# ------------------------------------------------------------------------------------------------ from two files
+
+
+def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    code, out, err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[-1] == "Wrote metrics.json to scores"
+    assert "crossing" in out
+    metrics = json.loads(Path("scores/metrics.json").read_text())
+    assert {name: metrics[name] for name in metrics if name != "splits"} == {
+        "version": 1,
+        "score_threshold": 0.9,
+        "alpha": 0.1,
+        "labelled": "visible",
+    }
+    (split,) = metrics["splits"].values()
+    assert list(metrics["splits"]) == ["crossing"]
+    assert list(split) == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
+    assert (split["images"], split["ground_truth"], split["detections"]) == (2, 2, 2)
+    assert split["iou"]["0.9"]["box_precision"] == {"paper": 1.0, "pooled": 0.5}
+    assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)
+    assert split["by"] == {}
+
+
+def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data")
+    truth = root / "annotations" / "easy.json"
+    found = [
+        Result(image_id=a.image_id, score=0.97, bbox=a.bbox, keypoints=a.keypoints)
+        for a in coco.read(truth).annotations
+    ]
+    coco.write_results(tmp_path / "results.json", found)
+    for out in ("one", "two"):
+        assert skope("eval", "--annotations", truth, "--predictions", "results.json", "--out", out)[0] == 0
+    assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
+    assert sorted(files_of(tmp_path / "one")) == ["metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg"]
+    sheet = cv2.imread(str(tmp_path / "one" / "overlays" / "easy_1.jpg"))
+    assert sheet is not None
+    assert sheet.shape[1] > 2 * 2 * 160  # two panels, enlarged twice
+
+
+def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data", images=3)
+    (tmp_path / "none.json").write_text("[]")
+    common = ("eval", "--data", root, "--predictions", "none.json", "--split", "train")
+    code, out, _ = skope(*common)
+    assert code == 0
+    assert "No detection scores above 0.9 in train: there is none at all." in out
+    assert (
+        out.splitlines()[-1]
+        == "Wrote metrics.json to eval; look at eval/overlays/ (ground truth left, predictions right)"
+    )
+    assert skope(*common, "--max-images", 2)[0] == 0
+    assert json.loads(Path("eval/metrics.json").read_text())["splits"]["train"]["images"] == 2
+
+
+def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path, score=0.41)
+    _, out, _ = skope("eval", "--annotations", truth, "--predictions", results)
+    assert out.splitlines()[-3:] == [
+        "No detection scores above 0.9 in crossing: the highest score is 0.410.",
+        "To see what there is: `skope eval --score 0.3`. AP counts all detections.",
+        "Wrote metrics.json to eval",
+    ]
+    _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3")
+    assert "No detection" not in out
+
+
+def test_flags_change_what_is_measured(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    common = ("eval", "--annotations", truth, "--predictions", results)
+    _, pooled, _ = skope(*common)
+    _, paper, _ = skope(*common, "--protocol", "paper", "--quiet")
+    assert pooled != paper
+    skope(*common, "--labelled", "all", "--alpha", "0.05")
+    metrics = json.loads(Path("eval/metrics.json").read_text())
+    assert (metrics["labelled"], metrics["alpha"]) == ("all", 0.05)
+
+
+def test_the_installed_command_ends_with_code_2_and_one_line(tmp_path: Path) -> None:
+    call = [sys.executable, "-m", "skope", "eval"]
+    done = subprocess.run(call, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == ("skope: data/skope: no such dataset folder; `skope gen --out data/skope` makes one\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_version_is_printed(skope: Any) -> None:
+    code, out, _ = skope("eval", "--version")
+    assert code == 0
+    assert out.startswith("skope ")
+
+
+# ------------------------------------------------------------------------------------------------ users' mistakes
+
+
+def broken(results: Path, **changes: Any) -> None:
+    """Change fields of the second result."""
+    rows = json.loads(results.read_text())
+    rows[1] |= changes
+    results.write_text(json.dumps(rows))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"image_id": 77}, "results[1]: image_id 77 is not among the images of crossing"),
+        ({"category_id": 3}, "results[1]: category_id 3 is not the vehicles' 1"),
+        ({"score": float("nan")}, "results[1]: score: expected a number from 0 to 1, got nan"),
+        ({"score": 7}, "results[1]: score: expected a number from 0 to 1, got 7"),
+        ({"keypoints": [1.0] * 51}, "results[1]: keypoints: expected 33 x 3 numbers, got 51"),
+        ({"keypoints": [float("nan")] * 99}, "results[1]: keypoints: not all numbers are finite"),
+        ({"bbox": [1, 2, 3]}, "results[1]: bbox: expected 4 numbers, got 3"),
+        ({"bbox": "wide"}, "results[1]: bbox: expected numbers, got 'wide'"),
+    ],
+)
+def test_a_bad_result_gets_one_line(skope: Any, tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    truth, results = write_pair(tmp_path)
+    broken(results, **changes)
+    code, out, err = skope("eval", "--annotations", truth, "--predictions", results)
+    assert (code, out, err) == (2, "", f"skope: {results}: {said}\n")
+    assert not Path("eval").exists()
+
+
+@pytest.mark.parametrize("missing", ["image_id", "keypoints", "score"])
+def test_a_missing_field_of_a_result_is_named(skope: Any, tmp_path: Path, missing: str) -> None:
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    del rows[0][missing]
+    results.write_text(json.dumps(rows))
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results)
+    assert (code, err) == (2, f"skope: {results}: results[0]: field {missing} is missing\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("not json", "not valid JSON"),
+        ("{}", "expected a list of results, got a dict"),
+        ("[3]", "results[0]: expected an object, got '3'"),
+        ("", "not valid JSON"),
+    ],
+)
+def test_a_results_file_that_is_none(skope: Any, tmp_path: Path, text: str, said: str) -> None:
+    truth, results = write_pair(tmp_path)
+    results.write_text(text)
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results)
+    assert code == 2
+    assert err.startswith(f"skope: {results}: {said}")
+    assert err.count("\n") == 1
+
+
+def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    for row in rows:
+        del row["bbox"]
+        row["keypoints"][:6] = [10, 10, 0.5, 70, 50, 0.5]
+    results.write_text(json.dumps(rows))
+    assert skope("eval", "--annotations", truth, "--predictions", results)[0] == 0
+    assert json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]["iou"]["0.9"]["matched"] == 1
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--split", "night"), "no split 'night'; there are: easy, train"),
+        (("--split", "easy,night"), "no split 'night'; there are: easy, train"),
+        (("--protocol", "best"), "--protocol: 'best' is not one of pooled, paper"),
+        (("--labelled", "some"), "--labelled: 'some' is not one of visible, all"),
+        (("--boxes", "round"), "--boxes: 'round' is not one of full, visible, given"),
+        (("--score", "2"), "--score: expected a number from 0 to 1, got 2.0"),
+        (("--alpha", "-1"), "--alpha: expected a positive number, got -1.0"),
+        (("--max-images", "0"), "--max-images: expected a whole number from 1, got 0"),
+        (("--checkpoint", "nowhere"), "nowhere: no such checkpoint"),
+        (("--device", "abacus"), "abacus"),
+        (("--out", "results.json"), "--out: results.json is a file, expected a folder"),
+        (("--predictions", "results.json"), "--predictions with a dataset needs exactly one --split"),
+        (("--predictions", "results.json", "--checkpoint", "x"), "--predictions and --checkpoint do not go together"),
+        (("--predictions", "results.json", "--boxes", "given"), "--predictions and --boxes given do not go together"),
+        (("--annotations", "crossing.json"), "--annotations and --data do not go together"),
+        (("--predictions", "gone.json", "--split", "easy"), "gone.json: no such file"),
+    ],
+)
+def test_a_bad_flag_gets_one_line(skope: Any, tmp_path: Path, flags: tuple[str, ...], said: str) -> None:
+    write_pair(tmp_path)
+    make_dataset(tmp_path / "data")
+    before = files_of(tmp_path)
+    code, out, err = skope("eval", "--data", "data", *flags)
+    assert (code, out) == (2, "")
+    assert said in err
+    assert err.startswith("skope: ")
+    assert err.count("\n") == 1
+    assert files_of(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--annotations", "crossing.json"), "--annotations needs --predictions"),
+        (
+            ("--annotations", "crossing.json", "--predictions", "results.json", "--split", "a"),
+            "--split do not go together",
+        ),
+        (("--annotations", "gone.json", "--predictions", "results.json"), "gone.json: no such file"),
+        (("--annotations", "results.json", "--predictions", "results.json"), "expected a COCO object"),
+    ],
+)
+def test_a_bad_pair_of_files_gets_one_line(skope: Any, tmp_path: Path, flags: tuple[str, ...], said: str) -> None:
+    write_pair(tmp_path)
+    code, _, err = skope("eval", *flags)
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_visible_boxes_that_are_not_annotated_are_named(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    file = coco.read(truth)
+    bare = replace(file.annotations[1], bbox_visible=None)
+    coco.write(truth, replace(file, annotations=(file.annotations[0], bare)))
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results, "--boxes", "visible")
+    assert code == 2
+    assert "crossing: annotation 2: field bbox_visible is missing" in err
+
+
+def test_an_out_that_cannot_be_made_gets_one_line(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "results.json/below")
+    assert code == 2
+    assert err.count("\n") == 1
+
+
+def test_a_broken_image_costs_its_overlay_only(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data", images=2)
+    file = coco.read(root / "annotations" / "easy.json")
+    (root / file.images[0].file_name).write_bytes(b"")
+    (tmp_path / "none.json").write_text("[]")
+    code, out, _ = skope("eval", "--data", root, "--predictions", "none.json", "--split", "easy")
+    assert code == 0
+    assert "no overlay: " in out
+    assert [path.name for path in Path("eval/overlays").iterdir()] == ["easy_2.jpg"]

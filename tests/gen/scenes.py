@@ -1,0 +1,61 @@
+"""Small recordings made by hand or by a short simulation, for tests."""
+
+from functools import cache
+
+import numpy as np
+
+from skope.camera import Camera
+from skope.gen.recording import RecordedVehicle, Recording
+from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.towns import site
+from skope.gen.vehicles import fleet
+
+
+def pose(x: float, y: float, yaw: float) -> np.ndarray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], weather: str = "clear") -> Recording:
+    """One frame of vehicles (model, x, y, yaw) standing in town 01."""
+    chassis = np.array([pose(x, y, yaw) for _, x, y, yaw in vehicles]).reshape(-1, 4, 4)
+    models = [fleet()[model].vehicle for model, *_ in vehicles]
+    wheels = np.tile(np.eye(4), (len(vehicles), 4, 1, 1))
+    for i, vehicle in enumerate(models):
+        wheels[i, :, :3, :3] = chassis[i, :3, :3]
+        wheels[i, :, :3, 3] = vehicle.shape.wheel_centers() @ chassis[i, :3, :3].T + chassis[i, :3, 3]
+    count = len(vehicles)
+    return Recording(
+        town="town01",
+        site="t01_mill_corner",
+        name="00",
+        split="train",
+        camera=camera,
+        weather=weather,
+        time_of_day="noon",
+        sun_elevation_deg=55.0,
+        sun_azimuth_deg=240.0,
+        seed=0,
+        versions={},
+        vehicles=tuple(
+            RecordedVehicle(i + 1, vehicle.model, vehicle.shape.to_dict(), "blue") for i, vehicle in enumerate(models)
+        ),
+        times_s=np.array([0.0]),
+        signals=({"crossing": "r" * 40},),
+        frame=np.zeros(count, dtype=np.int32),
+        vehicle=np.arange(count, dtype=np.int32),
+        T_world_chassis=chassis,
+        T_world_wheels=wheels,
+        velocity=np.zeros((count, 3)),
+        lamps=np.zeros(count, dtype=np.uint8),
+    )
+
+
+@cache
+def driven(name: str = "t01_mill_corner", frames: int = 4, seed: int = 3, fov_deg: float = 110) -> Recording:
+    """A short simulated recording at 640x360."""
+    return simulate(
+        RecordingPlan(
+            site=site(name), index=0, frames=frames, interval=0.5, size=(640, 360), fov_deg=fov_deg, seed=seed
+        )
+    )

@@ -1,0 +1,251 @@
+import math
+
+import numpy as np
+import pytest
+
+from skope import keypoints
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.gen.annotate import Rules, annotate, bbox_of, behind, locate, occluded_by_others
+from skope.gen.recording import Recording
+from skope.gen.render import SKY, STATIC, Silhouette, View, make_renderer
+from skope.schema import Annotation
+from tests.gen.rays import cast, vehicle_triangles
+from tests.gen.scenes import driven, standing
+
+K = keypoints.K
+CAMERA = Camera.looking([0, -9, 6.5], yaw=np.pi / 2, pitch_down=0.35, size=(640, 360), fov=np.radians(80))
+
+
+def wall(camera: Camera, distance: float, number: int = STATIC) -> View:
+    """A view of a wall across the optical axis."""
+    shape = (camera.height, camera.width)
+    return View(
+        np.zeros((*shape, 3), np.uint8),
+        np.full(shape, distance, np.float32),
+        np.zeros((*shape, 2), np.float32),
+        np.full(shape, number, np.int32),
+        (),
+        np.zeros(0),
+    )
+
+
+def test_points_behind_and_before_a_wall() -> None:
+    camera = Camera.looking([0, 0, 0], yaw=0, pitch_down=0, size=(640, 360))
+    # Camera looks along x; pixel centres nearest to the axis are 0.7 px off, which changes distances by micrometres.
+    gap, ids = behind(wall(camera, 20.0), camera, np.array([[20.03, 0, 0], [20.3, 0, 0], [19.0, 0, 0], [-5, 0, 0]]))
+    np.testing.assert_allclose(gap[:3], [0.03, 0.3, -1.0], atol=1e-3)
+    assert np.isnan(gap[3])
+    assert ids.tolist() == [0, 0, 0, -2]
+
+
+def test_distances_are_compared_not_depths() -> None:
+    """At the corner of 110 degrees a point 0.3 m behind the wall along its ray is 0.16 m deeper than it."""
+    camera = Camera.looking([0, 0, 0], yaw=0, pitch_down=0, size=(1920, 1080))
+    ray = camera.unproject([[1900.5, 20.5]], [1.0])[0][0]
+    length = np.linalg.norm(ray)
+    assert length > 1.85
+    gap, _ = behind(wall(camera, 20.0), camera, (ray * (20.0 * length + 0.3) / length)[None])
+    assert gap[0] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_sky_hides_nothing() -> None:
+    camera = Camera.looking([0, 0, 0], yaw=0, pitch_down=0, size=(640, 360))
+    gap, _ = behind(wall(camera, math.inf, SKY), camera, np.array([[1e4, 0, 0]]))
+    assert gap[0] == -math.inf
+
+
+def test_slope_allows_for_the_offset_between_pixel_centre_and_point() -> None:
+    """A road seen at a grazing angle: its depth changes by a metre a pixel, its points are still on it."""
+    camera = Camera.looking([0, 0, 6.0], yaw=0, pitch_down=0, size=(640, 360))
+    rows = np.arange(360) + 0.5
+    down = (rows - 180) / camera.K[1, 1]
+    depth = np.where(down > 0, 6.0 / np.where(down > 0, down, 1), np.inf)
+    inverse_slope = np.where(down > 0, 1 / camera.K[1, 1] / 6.0, 0)
+    view = wall(camera, 1.0)
+    slope_down = np.where(down > 0, -inverse_slope * np.where(down > 0, depth, 0) ** 2, 0)
+    tilted = View(
+        view.rgb,
+        np.tile(depth[:, None], (1, 640)).astype(np.float32),
+        np.stack([np.zeros((360, 640)), np.tile(slope_down[:, None], (1, 640))], -1).astype(np.float32),
+        view.ids,
+        (),
+        view.contrast,
+    )
+    rng = np.random.default_rng(0)
+    points = np.stack([rng.uniform(20, 90, 500), rng.uniform(-15, 15, 500), np.zeros(500)], axis=1)
+    gap, _ = behind(tilted, camera, points)
+    assert np.nanmax(gap) < 0.05
+    bare = View(view.rgb, tilted.depth, np.zeros_like(tilted.slope), view.ids, (), view.contrast)
+    assert (behind(bare, camera, points)[0] > 0.05).mean() > 0.3
+
+
+def test_rule_others_by_hand() -> None:
+    hidden, inside = np.zeros((4, K), bool), np.ones((4, K), bool)
+    hidden[0, :16] = True  # 16 of 33: not more than half
+    hidden[1, :17] = True
+    inside[2, 10:] = False
+    hidden[2, :5] = True  # 5 of 10
+    inside[3, 10:] = False
+    hidden[3, :6] = True
+    assert occluded_by_others(hidden, inside).tolist() == [False, True, False, True]
+
+
+def scene(hide: str) -> tuple[Recording, View]:
+    """A sedan whose pixels are replaced by a near wall (`static`) or not at all."""
+    recording = standing(CAMERA, [("sedan", 0.0, 6.0, 0.3)])
+    view = make_renderer("pybullet", recording).render(0)
+    if hide == "static":
+        rows, columns = np.nonzero(view.ids == 1)
+        cut = np.quantile(columns, 0.8)
+        depth, ids = view.depth.copy(), view.ids.copy()
+        covered = np.zeros_like(ids, bool)
+        covered[rows.min() - 3 : rows.max() + 4, : int(cut)] = True
+        depth[covered], ids[covered] = 3.0, STATIC
+        view = View(view.rgb, depth, np.zeros_like(view.slope), ids, view.silhouettes, view.contrast)
+    return recording, view
+
+
+def test_a_car_in_full_view_is_ground_truth_by_others_and_may_fall_by_paper() -> None:
+    recording, view = scene("nothing")
+    (annotation,), tally = annotate(recording.moment(0), view, CAMERA, Rules(), 7)
+    assert annotation.image_id == 7
+    assert not annotation.ignored
+    assert annotation.occlusion == 0
+    assert annotation.truncation == 0
+    hidden = int((annotation.keypoints[:, 2] == 1).sum())
+    assert 10 <= hidden <= 20  # about half of the points are on the far side
+    assert tally.occluded_others == 0
+
+
+def test_a_car_behind_a_wall_is_ignored_by_others_and_removed_by_paper() -> None:
+    recording, view = scene("static")
+    (annotation,), tally = annotate(recording.moment(0), view, CAMERA, Rules(), 1)
+    assert annotation.ignore_reason == "occluded"
+    assert annotation.iscrowd == 1
+    assert annotation.occlusion > 0.6
+    assert tally.ignored == {"occluded": 1}
+    removed, tally = annotate(recording.moment(0), view, CAMERA, Rules(occlusion="paper"), 1)
+    assert removed == []
+    assert (tally.occluded_others, tally.occluded_paper) == (1, 1)
+
+
+def test_no_visible_pixel_no_annotation() -> None:
+    recording, view = scene("nothing")
+    ids = np.where(view.ids == 1, STATIC, view.ids)
+    hidden = View(view.rgb, view.depth, view.slope, ids, view.silhouettes, view.contrast)
+    assert annotate(recording.moment(0), hidden, CAMERA, Rules(), 1)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("rules", "contrast", "reason"),
+    [
+        (Rules(min_box=500), 9.0, "small"),
+        (Rules(min_visible=1.0), 9.0, None),
+        (Rules(), 0.5, "unseen"),
+        (Rules(), 9.0, None),
+    ],
+)
+def test_reasons_to_ignore(rules: Rules, contrast: float, reason: str | None) -> None:
+    recording, view = scene("nothing")
+    view = View(view.rgb, view.depth, view.slope, view.ids, view.silhouettes, np.array([contrast]))
+    (annotation,), _ = annotate(recording.moment(0), view, CAMERA, rules, 1)
+    assert annotation.ignore_reason == reason
+
+
+def test_a_sliver_at_the_image_edge() -> None:
+    recording, view = scene("nothing")
+    mask = view.silhouettes[0].mask
+    wide = np.pad(mask, ((0, 0), (20 * mask.shape[1], 0)), constant_values=True)
+    whole = Silhouette(view.silhouettes[0].x - 20 * mask.shape[1], view.silhouettes[0].y, wide)
+    cut = View(view.rgb, view.depth, view.slope, view.ids, (whole,), view.contrast)
+    (annotation,), _ = annotate(recording.moment(0), cut, CAMERA, Rules(), 1)
+    assert annotation.ignore_reason == "sliver"
+    assert annotation.truncation is not None
+    assert annotation.truncation > 0.5
+
+
+def test_bbox_of_a_mask() -> None:
+    mask = np.zeros((20, 30), bool)
+    mask[4:7, 10:15] = True
+    assert bbox_of(mask).tolist() == [10, 4, 5, 3]
+
+
+def test_wheels_of_the_near_side_are_seen_and_those_of_the_far_side_hidden() -> None:
+    for yaw in np.radians([0, 15, 30, 45, 60]):
+        for turn, near in ((0, "right"), (math.pi, "left")):
+            recording = standing(CAMERA, [("sedan", 0.0, 3.0, yaw + turn)])
+            view = make_renderer("pybullet", recording).render(0)
+            (annotation,), _ = annotate(recording.moment(0), view, CAMERA, Rules(), 1)
+            v = {name: annotation.keypoints[i, 2] for name, i in keypoints.INDEX.items()}
+            far = "left" if near == "right" else "right"
+            assert (v[f"wheel_front_{near}"], v[f"wheel_rear_{near}"]) == (2, 2), (yaw, near)
+            assert (v[f"wheel_front_{far}"], v[f"wheel_rear_{far}"]) == (1, 1), (yaw, near)
+
+
+def test_visibility_agrees_with_ray_casting() -> None:
+    """Every point inside 100 m against a ray to itself, at the angular resolution of the default 1920x1080 camera.
+
+    A pixel shows its centre only: points within half a pixel of an edge may fall on either side of it.
+    """
+    recording = driven("t01_main_west", fov_deg=50)
+    renderer = make_renderer("pybullet", recording)
+    agree = total = 0
+    for frame in (0, 3):
+        moment, view = recording.moment(frame), renderer.render(frame)
+        annotations, _ = annotate(moment, view, recording.camera, Rules(), 1)
+        located = locate(moment, "rigid")
+        triangles = np.concatenate([vehicle_triangles(moment, i) for i in range(len(moment.vehicles))])
+        tracks = {vehicle.track_id: i for i, vehicle in enumerate(moment.vehicles)}
+        for annotation in annotations:
+            assert annotation.track_id is not None
+            points = located.tested[tracks[annotation.track_id]]
+            direction = points - recording.camera.position
+            distance = np.linalg.norm(direction, axis=1)
+            hits, _ = cast(recording.camera.position, direction / distance[:, None], triangles)
+            # Static scenery is not among the triangles: leave out the points that only it hides.
+            static = view_shows_static(recording.camera, view, points)
+            expected = np.where(distance - hits > 0.05, 1, 2)
+            use = (annotation.keypoints[:, 2] > 0) & ~static & (distance < 100)
+            agree += int((expected == annotation.keypoints[:, 2])[use].sum())
+            total += int(use.sum())
+    assert total > 200
+    assert agree / total > 0.97
+
+
+def view_shows_static(camera: Camera, view: View, points: np.ndarray) -> np.ndarray:
+    gap, ids = behind(view, camera, points)
+    return (ids == STATIC) & (gap > 0.05)
+
+
+def test_annotations_carry_what_the_recording_knows() -> None:
+    recording, view = scene("nothing")
+    (annotation,), _ = annotate(recording.moment(0), view, CAMERA, Rules(), 1)
+    assert isinstance(annotation, Annotation)
+    assert (annotation.model, annotation.vehicle_type, annotation.color) == ("sedan", "sedan", "blue")
+    assert annotation.box_3d is not None
+    np.testing.assert_allclose(annotation.box_3d.center, [0, 6, 1.45 / 2], atol=1e-9)
+    assert annotation.box_3d.yaw == pytest.approx(0.3)
+    assert annotation.distance == pytest.approx(np.linalg.norm(np.array([0, 6, 0.725]) - [0, -9, 6.5]))
+    assert annotation.keypoints_3d is not None
+    pixels, _, _ = CAMERA.project(annotation.keypoints_3d)
+    np.testing.assert_allclose(annotation.keypoints[:, :2], pixels, atol=0.006)
+    x, y, w, h = annotation.bbox
+    inside = (pixels >= [x - 1, y - 1]).all(1) & (pixels <= [x + w + 1, y + h + 1]).all(1)
+    assert inside.all()
+
+
+def test_localizers_agree_on_a_standing_vehicle() -> None:
+    recording, view = scene("nothing")
+    free = annotate(recording.moment(0), view, CAMERA, Rules(localizer="trilateration"), 1)[0][0]
+    rigid = annotate(recording.moment(0), view, CAMERA, Rules(), 1)[0][0]
+    np.testing.assert_allclose(free.keypoints_3d, rigid.keypoints_3d, atol=1e-3)
+    assert locate(recording.moment(0), "rigid").difference.max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "rules", [{"occlusion": "none"}, {"localizer": "guess"}, {"min_visible": 1.5}, {"min_box": -1.0}]
+)
+def test_bad_rules_are_refused(rules: dict) -> None:
+    with pytest.raises(UserError, match="--"):
+        Rules(**rules)

@@ -1,0 +1,274 @@
+import json
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skope import coco, keypoints
+from skope.camera import Camera, Distortion
+from skope.errors import UserError
+from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
+from tests.samples import make_annotation, make_image
+
+Document = dict[str, Any]
+
+
+def full_image() -> Image:
+    """Every field is set."""
+    return Image(
+        id=3,
+        file_name="images/t01/00_000001.jpg",
+        width=640,
+        height=360,
+        depth_file_name="depth/t01/00_000001.png",
+        town="t01",
+        site="t01_a",
+        recording="00",
+        frame_index=1,
+        time_s=0.5,
+        split="hard",
+        weather="after_rain",
+        sun_elevation_deg=-3.25,
+        camera=Camera.looking(
+            [1, 2, 7],
+            yaw=0.7,
+            pitch_down=0.3,
+            roll=0.02,
+            size=(640, 360),
+            distortion=Distortion("brown", (-0.1, 0.01, 0.0, 0.0)),
+        ),
+    )
+
+
+def full_annotation() -> Annotation:
+    """Every field is set, at the digits that are written."""
+    rng = np.random.default_rng(5)
+    points = np.concatenate([np.round(rng.uniform(0, 300, (33, 2)), 2), rng.integers(1, 3, (33, 1))], axis=1)
+    points[7] = 0
+    angle = 0.3
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    return Annotation(
+        id=11,
+        image_id=3,
+        bbox=np.array([1.25, 2.5, 300.75, 200.0]),
+        keypoints=points,
+        area=1234,
+        iscrowd=1,
+        segmentation={"size": [360, 640], "counts": "abc"},
+        track_id=4,
+        model="sedan_a",
+        vehicle_type="sedan",
+        color="red",
+        parked=False,
+        bbox_visible=np.array([2.0, 3.0, 100.0, 50.5]),
+        area_full=2000,
+        keypoints_3d=np.round(rng.normal(0, 20, (33, 3)), 4),
+        box_3d=Box3D(center=np.array([1.0, 2.0, 0.75]), size_lwh=np.array([4.5, 1.8, 1.5]), yaw=angle, R=turn),
+        velocity=np.array([3.5, -1.25, 0.0]),
+        distance=21.5,
+        occlusion=0.25,
+        truncation=0.0,
+        contrast=7.5,
+        ignore_reason="occluded",
+    )
+
+
+def same(a: Any, b: Any) -> bool:
+    """Deep equality of records that hold arrays."""
+    if hasattr(a, "__dataclass_fields__"):
+        return type(a) is type(b) and all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.shape == b.shape and bool(np.array_equal(a, b))
+    return bool(a == b)
+
+
+def test_every_field_comes_back(tmp_path: Path) -> None:
+    image, vehicle = full_image(), full_annotation()
+    assert all(getattr(image, f.name) is not None for f in fields(image))
+    assert all(getattr(vehicle, f.name) is not None for f in fields(vehicle))
+    path = tmp_path / "hard.json"
+    coco.write(path, AnnotationFile(images=(image,), annotations=(vehicle,), info={"seed": 7}))
+    back = coco.read(path)
+    assert back.name == "hard"
+    assert back.info["seed"] == 7
+    assert back.info["keypoint_scheme"] == "skope33"
+    for record, other in ((image, back.images[0]), (vehicle, back.annotations[0])):
+        for field in fields(record):
+            assert same(getattr(record, field.name), getattr(other, field.name)), field.name
+    coco.write(tmp_path / "again.json", back)
+    assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
+
+
+def test_fields_that_are_not_known_stay_away(tmp_path: Path) -> None:
+    bare = Annotation(id=1, image_id=1, bbox=np.array([0, 0, 4, 2]), keypoints=np.zeros((33, 3)), area=8)
+    image = Image(id=1, file_name="a.jpg", width=4, height=3)
+    coco.write(tmp_path / "a.json", AnnotationFile(images=(image,), annotations=(bare,)))
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert set(document["images"][0]) == {"id", "file_name", "width", "height"}
+    assert set(document["annotations"][0]) == {
+        *("id", "image_id", "category_id", "iscrowd", "bbox", "area", "keypoints", "num_keypoints"),
+    }
+    assert coco.read(tmp_path / "a.json").annotations[0].keypoints_3d is None
+
+
+def test_coordinates_are_rounded_and_no_zero_is_negative(tmp_path: Path) -> None:
+    vehicle = make_annotation(1, 1, (-0.001, 1.23456, 50, 20))
+    coco.write(tmp_path / "a.json", AnnotationFile(images=(make_image(1),), annotations=(vehicle,)))
+    text = (tmp_path / "a.json").read_text()
+    assert '"bbox":[0.0,1.23,50.0,20.0]' in text
+    assert "-0.0," not in text.split('"annotations"')[1]
+
+
+def test_an_empty_file_is_a_file(tmp_path: Path) -> None:
+    coco.write(tmp_path / "a.json", AnnotationFile(images=(), annotations=()))
+    back = coco.read(tmp_path / "a.json")
+    assert back.images == back.annotations == ()
+
+
+def test_plain_coco_without_info_or_area_is_read(tmp_path: Path) -> None:
+    document = sample(tmp_path / "a.json")
+    del document["info"]
+    del document["annotations"][0]["area"]
+    document["annotations"][0]["attributes"] = {"unknown": 1}
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    assert coco.read(tmp_path / "a.json").annotations[0].area == 60 * 40
+
+
+# ------------------------------------------------------------------------------------------------- bad fields
+
+
+def sample(path: Path) -> Document:
+    vehicles = (make_annotation(1, 1, (10, 10, 60, 40)), make_annotation(2, 1, (80, 50, 60, 40)))
+    coco.write(path, AnnotationFile(images=(make_image(1), make_image(2)), annotations=vehicles))
+    document: Document = json.loads(path.read_text())
+    return document
+
+
+def put(value: Any, *keys: str | int) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+
+    return change
+
+
+def drop(*keys: str | int) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in keys[:-1]:
+            place = place[key]
+        del place[keys[-1]]
+
+    return change
+
+
+NAMES = list(keypoints.NAMES)
+SWAPPED = [NAMES[1], NAMES[0], *NAMES[2:]]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (drop("images"), "field images is missing or not a list"),
+        (put({}, "annotations"), "field annotations is missing or not a list"),
+        (drop("categories"), "field categories: expected exactly one category"),
+        (put([], "categories"), "field categories: expected exactly one category"),
+        (put(NAMES[:17], "categories", 0, "keypoints"), "categories[0].keypoints: expected 33 names, got 17"),
+        (drop("categories", 0, "keypoints"), "categories[0].keypoints: expected 33 names, got none"),
+        (
+            put(SWAPPED, "categories", 0, "keypoints"),
+            "categories[0].keypoints[0]: 'roof_front_left' is not scheme skope33's 'roof_front_right'",
+        ),
+        (put("apollo24", "info", "keypoint_scheme"), "info.keypoint_scheme: 'apollo24' cannot be read as skope33"),
+        (drop("images", 1, "width"), "images[1]: field width is missing"),
+        (put(-3, "images", 1, "height"), "images[1]: camera size: 160x-3 is not positive"),
+        (put("../x.jpg", "images", 0, "file_name"), "images[0]: file_name: expected a path inside the dataset folder"),
+        (put(1, "images", 1, "id"), "field images: two images share an id"),
+        (drop("images", 0, "camera", "K"), "images[0]: camera: field 'K' is missing"),
+        (put([[1, 2], [3, 4]], "images", 0, "camera", "K"), "images[0]: camera.K: expected 3x3 finite numbers"),
+        (put("wide", "images", 0, "camera"), "images[0]: camera: "),
+        (drop("annotations", 1, "bbox"), "annotations[1]: field bbox is missing"),
+        (drop("annotations", 1, "keypoints"), "annotations[1]: field keypoints is missing"),
+        (put([1, 2, 3], "annotations", 1, "bbox"), "annotations[1]: bbox: expected 4 numbers, got 3"),
+        (put([1], "annotations", 1, "category_id"), "annotations[1]: category_id: expected a whole number from 0"),
+        (put([0.0] * 51, "annotations", 1, "keypoints"), "annotations[1]: keypoints: expected 33 x 3 numbers, got 51"),
+        (put(3, "annotations", 1, "keypoints", 2), "annotations[1]: keypoints: v is 0, 1 or 2"),
+        (put(float("nan"), "annotations", 0, "keypoints", 0), "annotations[0]: keypoints: not all numbers are finite"),
+        (put("x", "annotations", 0, "keypoints", 0), "annotations[0]: keypoints: expected numbers"),
+        (put(1, "annotations", 1, "id"), "annotations[1]: id 1 stands twice"),
+        (put(77, "annotations", 1, "image_id"), "annotations[1]: image_id 77 is not among the images"),
+        (put("tank", "annotations", 0, "vehicle_type"), "annotations[0]: vehicle_type: 'tank' is not one of"),
+        (put({"yaw": 0}, "annotations", 0, "box_3d"), "annotations[0]: field center is missing"),
+        (put("car", "annotations", 0), "annotations[0]: expected an object, got 'car'"),
+    ],
+)
+def test_a_bad_field_is_named(tmp_path: Path, change: Callable[[Document], None], said: str) -> None:
+    path = tmp_path / "a.json"
+    document = sample(path)
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(UserError) as caught:
+        coco.read(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not valid JSON: Expecting property name enclosed in double quotes at line 1"),
+        ("[]", "expected a COCO object with images and annotations, got a list"),
+        ("\x00", "not valid JSON"),
+    ],
+)
+def test_a_file_that_is_no_coco_is_named(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(UserError) as caught:
+        coco.read(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+
+
+def test_other_things_than_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"gone\.json: no such file"):
+        coco.read(tmp_path / "gone.json")
+    with pytest.raises(UserError, match="is a folder"):
+        coco.read(tmp_path)
+    (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match="not UTF-8"):
+        coco.read(tmp_path / "binary.json")
+
+
+# ---------------------------------------------------------------------------------------------------- results
+
+
+def test_results_come_back_rounded(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    results = tuple(
+        Result(image_id=i, score=float(rng.random()), bbox=rng.uniform(0, 99, 4), keypoints=rng.uniform(0, 1, (33, 3)))
+        for i in (2, 1)
+    )
+    path = tmp_path / "results.json"
+    coco.write_results(path, results)
+    back = coco.read_results(path)
+    assert [result.image_id for result in back] == [2, 1]
+    for before, after in zip(results, back, strict=True):
+        assert after.score == pytest.approx(before.score, abs=1e-6)
+        assert np.allclose(after.bbox, before.bbox, atol=0.005)
+        assert np.allclose(after.keypoints[:, :2], before.keypoints[:, :2], atol=0.005)
+        assert np.allclose(after.keypoints[:, 2], before.keypoints[:, 2], atol=0.00005)
+    coco.write_results(path, ())
+    assert coco.read_results(path) == ()
+
+
+def test_a_result_without_a_box_gets_the_extent_of_its_points() -> None:
+    points = np.full((33, 3), 0.5)
+    points[:, :2] = 20
+    points[0, :2], points[1, :2] = (10, 15), (40, 30)
+    result = coco.result_from_dict({"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.5})
+    assert result.bbox.tolist() == [10, 15, 30, 15]

@@ -1,0 +1,129 @@
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from skope import dataset
+from skope.errors import UserError
+from skope.schema import AnnotationFile
+from tests.samples import make_annotation, make_dataset, make_image
+
+
+def test_a_folder_is_read(tmp_path: Path) -> None:
+    data = dataset.open_dataset(make_dataset(tmp_path / "data", images=2))
+    assert data.splits == ("easy", "train")
+    file = data.read("train")
+    assert (len(file.images), len(file.annotations), file.name) == (2, 4, "train")
+    pixels = data.image(file.images[0])
+    assert pixels.shape == (120, 160, 3)
+    x, y, _, _ = file.annotations[0].bbox.astype(int)
+    assert pixels[y + 1, x + 1].tolist() == [40, 60, 150]  # RGB, as drawn
+    assert data.depth(file.images[0]) is None
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no such dataset folder; `skope gen"):
+        dataset.open_dataset(tmp_path / "nowhere")
+    with pytest.raises(UserError, match=r"no dataset\.json in it"):
+        dataset.open_dataset(tmp_path)
+    root = make_dataset(tmp_path / "data", images=1)
+    data = dataset.open_dataset(root)
+    with pytest.raises(UserError, match="no split 'hard'; there are: easy, train"):
+        data.read("hard")
+    image = data.read("easy").images[0]
+    (root / image.file_name).unlink()
+    with pytest.raises(UserError, match=f"{image.file_name}: no such file"):
+        data.image(image)
+
+
+@pytest.mark.parametrize("card", [{"keypoint_scheme": "apollo24"}, {}, []])
+def test_a_card_of_another_scheme_is_refused(tmp_path: Path, card: object) -> None:
+    root = make_dataset(tmp_path / "data", images=1)
+    (root / "dataset.json").write_text(json.dumps(card))
+    with pytest.raises(UserError, match="keypoint_scheme: expected 'skope33'"):
+        dataset.open_dataset(root)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.999])
+def test_a_truncated_jpeg_is_refused(tmp_path: Path, share: float) -> None:
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (90, 120, 3), dtype=np.uint8))
+    whole = path.read_bytes()
+    assert dataset.read_image(path, size=(120, 90)).shape == (90, 120, 3)
+    path.write_bytes(whole[: int(len(whole) * share)])
+    with pytest.raises(UserError, match="truncated JPEG"):
+        dataset.read_image(path)
+
+
+@pytest.mark.parametrize("data", [b"", b"GIF89a", b"\x89PNG\r\n\x1a\n broken"])
+def test_a_file_that_is_no_image_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(data)
+    with pytest.raises(UserError, match="not an image that can be decoded"):
+        dataset.read_image(path)
+
+
+def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.zeros((3, 4, 3), np.uint8))
+    with pytest.raises(UserError, match=r"a\.png: is 4x3, its annotation says 4x4"):
+        dataset.read_image(path, size=(4, 4))
+
+
+# ------------------------------------------------------------------------------------------------------- depth
+
+
+def test_depth_keeps_a_256th_of_a_metre_and_the_sky(tmp_path: Path) -> None:
+    depth = np.array([[0.0, 0.001, 1.0, 10.3], [255.99, 256.0, 4000.0, np.inf]], dtype=np.float32)
+    coded = dataset.encode_depth(depth)
+    assert coded.dtype == np.uint16
+    assert coded.tolist() == [[1, 1, 256, 2637], [65533, 65535, 65535, 0]]
+    cv2.imwrite(str(tmp_path / "d.png"), coded)
+    back = dataset.read_depth(tmp_path / "d.png")
+    assert back.dtype == np.float32
+    assert np.isinf(back).tolist() == np.isinf(depth).tolist()
+    assert np.abs(back[0, 2:] - depth[0, 2:]).max() <= 0.5 / 256
+    assert back[1, 2] == pytest.approx(255.99, abs=0.01)
+
+
+def test_a_depth_file_has_16_bits(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "d.png"), np.zeros((3, 4), np.uint8))
+    with pytest.raises(UserError, match="not a 16-bit depth image"):
+        dataset.read_depth(tmp_path / "d.png")
+    (tmp_path / "d.png").write_bytes(b"")
+    with pytest.raises(UserError, match="not a 16-bit depth image"):
+        dataset.read_depth(tmp_path / "d.png")
+
+
+# -------------------------------------------------------------------------------------------------------- take
+
+
+def file_of(vehicles: Sequence[int]) -> AnnotationFile:
+    """Images 1, 2, ... with an ignored vehicle each, and so many ground-truth ones."""
+    annotations = [
+        make_annotation(10 * image_id + i, image_id, (0, 0, 9, 9), iscrowd=int(i == 0))
+        for image_id, count in enumerate(vehicles, start=1)
+        for i in range(count + 1)
+    ]
+    images = tuple(make_image(i + 1) for i in range(len(vehicles)))
+    return AnnotationFile(images=images, annotations=tuple(annotations), name="train")
+
+
+@pytest.mark.parametrize(
+    ("n", "ids"), [(1, [1]), (2, [1, 5]), (3, [1, 4, 6]), (6, [1, 2, 4, 5, 6, 8]), (99, [1, 2, 4, 5, 6, 8])]
+)
+def test_images_with_vehicles_are_taken_evenly(n: int, ids: list[int]) -> None:
+    taken = dataset.take(file_of([1, 2, 0, 1, 3, 1, 0, 1]), n)
+    assert [image.id for image in taken.images] == ids
+    assert {a.image_id for a in taken.annotations} == set(ids)
+    assert sum(a.ignored for a in taken.annotations) == len(ids)  # the ignored vehicles come along
+    assert taken.name == "train"
+
+
+def test_nothing_to_take() -> None:
+    assert dataset.take(file_of([0, 0]), 3).images == ()
+    with pytest.raises(UserError, match="--max-images: expected a whole number from 1, got 0"):
+        dataset.take(file_of([1]), 0)
