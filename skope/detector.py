@@ -99,7 +99,8 @@ def choose_device(name: str) -> torch.device:
 def build(config: DetectorConfig, *, trainable_layers: int = 5) -> KeypointRCNN:
     """Keypoint R-CNN (ResNet50-FPN) for one class and 33 keypoints, weights drawn from torch's random state.
 
-    `trainable_layers` (0 to 5) counts the backbone's stages that learn, from the last one.
+    `trainable_layers` (0 to 5) counts the backbone's stages that learn, from the last one, where normalisation is
+    frozen; with normalisation that learns all of them do, as in torchvision.
     """
     return _build(config, trainable_layers, keypoints.K)
 
@@ -110,7 +111,7 @@ def _build(config: DetectorConfig, trainable_layers: int, num_keypoints: int) ->
         backbone_name="resnet50",
         weights=None,
         norm_layer=functools.partial(norm, eps=config.norm_eps),
-        trainable_layers=trainable_layers,
+        trainable_layers=trainable_layers if config.norm == "frozen" else 5,
     )
     return KeypointRCNN(
         backbone,

@@ -187,8 +187,13 @@ class Counts:
             "images": self.images,
             "ground_truth": sum(counter["ground_truth"] for counter in self.by["split"].values()),
             "ignored": dict(sorted(self.ignored.items())),
-            **{f"by_{group}": {name: dict(c) for name, c in names.items()} for group, names in self.by.items()},
+            "by_split": self._table("split", "images", "ground_truth", "ignored"),
+            "by_site": self._table("site", "images", "ground_truth", "ignored"),
+            "by_vehicle_type": self._table("vehicle_type", "ground_truth", "ignored"),
         }
+
+    def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
+        return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}
 
 
 def _short(value: Any) -> str:

@@ -54,7 +54,8 @@ def again(out: Path, data: Path | None, flags: Mapping[str, Any]) -> RunConfig:
 
 def loading_workers(*, gpu: bool) -> int:
     """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
-    return min(_MOST_WORKERS, os.cpu_count() or 1) if gpu else 0
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(_MOST_WORKERS, usable) if gpu else 0
 
 
 def how_to_go_on(out: Path) -> str:

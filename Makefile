@@ -1,0 +1,62 @@
+# skope: set-up, the demonstration, checks, and the pipeline from data to report.
+#
+#   make demo        set up, generate, train a little, evaluate, say where to look
+#   make test        set up, run the tests (make test-slow: those that take minutes)
+#   make lint        ruff and mypy
+#   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
+#   make bench       benchmarks
+#   make clean       remove what the targets made, but not data/ and runs/
+#
+# PIP_ARGS reaches pip, e.g. PIP_ARGS="--index-url ...".
+
+VENV    := .venv
+SKOPE   := $(VENV)/bin/skope
+STAMP   := $(VENV)/.ready
+DATA    ?= data/skope
+RUN     ?= runs/skope
+EPOCHS  ?= 10
+SOURCES := $(shell find skope -name '*.py' -o -name '*.toml' -o -name '*.xml')
+
+.PHONY: setup demo test test-slow lint data model report bench clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt scripts/setup.sh
+	VENV=$(VENV) PIP_ARGS="$(PIP_ARGS)" bash scripts/setup.sh
+	touch $@
+
+demo: $(STAMP)
+	SKOPE=$(SKOPE) bash scripts/demo.sh
+
+test: $(STAMP)
+	$(VENV)/bin/python -m pytest
+
+test-slow: $(STAMP)
+	$(VENV)/bin/python -m pytest -m slow
+
+lint: $(STAMP)
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+data: $(DATA)/dataset.json
+model: $(RUN)/.trained
+report: $(RUN)/eval/metrics.json
+
+$(DATA)/dataset.json: | $(STAMP)
+	$(SKOPE) gen --out $(DATA)
+
+# A run that is younger than its data is gone on with; one on older data makes room for a new one.
+$(RUN)/.trained: $(DATA)/dataset.json | $(STAMP)
+	if [ $(RUN)/resume.pt -nt $(DATA)/dataset.json ]; then $(SKOPE) train --out $(RUN) --resume; \
+	else rm -rf $(RUN) && $(SKOPE) train --data $(DATA) --out $(RUN) --epochs $(EPOCHS); fi
+	touch $@
+
+$(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
+	$(SKOPE) eval --data $(DATA) --checkpoint $(RUN)
+
+bench: $(STAMP)
+	$(VENV)/bin/python scripts/bench_render.py
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

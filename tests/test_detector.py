@@ -1,0 +1,272 @@
+"""Building, initialising, saving, loading and running the detector."""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
+from torchvision.models.detection._utils import overwrite_eps
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoints_to_heatmap
+
+from skope import detector, keypoints
+from skope.detector import DetectorConfig
+from skope.errors import UserError
+
+SMALL = {"min_size": 96, "max_size": 160}
+COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
+
+
+def config(norm: str = "batch", eps: float = 1e-5) -> DetectorConfig:
+    return DetectorConfig(norm=norm, norm_eps=eps, **SMALL)
+
+
+def image(height: int = 96, width: int = 128) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def body_outputs(model: torch.nn.Module) -> torch.Tensor:
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        return model.eval().backbone(pixels)["0"]
+
+
+def use_uneven_statistics(model: torch.nn.Module) -> None:
+    """Statistics unlike 0 and 1, so that a lost one, or another eps, shows in the outputs."""
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for name, buffer in model.named_buffers():
+            if name.endswith("running_var"):
+                buffer.copy_(torch.rand(buffer.shape, generator=generator) * 2e-4 + 1e-5)
+                buffer.mul_(2e4)
+            if name.endswith("running_mean"):
+                buffer.copy_(torch.randn(buffer.shape, generator=generator) * 0.1)
+
+
+@pytest.fixture(scope="module")
+def model() -> KeypointRCNN:
+    torch.manual_seed(0)
+    return detector.build(config())
+
+
+@pytest.fixture(scope="module")
+def checkpoint(model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(3)
+    detector.save_weights(path, model, config(), {"epoch": 3})
+    return path
+
+
+def test_a_checkpoint_loads_with_equal_outputs(model: KeypointRCNN, checkpoint: Path) -> None:
+    loaded, loaded_config, metadata = detector.load_weights(checkpoint, "cpu")
+    assert (loaded_config, metadata) == (config(), {"epoch": 3})
+    assert torch.equal(body_outputs(loaded), body_outputs(model))
+    (ours,), (theirs,) = (
+        detector.detect(m, [image()], "cpu", min_score=0.0, max_detections=3) for m in (model, loaded)
+    )
+    assert np.array_equal(ours.keypoints, theirs.keypoints)
+
+
+@pytest.mark.parametrize(("norm", "eps"), [("batch", 1e-5), ("frozen", 1e-5), ("frozen", 0.0)])
+def test_weights_load_strictly_into_stock_torchvision_and_back(norm: str, eps: float, tmp_path: Path) -> None:
+    ours = detector.build(config(norm, eps))
+    use_uneven_statistics(ours)
+    detector.save_weights(tmp_path / "a.safetensors", ours, config(norm, eps), {})
+    stock = keypointrcnn_resnet50_fpn(weights=None, weights_backbone=None, num_classes=2, num_keypoints=keypoints.K)
+    stock.load_state_dict(load_file(tmp_path / "a.safetensors"), strict=True)
+    if eps != 1e-5:
+        for module in stock.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.eps = eps
+    torch.testing.assert_close(body_outputs(stock), body_outputs(ours), rtol=1e-4, atol=1e-4)
+    loaded, _, _ = detector.load_weights(tmp_path / "a.safetensors", "cpu")
+    assert torch.equal(body_outputs(loaded), body_outputs(ours))
+    loaded.load_state_dict(stock.state_dict(), strict=True)
+    assert torch.equal(body_outputs(loaded), body_outputs(ours))
+
+
+def edited_header(path: Path, out: Path, **changes: Any) -> Path:
+    """A copy of a checkpoint with other fields in skope's header."""
+    data = path.read_bytes()
+    size = struct.unpack("<Q", data[:8])[0]
+    header = json.loads(data[8 : 8 + size])
+    ours = {**json.loads(header["__metadata__"]["skope"]), **changes}
+    header["__metadata__"]["skope"] = json.dumps(ours)
+    encoded = json.dumps(header).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    out.write_bytes(struct.pack("<Q", len(encoded)) + encoded + data[8 + size :])
+    return out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"num_keypoints": 17}, "num_keypoints: expected 33, got 17"),
+        ({"scheme": "coco17"}, "scheme: expected 'skope33', got 'coco17'"),
+        ({"config": {"norm": "batch"}}, "config: expected the fields"),
+        ({"config": {"norm": "group", "norm_eps": 0, "min_size": 96, "max_size": 96}}, "norm: 'group' is not one of"),
+    ],
+)
+def test_a_checkpoint_of_something_else_is_refused(
+    checkpoint: Path, tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    path = edited_header(checkpoint, tmp_path / "other.safetensors", **changes)
+    with pytest.raises(UserError, match=words) as caught:
+        detector.load_weights(path, "cpu")
+    assert str(path) in str(caught.value)
+
+
+def test_files_that_are_no_checkpoint_are_refused(checkpoint: Path, tmp_path: Path) -> None:
+    junk, short, foreign, partial = (tmp_path / f"{name}.safetensors" for name in ("junk", "short", "foreign", "part"))
+    junk.write_bytes(b"not a checkpoint at all")
+    short.write_bytes(checkpoint.read_bytes()[:-100])
+    save_file({"x": torch.zeros(1)}, foreign)
+    edited_header(checkpoint, partial)
+    state = load_file(partial)
+    header = {"version": 1, "scheme": keypoints.SCHEME, "num_keypoints": 33, "metadata": {}}
+    state.pop("backbone.body.conv1.weight")
+    save_file(state, partial, metadata={"skope": json.dumps({**header, "config": config().to_dict()})})
+    for path, words in [
+        (junk, "not a safetensors file"),
+        (short, "truncated"),
+        (foreign, "not a checkpoint of skope"),
+        (partial, "lacks 1 tensor"),
+        (tmp_path / "none.safetensors", "no such checkpoint"),
+    ]:
+        with pytest.raises(UserError, match=words) as caught:
+            detector.load_weights(path, "cpu")
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no checkpoint"):
+        detector.find_checkpoint(tmp_path)
+    for name in ("epoch_009.safetensors", "epoch_1000.safetensors", "epoch_010.safetensors", "epoch_x.safetensors"):
+        (tmp_path / name).touch()
+    assert detector.find_checkpoint(tmp_path).name == "epoch_1000.safetensors"
+    assert detector.find_checkpoint(tmp_path / "epoch_009.safetensors").name == "epoch_009.safetensors"
+    with pytest.raises(UserError, match="no such"):
+        detector.find_checkpoint(tmp_path / "other")
+
+
+def initialise(init: str) -> tuple[KeypointRCNN, DetectorConfig, str]:
+    return detector.initialise(init, trainable_layers=3, seed=0, **SMALL)
+
+
+def test_auto_takes_coco_weights_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    stock = KeypointRCNN(resnet_fpn_backbone(backbone_name="resnet50", weights=None), num_classes=2, num_keypoints=17)
+    use_uneven_statistics(stock)
+    overwrite_eps(stock, 0.0)
+    path = tmp_path / "hub" / "checkpoints" / COCO_FILE
+    path.parent.mkdir(parents=True)
+    torch.save(stock.state_dict(), path)
+
+    model, chosen, words = initialise("auto")
+    assert (chosen.norm, chosen.norm_eps, words) == ("frozen", 0.0, "weights trained on COCO")
+    assert torch.equal(body_outputs(model), body_outputs(stock))
+    assert model.roi_heads.keypoint_predictor.kps_score_lowres.out_channels == keypoints.K
+    assert not model.backbone.body.layer1[0].conv1.weight.requires_grad
+    assert model.backbone.body.layer2[0].conv1.weight.requires_grad
+
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(UserError, match=COCO_FILE):
+        initialise("auto")
+
+
+def test_without_a_cache_auto_takes_random_weights_that_the_seed_fixes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    before = torch.get_rng_state()
+    (one, chosen, words), (two, _, _) = initialise("auto"), initialise("random")
+    assert chosen.norm == "batch"
+    assert words == "random weights (no COCO weights in the cache)"
+    assert torch.equal(one.roi_heads.box_head.fc7.weight, two.roi_heads.box_head.fc7.weight)
+    assert torch.equal(before, torch.get_rng_state())
+    assert all(parameter.requires_grad for parameter in one.parameters())
+
+
+def test_a_failed_download_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(torch.hub, "download_url_to_file", fail)
+    for init in ("coco", "imagenet"):
+        with pytest.raises(UserError, match=f"--init {init}: cannot download .*no route to host"):
+            initialise(init)
+
+
+@pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}])
+def test_a_bad_config_names_its_field(field: dict[str, Any]) -> None:
+    with pytest.raises(UserError, match=next(iter(field))):
+        DetectorConfig.from_dict({**config().to_dict(), **field})
+
+
+def test_devices() -> None:
+    assert detector.choose_device("cpu") == torch.device("cpu")
+    for name in ("tpu", "cuda:99"):
+        with pytest.raises(UserError, match="device"):
+            detector.choose_device(name)
+
+
+def test_detection_restores_the_model(model: KeypointRCNN) -> None:
+    model.train()
+    before = model.roi_heads.score_thresh, model.roi_heads.detections_per_img
+    (found,) = detector.detect(model, [image()], "cpu", min_score=0.0, max_detections=4)
+    assert found.boxes_xyxy.shape == (4, 4)
+    assert found.keypoints.shape == (4, keypoints.K, 3)
+    assert ((found.keypoints[..., 2] >= 0) & (found.keypoints[..., 2] <= 1)).all()
+    assert model.training
+    assert (model.roi_heads.score_thresh, model.roi_heads.detections_per_img) == before
+
+
+class _PeakAt(torch.nn.Module):
+    """In place of the keypoint head and predictor: heat maps that peak in one cell."""
+
+    def __init__(self, row: int, col: int) -> None:
+        super().__init__()
+        self.row, self.col = row, col
+
+    def forward(self, regions: torch.Tensor) -> torch.Tensor:
+        maps = torch.full((len(regions), keypoints.K, 56, 56), -9.0)
+        maps[:, :, self.row, self.col] = 2.0
+        return maps
+
+
+def test_keypoints_on_boxes_have_no_bias(model: KeypointRCNN, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The centre of heat-map cell (c, r) of a box lies (c + 0.5) / 56 along it, in pixels of the original image."""
+    monkeypatch.setattr(model.roi_heads, "keypoint_head", torch.nn.Identity())
+    boxes = np.array([[10.0, 20.0, 122.0, 188.0], [100.0, 40.0, 212.0, 152.0]])
+    for row, col in [(0, 0), (28, 5), (55, 55)]:
+        monkeypatch.setattr(model.roi_heads, "keypoint_predictor", _PeakAt(row, col))
+        # 96 of 192 pixels high: the network sees half the size, the boxes as 56 x 84 and 56 x 56 pixels.
+        points = detector.detect_on_boxes(model, image(192, 256), boxes, "cpu")
+        share = (np.array([col, row]) + 0.5) / 56
+        errors = points[..., :2] - (boxes[:, :2] + share * (boxes[:, 2:] - boxes[:, :2]))[:, None]
+        assert np.abs(errors[1]).max() < 1e-3
+        assert np.abs(errors[0, :, 0]).max() < 1e-3
+        assert np.abs(errors[0, :, 1]).max() <= 1.0 + 1e-3, "84 rows for 56 cells: within half an inner pixel"
+        assert points.shape == (2, keypoints.K, 3)
+        assert 0.85 < points[..., 2].min() <= points[..., 2].max() < 0.96, "sigmoid(2) = 0.88, interpolated"
+    assert detector.detect_on_boxes(model, image(), np.zeros((0, 4)), "cpu").shape == (0, keypoints.K, 3)
+
+
+def test_torchvision_codes_and_decodes_continuous_coordinates() -> None:
+    """What training asks for, decoded as predictions are, comes back within half a cell and without a mean shift."""
+    rng = np.random.default_rng(0)
+    roi = torch.tensor([[10.0, 20.0, 66.0, 76.0]])
+    truth = torch.tensor(rng.uniform([10, 20], [66, 76], (1, 2000, 2)), dtype=torch.float32)
+    cells, valid = keypoints_to_heatmap(torch.cat([truth, torch.full((1, 2000, 1), 2.0)], dim=2), roi, 56)
+    assert valid.all()
+    maps = torch.zeros(1, 2000, 56 * 56).scatter_(2, cells[..., None], 1.0).reshape(1, 2000, 56, 56)
+    found, _ = heatmaps_to_keypoints(maps, roi)
+    errors = (found[..., :2] - truth)[0]
+    assert errors.abs().max() < 0.5 + 1e-4
+    assert errors.mean(dim=0).abs().max() < 0.03

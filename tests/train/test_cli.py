@@ -1,0 +1,119 @@
+"""`skope train`: flags, defaults, and what it says."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skope.errors import UserError
+from skope.files import write_json
+from skope.train import cli, loop, plan
+from skope.train.recipe import RECIPES
+from skope.train.run import RunConfig
+from tests import samples
+
+NO_FLAGS = dict.fromkeys(("recipe", "epochs", "init", "batch_size", "max_images", "min_size", "seed"))
+TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1)
+
+
+def new(**flags: Any) -> RunConfig:
+    return plan.new(Path("data/skope"), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--epochs", "0"], "--epochs: expected at least 1, got 0"),
+        (["--batch-size", "-1"], "--batch-size: expected at least 1"),
+        (["--max-images", "0"], "--max-images: expected at least 1"),
+        (["--seed", "-1"], "--seed: expected a number from 0"),
+        (["--recipe", "best"], "--recipe: 'best' is not one of auto, paper, laptop, scratch"),
+        (["--init", "none"], "--init: 'none' is not one of auto, coco, imagenet, random"),
+        (["--device", "tpu"], "device: 'tpu' is not one of auto, cpu, cuda, cuda:N"),
+        (["--resume"], "no such run folder"),
+        ([], "data/skope: no such dataset folder; `skope gen"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(cli.app, arguments)
+    assert isinstance(result.exception, UserError)
+    assert words in str(result.exception)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plan, "new", lambda *_, **__: replace(new(seed=4), recipe=replace(TINY, epochs=2)))
+    samples.make_dataset(Path("data/skope"), images=2, splits=("train",))
+    result = CliRunner().invoke(cli.app, ["--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    last = result.stdout.strip().splitlines()[-1]
+    assert last == "wrote runs/skope/epoch_002.safetensors; next: skope eval --split hard"
+    assert "2 images with 4 vehicles" in result.stdout
+    assert "s a step: about" in result.stdout
+    assert json.loads(Path("runs/skope/recipe.json").read_text())["seed"] == 4
+
+    again = CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet"])
+    assert "--resume" in str(again.exception)
+    done = CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet", "--resume"])
+    assert done.stdout.splitlines() == [last]
+    other = CliRunner().invoke(cli.app, ["--device", "cpu", "--resume", "--batch-size", "2"])
+    assert "--batch-size 2: the run in runs/skope has 1" in str(other.exception)
+
+
+def test_an_interruption_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(loop, "train", interrupted)
+    result = CliRunner().invoke(cli.app, ["--device", "cpu"])
+    assert result.exit_code == 130
+    assert "skope: stopped; no epoch was saved yet" in result.stderr
+    Path("runs/skope").mkdir(parents=True)
+    Path("runs/skope/resume.pt").touch()
+    result = CliRunner().invoke(cli.app, ["--device", "cpu"])
+    assert "the same command with --resume goes on" in result.stderr
+
+
+def test_flags_change_the_recipe() -> None:
+    config = new(recipe="scratch", epochs=7, batch_size=3, min_size=180, seed=5, max_images=4)
+    recipe = config.recipe
+    assert (recipe.epochs, recipe.batch_size, recipe.min_size, recipe.max_size) == (7, 3, 180, 320)
+    assert (config.seed, config.max_images, config.init) == (5, 4, "random")
+    assert new().recipe == RECIPES["laptop"]
+    assert new().init == "auto"
+    assert new(init="coco").init == "coco"
+
+
+def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
+    recorded = new(recipe="scratch", epochs=7, seed=5)
+    write_json(tmp_path / "recipe.json", recorded.to_dict())
+    assert plan.again(tmp_path, None, NO_FLAGS) == recorded
+    assert plan.again(tmp_path, None, {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
+    longer = plan.again(tmp_path, Path("elsewhere"), {**NO_FLAGS, "epochs": 9})
+    assert longer == replace(recorded, data="elsewhere", recipe=replace(recorded.recipe, epochs=9))
+    for flags in ({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}):
+        with pytest.raises(UserError, match=f"--{next(iter(flags)).replace('_', '-')} "):
+            plan.again(tmp_path, None, {**NO_FLAGS, **flags})
+    write_json(tmp_path / "recipe.json", {**recorded.to_dict(), "recipe": {}})
+    with pytest.raises(UserError, match=r"recipe.json: recipe: expected the fields"):
+        plan.again(tmp_path, None, NO_FLAGS)
+
+
+def test_the_next_command_carries_what_differs_from_the_defaults() -> None:
+    said = plan.next_command(Path("runs/b"), Path("d"), cli.RUN, cli.DATA)
+    assert said == "skope eval --split hard --data d --checkpoint runs/b"
+
+
+def test_importing_the_command_line_does_not_import_torch() -> None:
+    code = "import sys, skope.train.cli; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
