@@ -13,7 +13,7 @@ from skope.gen.bullet import engine
 from skope.gen.recording import Recording
 from skope.gen.render import make_renderer
 from skope.gen.render.materials import MATERIALS, Light
-from skope.gen.render.tiny import FAR, NEAR
+from skope.gen.render.tiny import FAR, NEAR, quaternion
 from skope.gen.simulate import RecordingPlan, simulate
 from skope.gen.towns import site
 from skope.gen.towns.scenery import scenery
@@ -44,12 +44,9 @@ class Peer:
         return bodies
 
     def move(self, bodies: list[int], T: np.ndarray) -> None:
-        x, y, z, w = np.zeros(4)
-        trace = np.sqrt(max(1e-12, 1 + np.trace(T[:3, :3]))) / 2
-        x, y, z = (T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]) / (4 * trace)
-        w = trace
+        orientation = quaternion(T[:3, :3])
         for body in bodies:
-            self.engine.resetBasePositionAndOrientation(body, T[:3, 3], [x, y, z, w], physicsClientId=self.client)
+            self.engine.resetBasePositionAndOrientation(body, T[:3, 3], orientation, physicsClientId=self.client)
 
     def draw(self) -> None:
         camera = self.recording.camera

@@ -105,7 +105,7 @@ class _Stage:
         self._engine.changeVisualShape(self._bodies[part], -1, rgbaColor=[*color, 1], physicsClientId=self._client)
 
     def move(self, part: int, T: Array) -> None:
-        quaternion = _quaternion(T[:3, :3])
+        quaternion = quaternion(T[:3, :3])
         self._engine.resetBasePositionAndOrientation(
             self._bodies[part], T[:3, 3], quaternion, physicsClientId=self._client
         )
@@ -367,7 +367,7 @@ def _in_front(corners: Array) -> Array:
     return np.concatenate([corners[z >= NEAR], np.array(cut).reshape(-1, 3)])
 
 
-def _quaternion(R: Array) -> list[float]:
+def quaternion(R: Array) -> list[float]:
     """Unit quaternion x, y, z, w of a rotation, by its largest component (Shepperd's method)."""
     q = np.array([R[0, 0], R[1, 1], R[2, 2], R.trace()])
     k = int(q.argmax())
