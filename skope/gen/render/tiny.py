@@ -105,9 +105,9 @@ class _Stage:
         self._engine.changeVisualShape(self._bodies[part], -1, rgbaColor=[*color, 1], physicsClientId=self._client)
 
     def move(self, part: int, T: Array) -> None:
-        quaternion = quaternion(T[:3, :3])
+        orientation = quaternion(T[:3, :3])
         self._engine.resetBasePositionAndOrientation(
-            self._bodies[part], T[:3, 3], quaternion, physicsClientId=self._client
+            self._bodies[part], T[:3, 3], orientation, physicsClientId=self._client
         )
 
     def draw(self, camera: Camera, T_camera_stage: Array, window: Window) -> _Layer:
