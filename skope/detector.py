@@ -67,8 +67,9 @@ class DetectorConfig:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
         for name in ("min_size", "max_size"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 32 <= value <= 16384:
-                raise UserError(f"{name}: expected 32 to 16384 pixels, got {value!r}")
+            # Below 64 the backbone's last map may be a single cell, which has no variance to normalise by.
+            if isinstance(value, bool) or not isinstance(value, int) or not 64 <= value <= 16384:
+                raise UserError(f"{name}: expected 64 to 16384 pixels, got {value!r}")
         if self.max_size < self.min_size:
             raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
 

@@ -51,7 +51,7 @@ def train(
     )
     training = run.resume(out, config, device) if resume else run.start(out, config, device)
     assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
-    _announce(config, training, training_set, f"on {device} with {workers} loading workers", console)
+    _announce(config, training, training_set, f"on {device}, {workers} extra processes", console)
 
     steps = math.ceil(len(training_set) / recipe.batch_size)
     progress = _Progress(steps, training.epochs_done, recipe.epochs, console)

@@ -118,7 +118,6 @@ _FROM_NOTHING: Final[dict[str, Any]] = {
     "warmup_steps": 20,
     "gradient_clip": 5.0,
     "regions": 128,
-    "keypoint_regions": 8,
 }
 
 RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(

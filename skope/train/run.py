@@ -112,6 +112,8 @@ def resume(run: Path, config: RunConfig, device: torch.device) -> Training:
         epochs_done, optimizer_state = int(saved["epochs_done"]), saved["optimizer"]
     except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
         raise UserError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0]})") from None
+    if epochs_done > config.recipe.epochs:
+        raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {epochs_done} epochs behind it already")
     model, detector_config, metadata = detector.load_weights(
         run / detector.checkpoint_name(epochs_done), device, trainable_layers=config.recipe.trainable_layers
     )

@@ -51,7 +51,8 @@ def test_mistakes_are_one_line(
 
 def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plan, "new", lambda *_, **__: replace(new(seed=4), recipe=replace(TINY, epochs=2)))
+    config = replace(new(seed=4), recipe=replace(TINY, epochs=2), init="random")
+    monkeypatch.setattr(plan, "new", lambda *_, **__: config)
     samples.make_dataset(Path("data/skope"), images=2, splits=("train",))
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
     assert result.exit_code == 0, result.output

@@ -150,6 +150,8 @@ def test_older_checkpoints_go_only_after_the_pair_is_whole(tmp_path: Path, monke
     last = train(data, tmp_path / "run", TINY, resume=True)
     assert list(detector.checkpoints(tmp_path / "run")) == [2]
     assert last.name == "epoch_002.safetensors"
+    with pytest.raises(UserError, match=r"--epochs 1: the run in .* has 2 epochs behind it"):
+        train(data, tmp_path / "run", replace(TINY, epochs=1), resume=True)
     assert len((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()) == 2
 
 
@@ -170,7 +172,7 @@ def test_keypoints_outside_their_boxes_stop_or_warn(tmp_path: Path, capsys: pyte
     train(data, tmp_path / "half", replace(TINY, epochs=1), console=Console())
     said = capsys.readouterr().out
     assert "only 50% of the labelled keypoints lie inside" in said
-    assert "float32; random weights; seed 0; on cpu with 0 loading workers" in said
+    assert "float32; random weights; seed 0; on cpu, 0 extra processes" in said
     move_boxes(data, 2)
     with pytest.raises(UserError, match=r"00_000001.png: no labelled keypoint lies inside its vehicle's bbox"):
         train(data, tmp_path / "none", TINY)
