@@ -13,7 +13,8 @@ from skope.gen.bullet import engine
 from skope.gen.recording import Recording
 from skope.gen.render import make_renderer
 from skope.gen.render.materials import MATERIALS, Light
-from skope.gen.render.tiny import FAR, NEAR, quaternion
+from skope.gen.render.tiny import FAR, quaternion
+from skope.gen.render.windows import NEAR
 from skope.gen.simulate import RecordingPlan, simulate
 from skope.gen.towns import site
 from skope.gen.towns.scenery import scenery

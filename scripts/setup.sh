@@ -22,7 +22,7 @@ system_packages() {
     "${as[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install --yes --quiet=2 --no-install-recommends "$@" > /dev/null
 }
 
-# SUMO's library links against these.
+# SUMO's library links against the first of these, rendering needs the last.
 missing=()
 while read -r library package; do
     ldconfig -p 2> /dev/null | grep -q "$library" || missing+=("$package")
@@ -32,7 +32,12 @@ libX11.so.6 libx11-6
 libXext.so.6 libxext6
 libXrender.so.1 libxrender1
 libatomic.so.1 libatomic1
+libEGL.so.1 libegl1
+libEGL_mesa.so.0 libegl-mesa0
 LIST
+if command -v dpkg > /dev/null && ! dpkg --status libgl1-mesa-dri > /dev/null 2>&1; then
+    missing+=(libgl1-mesa-dri)
+fi
 [ ${#missing[@]} = 0 ] || system_packages "${missing[@]}"
 
 # Python 3.11 has ready-made wheels of everything; a later one compiles pybullet.

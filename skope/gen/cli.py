@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
-from skope.errors import one_of
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 
@@ -18,7 +17,7 @@ def gen(
     out: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("data/skope"),
     seed: Annotated[int, typer.Option(help="Same seed, same dataset.")] = 0,
     workers: Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")] = None,
-    renderer: Annotated[str, typer.Option(help="auto or pybullet.")] = "auto",
+    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
     sites: Annotated[str | None, typer.Option(help="Comma-separated sites instead of the preset's.")] = None,
     frames: Annotated[int | None, typer.Option(help="Frames per site.")] = None,
     interval: Annotated[float | None, typer.Option(help="Seconds between frames.")] = None,
@@ -39,14 +38,15 @@ def gen(
     from skope.gen.annotate import Rules
     from skope.gen.plan import from_preset
     from skope.gen.produce import check_workers, default_workers, produce
-    from skope.gen.render import RENDERERS
+    from skope.gen.render import choose_renderer
 
-    one_of("--renderer", renderer, RENDERERS)
+    chosen, driver, why = choose_renderer(renderer)
     rules = Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box)
     parameters = from_preset(
         preset,
         seed=seed,
-        renderer="pybullet" if renderer == "auto" else renderer,
+        renderer=chosen,
+        driver=driver,
         rules=rules,
         sites=tuple(sites.split(",")) if sites else None,
         frames=frames,
@@ -59,7 +59,7 @@ def gen(
     total = parameters.frames * len(parameters.sites)
     console.say(
         f"preset {preset}: {total} images of {parameters.size} from {len(parameters.sites)} sites, seed {seed}, "
-        f"{count} workers, renderer {parameters.renderer}"
+        f"{count} workers, {why}"
     )
     made = produce(parameters, out, count, console)
     done = f"wrote {out}" if made else f"{out} is complete already"

@@ -30,6 +30,8 @@ class Parameters:
     size: str
     fov_deg: float
     renderer: str
+    driver: str
+    """What the renderer draws with: pixels are the same on the same one only."""
     rules: Rules
 
     def __post_init__(self) -> None:
@@ -84,11 +86,11 @@ def presets() -> Mapping[str, Mapping[str, Any]]:
     return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
 
 
-def from_preset(preset: str, *, seed: int, renderer: str, rules: Rules, **overrides: Any) -> Parameters:
+def from_preset(preset: str, *, seed: int, renderer: str, driver: str, rules: Rules, **overrides: Any) -> Parameters:
     """A preset's parameters with those `overrides` that are not None in their place."""
     one_of("--preset", preset, tuple(presets()))
     known = {f.name for f in fields(Parameters)}
     values = {name: value for name, value in presets()[preset].items() if name in known}
     values |= {name: value for name, value in overrides.items() if value is not None}
     values["sites"] = tuple(values["sites"])
-    return Parameters(preset=preset, seed=seed, renderer=renderer, rules=rules, **values)
+    return Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)

@@ -52,10 +52,15 @@ def test_depth_of_the_ground_seen_obliquely(pitch: float, roll: float) -> None:
     assert_depth(found[near], truth[near])
 
 
+@pytest.fixture(scope="module", params=["pybullet", "gl"])
+def renderer(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
 @pytest.fixture(scope="module")
-def scene() -> tuple[Recording, View]:
+def scene(renderer: str) -> tuple[Recording, View]:
     recording = standing(CAMERA, [("sedan", -3.0, 4.0, 0.3), ("suv", 4.0, 7.0, 2.0), ("van", 1.0, 13.0, -1.2)])
-    return recording, make_renderer("pybullet", recording).render(0)
+    return recording, make_renderer(renderer, recording).render(0)
 
 
 def test_depth_and_ids_agree_with_ray_casting(scene: tuple[Recording, View]) -> None:
@@ -106,9 +111,9 @@ def test_slope_predicts_the_neighbouring_pixel_on_the_road(scene: tuple[Recordin
     assert np.median(error) < 0.002
 
 
-def test_a_vehicle_across_the_edge_keeps_its_whole_silhouette() -> None:
+def test_a_vehicle_across_the_edge_keeps_its_whole_silhouette(renderer: str) -> None:
     recording = standing(CAMERA, [("sedan", -9.0, 2.0, 0.1)])
-    view = make_renderer("pybullet", recording).render(0)
+    view = make_renderer(renderer, recording).render(0)
     (silhouette,) = view.silhouettes
     assert silhouette.x < 0
     inside = silhouette.mask[:, -silhouette.x :].sum()
@@ -116,22 +121,24 @@ def test_a_vehicle_across_the_edge_keeps_its_whole_silhouette() -> None:
     assert (view.ids == 1).sum() == inside
 
 
-def test_the_same_frame_gives_the_same_pixels(scene: tuple[Recording, View]) -> None:
+def test_the_same_frame_gives_the_same_pixels(scene: tuple[Recording, View], renderer: str) -> None:
     recording, view = scene
-    again = make_renderer("pybullet", recording).render(0)
+    again = make_renderer(renderer, recording).render(0)
     np.testing.assert_array_equal(again.rgb, view.rgb)
     np.testing.assert_array_equal(again.depth, view.depth)
 
 
-def test_contrast_is_high_for_a_blue_car_on_the_road_and_zero_unseen(scene: tuple[Recording, View]) -> None:
+def test_contrast_is_high_for_a_blue_car_on_the_road_and_zero_unseen(
+    scene: tuple[Recording, View], renderer: str
+) -> None:
     _, view = scene
     assert (view.contrast > 5).all()
     behind = standing(CAMERA, [("sedan", 0.0, -30.0, 0.0)])
-    assert make_renderer("pybullet", behind).render(0).contrast.tolist() == [0.0]
+    assert make_renderer(renderer, behind).render(0).contrast.tolist() == [0.0]
 
 
-def test_an_empty_street() -> None:
-    view = make_renderer("pybullet", standing(CAMERA, [])).render(0)
+def test_an_empty_street(renderer: str) -> None:
+    view = make_renderer(renderer, standing(CAMERA, [])).render(0)
     assert (view.ids <= STATIC).all()
     assert view.silhouettes == ()
     assert np.isinf(view.depth).any()

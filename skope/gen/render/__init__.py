@@ -6,9 +6,10 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.errors import UserError, one_of
 from skope.gen.recording import Recording
 
-RENDERERS: Final = ("auto", "pybullet")
+RENDERERS: Final = ("auto", "gl", "pybullet")
 SKY: Final = -1
 STATIC: Final = 0
 
@@ -49,8 +50,29 @@ class Renderer(Protocol):
     def render(self, frame: int) -> View: ...
 
 
+def choose_renderer(name: str) -> tuple[str, str, str]:
+    """The renderer of a `--renderer` flag, the driver behind it, and what to say of the choice.
+
+    `auto` is `gl` where an OpenGL context can be had and else `pybullet`; asked for by name, `gl` must be there.
+    """
+    if one_of("--renderer", name, RENDERERS) == "pybullet":
+        return "pybullet", "TinyRenderer", "renderer pybullet"
+    from skope.gen.render.gl.renderer import device
+
+    try:
+        return "gl", device().name, f"renderer gl on {device().name}"
+    except UserError as error:
+        if name == "gl":
+            raise
+        return "pybullet", "TinyRenderer", f"renderer pybullet, which is plainer, because: {error}"
+
+
 def make_renderer(name: str, recording: Recording) -> Renderer:
     """The renderer of that name (one of `RENDERERS` but "auto") for a recording."""
+    if name == "gl":
+        from skope.gen.render.gl.renderer import GLRenderer
+
+        return GLRenderer(recording)
     from skope.gen.render.tiny import TinyRenderer
 
     assert name == "pybullet"

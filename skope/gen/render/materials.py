@@ -39,6 +39,18 @@ MATERIALS: Final[dict[str, RGB]] = {
     "tyre": (0.07, 0.07, 0.07),
     "rim": (0.60, 0.61, 0.63),
 }
+GLOSS: Final[dict[str, float]] = {
+    "paint": 0.25,
+    "glass": 0.1,
+    "headlight": 0.15,
+    "taillight": 0.2,
+    "chrome": 0.2,
+    "rim": 0.35,
+    "trim": 0.6,
+    "grille": 0.6,
+    "plate": 0.5,
+}
+"""Roughness of the materials that shine."""
 BRAKE_LIGHT: Final = (1.0, 0.16, 0.12)
 GROUND: Final = ("asphalt", "marking", "kerb", "sidewalk", "grass")
 

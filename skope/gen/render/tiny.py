@@ -8,7 +8,6 @@ the frame without it, at no further cost. Everything is drawn three times as fin
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 import cv2
@@ -22,20 +21,18 @@ from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain
+from skope.gen.render.sensor import NOISE_SIGMA, with_noise
+from skope.gen.render.windows import NEAR, Window, window_of
 from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import LAMPS
-from skope.gen.vehicles import PAINTS, Vehicle, build
+from skope.gen.vehicles import PAINTS, build
 
 Array = NDArray[np.float64]
 
-Window = tuple[int, int, int, int]
-"""Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
 Slices = tuple[slice, slice]
 
 FINE: Final = 3
-NEAR, FAR = 0.3, 1200.0
-NOISE_SIGMA: Final = 1.5
-"""Standard deviation of the sensor's noise, of 255."""
+FAR: Final = 1200.0
 SHADOW: Final = 0.45
 """How much of the light a vehicle's shadow takes from the road."""
 
@@ -196,7 +193,7 @@ class TinyRenderer:
     def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
         """A vehicle by itself; None when it lies outside the image."""
         T_camera_chassis = self._camera.T_camera_world @ chassis
-        window = self._window(build(recorded.model, recorded.shape), T_camera_chassis)
+        window = window_of(build(recorded.model, recorded.shape), chassis, self._camera)
         if window is None:
             return None
         stage, body, wheel_parts = self._model(recorded)
@@ -210,19 +207,6 @@ class TinyRenderer:
             for part in parts:
                 stage.move(part, np.linalg.inv(chassis) @ T_world_wheel)
         return stage.draw(self._camera, T_camera_chassis, window)
-
-    def _window(self, vehicle: Vehicle, T_camera_chassis: Array) -> Window | None:
-        """Pixels that the vehicle may cover, on a canvas that extends the image by its own size on each side."""
-        camera = self._camera
-        p = _in_front(_corners(vehicle) @ T_camera_chassis[:3, :3].T + T_camera_chassis[:3, 3])
-        pixels = p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
-        size = np.array([camera.width, camera.height])
-        low, high = pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)
-        if (low >= size).any() or (high <= 0).any():
-            return None
-        x0, y0 = np.maximum(np.floor(low) - 1, -size).astype(int).tolist()
-        x1, y1 = np.minimum(np.ceil(high) + 1, 2 * size).astype(int).tolist()
-        return x0, y0, x1, y1
 
     def _shaded(self, moment: Moment) -> NDArray[np.uint8]:
         """The background with the vehicles' shadows on the ground."""
@@ -272,7 +256,7 @@ class TinyRenderer:
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
         return View(
-            self._with_noise(clean, frame),
+            with_noise(np.rint(clean).astype(np.uint8), self._recording, frame),
             np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE]),
             _slope(depth),
             np.ascontiguousarray(middle),
@@ -317,12 +301,6 @@ class TinyRenderer:
                 radius = max(1, round(0.1 * self._camera.K[0, 0] / z[lit] * FINE))
                 cv2.circle(rgb, at.tolist(), radius, ((235, 40, 30), (250, 190, 40), (40, 220, 110))[lit], -1)
 
-    def _with_noise(self, clean: NDArray[np.float32], frame: int) -> NDArray[np.uint8]:
-        recording = self._recording
-        seed = [recording.seed, *recording.site.encode(), int(recording.name), frame]
-        noise = np.random.default_rng(seed).standard_normal(clean.shape, dtype=np.float32)
-        return np.clip(np.rint(clean + NOISE_SIGMA * noise), 0, 255).astype(np.uint8)
-
 
 def _put(
     layer: _Layer | None,
@@ -342,29 +320,6 @@ def _put(
     rgb[there][nearer] = layer.rgb[own][nearer]
     if ids is not None:
         ids[there][nearer] = number
-
-
-@cache
-def _corners(vehicle: Vehicle) -> Array:
-    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels, a hand's breadth wider."""
-    points = np.concatenate([vehicle.mesh.vertices, vehicle.shape.wheel_centers()])
-    low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
-    low[2] = -0.1
-    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-
-
-_PAIRS: Final = [(i, j) for i in range(8) for j in range(i + 1, 8)]
-
-
-def _in_front(corners: Array) -> Array:
-    """Corners (8, 3) in the camera frame -> corners of the part of their hull that lies beyond the near plane."""
-    z = corners[:, 2]
-    cut = []
-    for i, j in _PAIRS:
-        if (z[i] < NEAR) != (z[j] < NEAR):
-            share = (NEAR - z[i]) / (z[j] - z[i])
-            cut.append(corners[i] + share * (corners[j] - corners[i]))
-    return np.concatenate([corners[z >= NEAR], np.array(cut).reshape(-1, 3)])
 
 
 def quaternion(R: Array) -> list[float]:

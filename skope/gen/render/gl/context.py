@@ -1,0 +1,198 @@
+"""The OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.gen.mesh import Mesh
+from skope.gen.render.materials import GLOSS, MATERIALS
+from skope.gen.traffic import LAMPS
+
+Array = NDArray[np.float64]
+
+NEAR: Final = 0.3
+FAR: Final = 1500.0
+PAINT: Final = len(MATERIALS)
+"""Number of the material whose colour is the vehicle's own."""
+
+_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIALS)}, "paint": PAINT}
+
+
+def linear(srgb: Any) -> Array:
+    """sRGB in 0..1 -> linear light."""
+    c = np.asarray(srgb, dtype=np.float64)
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def shader_sources() -> str:
+    """All shaders in one text: what the pictures depend on besides the data."""
+    files = resources.files("skope.gen.render.gl").joinpath("shaders").iterdir()
+    return "".join(file.read_text(encoding="utf-8") for file in sorted(files, key=lambda file: file.name))
+
+
+def _source(name: str) -> str:
+    text = resources.files("skope.gen.render.gl").joinpath(f"shaders/{name}").read_text(encoding="utf-8")
+    return re.sub(r'#include "([\w.]+)"', lambda match: _source(match[1]), text)
+
+
+def _defines() -> str:
+    lines = [f"#define M_{name.upper()} {number}" for name, number in _NUMBERS.items()]
+    lines += [f"#define LAMP_{name.upper()} {bit}" for name, bit in LAMPS.items()]
+    return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceMesh:
+    """A mesh's vertices on the device, drawn by any program with the inputs it needs."""
+
+    device: "Device"
+    vertices: Any
+    count: int
+
+    def draw(self, program: Any) -> None:
+        inputs = {"in_position": "3f", "in_normal": "3f", "in_material": "1f"}
+        used = [name for name in inputs if name in program]
+        layout = " ".join(inputs[name] if name in used else f"{4 * int(inputs[name][0])}x" for name in inputs)
+        self.device.array(program, self.vertices, layout, used).render(vertices=self.count)
+
+
+class Device:
+    """One OpenGL context with its programs."""
+
+    def __init__(self) -> None:
+        import moderngl
+
+        self.gl: Any = moderngl
+        try:
+            self.context: Any = self.gl.create_context(standalone=True, backend="egl", require=430)
+        except Exception as error:  # EGL's loaders raise whatever they like
+            raise UserError(
+                f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
+                "(Debian's names), or take --renderer pybullet"
+            ) from None
+        self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
+        self._arrays: dict[tuple[int, int], Any] = {}
+        self._programs: dict[tuple[str, str], Any] = {}
+
+    def program(self, vertex: str, fragment: str) -> Any:
+        """The program of two shader files, compiled once."""
+        key = vertex, fragment
+        if key not in self._programs:
+            sources = [
+                _source(name).replace("#version 430", f"#version 430\n{_defines()}\n", 1) for name in (vertex, fragment)
+            ]
+            self._programs[key] = self.context.program(vertex_shader=sources[0], fragment_shader=sources[1])
+        return self._programs[key]
+
+    def array(self, program: Any, vertices: Any, layout: str, names: Sequence[str]) -> Any:
+        key = program.glo, vertices.glo
+        if key not in self._arrays:
+            self._arrays[key] = self.context.vertex_array(program, [(vertices, layout, *names)])
+        return self._arrays[key]
+
+    def screen(self, program: Any) -> None:
+        """Run a program for every pixel of the target."""
+        key = program.glo, 0
+        if key not in self._arrays:
+            self._arrays[key] = self.context.vertex_array(program, [])
+        self._arrays[key].render(mode=self.gl.TRIANGLES, vertices=3)
+
+    def upload(self, mesh: Mesh, origin: Array | None = None) -> DeviceMesh:
+        """Put a mesh on the device, its positions relative to `origin` so that float32 keeps tenths of millimetres."""
+        numbers = np.array([_NUMBERS[name] for name in mesh.materials])[mesh.material]
+        corners = mesh.triangles.ravel()
+        positions = mesh.vertices - (np.zeros(3) if origin is None else origin)
+        rows = np.concatenate([positions[corners], mesh.normals[corners], numbers.repeat(3)[:, None]], axis=1)
+        return DeviceMesh(self, self.context.buffer(rows.astype("f4").tobytes()), len(corners))
+
+    def target(self, size: tuple[int, int], kinds: Sequence[str], *, depth: bool = True) -> Any:
+        """A framebuffer with colour attachments such as "4f4" (components, type) and a depth buffer."""
+        textures = [self.context.texture(size, int(kind[0]), dtype=kind[1:]) for kind in kinds]
+        for texture in textures:
+            texture.filter = (self.gl.NEAREST, self.gl.NEAREST)
+        buffer = self.context.depth_renderbuffer(size) if depth else None
+        return self.context.framebuffer(textures, buffer)
+
+    def shadow_map(self, size: int) -> Any:
+        """A framebuffer that is a depth texture, compared when sampled, with everything outside it lit."""
+        texture = self.context.depth_texture((size, size))
+        texture.compare_func = "<="
+        texture.filter = (self.gl.LINEAR, self.gl.LINEAR)
+        texture.repeat_x = texture.repeat_y = False
+        return self.context.framebuffer(depth_attachment=texture)
+
+
+def put(program: Any, values: Mapping[str, Any]) -> None:
+    """Set a program's uniforms, those that it has: numbers, vectors, row-major matrices."""
+    for name, value in values.items():
+        if name not in program:
+            continue
+        if isinstance(value, int | float):
+            program[name] = value
+        else:
+            array = np.asarray(value, dtype=np.float32)
+            program[name].write(
+                np.ascontiguousarray(
+                    array.T if array.ndim == 2 and array.shape[0] == array.shape[1] else array
+                ).tobytes()
+            )
+
+
+def albedo_table() -> NDArray[np.float32]:
+    """(M, 4) linear colour and roughness of every material, in the order of their numbers."""
+    rows = [[*linear(MATERIALS[name]), GLOSS.get(name, 0.85)] for name in MATERIALS]
+    return np.array([*rows, [0.5, 0.5, 0.5, GLOSS["paint"]]], dtype=np.float32)
+
+
+def noise_tile(size: int = 256) -> bytes:
+    """(size, size, 4) bytes of four tileable noises, each a sum of octaves stretched to the whole range."""
+    rng = np.random.default_rng(11)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    layers = []
+    for power in (1.3, 1.0, 1.1, 1.6):
+        weight = np.where(frequency > 0, 1 / np.maximum(frequency, 1e-9) ** power, 0)
+        field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((size, size))) * weight).real
+        ranks = field.ravel().argsort().argsort() / (size * size - 1)
+        # Half way between an even spread and the bell that sums of octaves have.
+        layers.append(0.5 * ranks.reshape(field.shape) + 0.5 * np.clip(0.5 + 0.18 * field / field.std(), 0, 1))
+    return (np.stack(layers, -1) * 255).astype(np.uint8).tobytes()
+
+
+def projection(K: Array, window: tuple[int, int, int, int], jitter: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """(4, 4) camera frame -> clip space for a window (x0, y0, x1, y1) of the image, shifted by a share of a pixel.
+
+    Image rows count upwards in clip space, so that the target's first row is the image's.
+    """
+    x0, y0, x1, y1 = window
+    width, height = x1 - x0, y1 - y0
+    out = np.zeros((4, 4))
+    out[0, 0], out[0, 1], out[0, 2] = (
+        2 * K[0, 0] / width,
+        2 * K[0, 1] / width,
+        2 * (K[0, 2] - x0 + jitter[0]) / width - 1,
+    )
+    out[1, 1], out[1, 2] = 2 * K[1, 1] / height, 2 * (K[1, 2] - y0 + jitter[1]) / height - 1
+    out[2, 2], out[2, 3] = (FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+    out[3, 2] = 1
+    return out
+
+
+def light_projection(direction: Array, center: Array, radius: float) -> tuple[Array, Array]:
+    """World axes -> clip space of a light from `direction` around `center`, and -> texture coordinates and depth."""
+    d = direction / np.linalg.norm(direction)
+    side = np.cross(d, [0.0, 1.0, 0.0] if abs(d[1]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    R = np.stack([side, np.cross(d, side), -d])
+    reach = 2 * radius + 60
+    clip = np.eye(4)
+    clip[:2, :3], clip[2, :3] = R[:2] / radius, R[2] / reach
+    clip[:3, 3] = -clip[:3, :3] @ center
+    texture = np.eye(4)
+    texture[[0, 1, 2], [0, 1, 2]], texture[:3, 3] = 0.5, 0.5
+    return clip, texture @ clip

@@ -1,0 +1,265 @@
+"""Renders a recording's frames with OpenGL.
+
+The scenery's light comes from `background`, worked out once. Per frame only the vehicles are drawn, in the rectangle
+that they and their shadows may touch: once for depth, slope and ids at pixel centres, once per vehicle for its whole
+silhouette, and in colour over the scenery.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.gen.recording import Moment, RecordedVehicle, Recording
+from skope.gen.render import Silhouette, View
+from skope.gen.render.gl.background import light_the_scenery
+from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
+from skope.gen.render.sensor import NOISE_SIGMA, with_noise
+from skope.gen.render.windows import Window, window_of
+from skope.gen.vehicles import PAINTS, build
+
+Array = NDArray[np.float64]
+
+SCALE: Final = 2
+"""Colour samples per pixel and axis on vehicles."""
+SHADOW_MAP: Final = 2048
+SHADOW_RADIUS: Final = 60.0
+"""Vehicles nearer to the middle of the view than this throw shadows, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A vehicle's body or wheel in a frame, ready to draw."""
+
+    mesh: DeviceMesh
+    T_camera: Array
+    T_axes: Array
+    """Mesh -> world axes, relative to the camera."""
+    wheel: bool
+
+
+class GLRenderer:
+    """Draws the frames of one recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        camera = recording.camera
+        if camera.distortion.model != "none":
+            raise UserError(f"{recording.site}: --renderer gl draws cameras without distortion only")
+        self._recording, self._camera = recording, camera
+        self._device = device()
+        self._background = light_the_scenery(self._device, recording)
+        size = (camera.width, camera.height)
+        self._geometry = self._device.target(size, ["4f4"])
+        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), ["4f2"])
+        self._behind = self._device.target(size, ["4f2"])
+        self._display = self._device.target(size, ["4f1"], depth=False)
+        self._sun_map, self._top_map = self._device.shadow_map(SHADOW_MAP), self._device.shadow_map(SHADOW_MAP)
+        self._meshes: dict[tuple[Any, ...], tuple[DeviceMesh, DeviceMesh, DeviceMesh]] = {}
+        self._focus = self._background.focus
+        self._plain = self._compose((0, 0, *size), self._color.color_attachments[0], SCALE, shadows=False)
+
+    # ------------------------------------------------------------------------------------------------------- vehicles
+
+    def _mesh(self, recorded: RecordedVehicle) -> tuple[DeviceMesh, DeviceMesh, DeviceMesh]:
+        key = (recorded.model, *sorted(recorded.shape.items()))
+        if key not in self._meshes:
+            vehicle = build(recorded.model, recorded.shape)
+            meshes = (vehicle.mesh, vehicle.wheel.mirrored(), vehicle.wheel)
+            self._meshes[key] = tuple(self._device.upload(mesh) for mesh in meshes)  # type: ignore[assignment]
+        return self._meshes[key]
+
+    def _parts(self, moment: Moment, i: int) -> list[_Part]:
+        body, right, left = self._mesh(moment.vehicles[i])
+        eye = np.eye(4)
+        eye[:3, 3] = -self._camera.position
+        poses = [moment.T_world_chassis[i], *moment.T_world_wheels[i]]
+        meshes = (body, right, left, right, left)
+        return [
+            _Part(mesh, self._camera.T_camera_world @ T, eye @ T, wheel=k > 0)
+            for k, (mesh, T) in enumerate(zip(meshes, poses, strict=True))
+        ]
+
+    # --------------------------------------------------------------------------------------------------------- frames
+
+    def render(self, frame: int) -> View:
+        """Draw a frame."""
+        camera, moment = self._camera, self._recording.moment(frame)
+        windows = [
+            window_of(build(v.model, v.shape), T, camera)
+            for v, T in zip(moment.vehicles, moment.T_world_chassis, strict=True)
+        ]
+        parts = {i: self._parts(moment, i) for i, window in enumerate(windows) if window is not None}
+        depth, slope, ids = (self._background.depth.copy(), self._background.slope.copy(), self._background.ids.copy())
+        clean = self._plain.copy()
+        contrast = np.zeros(len(windows))
+        if parts:
+            dirty = self._dirty([w for w in windows if w is not None])
+            rows, columns = slice(dirty[1], dirty[3]), slice(dirty[0], dirty[2])
+            self._draw_geometry(parts, depth[rows, columns], slope[rows, columns], ids[rows, columns], dirty)
+            front, behind = self._draw_color(moment, parts, dirty)
+            clean[rows, columns] = front
+            difference = np.abs(front.astype(np.int16) - behind).mean(axis=-1)
+            shown = ids[rows, columns]
+            count = np.bincount(shown[shown > 0], minlength=len(windows) + 1)[1:]
+            total = np.bincount(shown[shown > 0], weights=difference[shown > 0], minlength=len(windows) + 1)[1:]
+            contrast = np.where(count > 0, total / np.maximum(count, 1) / NOISE_SIGMA, 0.0)
+        silhouettes = tuple(self._silhouette(parts.get(i), window) for i, window in enumerate(windows))
+        return View(with_noise(clean, self._recording, frame), depth, slope, ids, silhouettes, contrast)
+
+    def _dirty(self, windows: list[Window]) -> Window:
+        """The rectangle of the image that vehicles and their shadows may touch."""
+        camera = self._camera
+        x0, y0, x1, y1 = (f(w[k] for w in windows) for k, f in enumerate((min, min, max, max)))
+        # Shadows reach about as far as vehicles are large in the image, and contact shadows a little further.
+        reach = round(0.6 * max(max(w[3] - w[1], w[2] - w[0]) for w in windows) * self._background.shadow_reach) + 8
+        return (
+            max(0, x0 - reach),
+            max(0, y0 - reach),
+            min(camera.width, x1 + reach),
+            min(camera.height, y1 + reach),
+        )
+
+    def _draw_parts(self, program: Any, parts: list[_Part], P: Array) -> None:
+        for part in parts:
+            put(
+                program,
+                {"u_model": part.T_camera, "u_world": part.T_axes, "u_project": P, "u_wheel": float(part.wheel)},
+            )
+            part.mesh.draw(program)
+
+    def _draw_geometry(
+        self,
+        parts: dict[int, list[_Part]],
+        depth: NDArray[np.float32],
+        slope: NDArray[np.float32],
+        ids: NDArray[np.int32],
+        dirty: Window,
+    ) -> None:
+        """Draw depth, slope and ids, and put them into views of the scenery's where a vehicle is nearer."""
+        device, camera = self._device, self._camera
+        program = device.program("geometry.vert.glsl", "geometry.frag.glsl")
+        self._geometry.use()
+        self._geometry.clear(0, 0, 0, 0)
+        device.context.enable_only(device.gl.DEPTH_TEST)
+        P = projection(camera.K, (0, 0, camera.width, camera.height))
+        for i, vehicle in parts.items():
+            program["u_id"] = float(i + 1)
+            self._draw_parts(program, vehicle, P)
+        x0, y0, x1, y1 = dirty
+        data = self._geometry.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=4, dtype="f4")
+        layer = np.frombuffer(data, dtype=np.float32).reshape(y1 - y0, x1 - x0, 4)
+        nearer = (layer[..., 3] > 0) & (layer[..., 0] < depth)
+        depth[nearer], slope[nearer] = layer[..., 0][nearer], layer[..., 1:3][nearer]
+        ids[nearer] = layer[..., 3][nearer].astype(np.int32)
+
+    def _silhouette(self, parts: list[_Part] | None, window: Window | None) -> Silhouette:
+        if parts is None or window is None:
+            return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+        device = self._device
+        x0, y0, x1, y1 = window
+        size = (x1 - x0, y1 - y0)
+        target = _mask_target(device, _rounded(size))
+        program = device.program("geometry.vert.glsl", "geometry.frag.glsl")
+        target.viewport = (0, 0, *size)
+        target.use()
+        target.clear(0, 0, 0, 0, viewport=(0, 0, *size))
+        device.context.enable_only(device.gl.NOTHING)
+        program["u_id"] = 1.0
+        self._draw_parts(program, parts, projection(self._camera.K, window))
+        data = target.read(viewport=(0, 0, *size), components=1, dtype="f1", alignment=1)
+        return Silhouette(x0, y0, np.frombuffer(data, dtype=np.uint8).reshape(size[1], size[0]) > 0)
+
+    # --------------------------------------------------------------------------------------------------------- colour
+
+    def _draw_shadows(self, parts: dict[int, list[_Part]]) -> dict[str, Any]:
+        """Shadow maps of the vehicles from the sun and from straight above; returns their uniforms."""
+        device = self._device
+        program = device.program("geometry.vert.glsl", "shadow.frag.glsl")
+        device.context.enable_only(device.gl.DEPTH_TEST)
+        uniforms: dict[str, Any] = {"u_texel": 0.5 / SHADOW_RADIUS}
+        maps = (("sun", self._sun_map, self._background.sun_direction), ("top", self._top_map, np.array([0, 0, 1.0])))
+        for unit, (name, target, direction) in enumerate(maps, start=4):
+            clip, texture = light_projection(direction, self._focus, SHADOW_RADIUS)
+            target.use()
+            target.clear()
+            for vehicle in parts.values():
+                for part in vehicle:
+                    put(program, {"u_model": part.T_axes, "u_world": part.T_axes, "u_project": clip})
+                    part.mesh.draw(program)
+            target.depth_attachment.use(unit)
+            uniforms |= {f"u_vehicle_{name}_map": unit, f"u_vehicle_{name}_map_from": texture}
+        return uniforms
+
+    def _draw_color(
+        self, moment: Moment, parts: dict[int, list[_Part]], dirty: Window
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """The rectangle's picture, and the same with the vehicle that is shown in front left out, pixel by pixel."""
+        device, camera = self._device, self._camera
+        uniforms = self._draw_shadows(parts) | self._background.bind()
+        program = device.program("geometry.vert.glsl", "vehicle.frag.glsl")
+        self._geometry.color_attachments[0].use(6)
+        put(program, {**uniforms, "u_front": 6})
+        out = []
+        for target, scale, peel in ((self._color, SCALE, False), (self._behind, 1, True)):
+            x0, y0, x1, y1 = (scale * k for k in dirty)
+            target.use()
+            target.scissor = (x0, y0, x1 - x0, y1 - y0)
+            target.clear(0, 0, 0, 0)
+            device.context.enable_only(device.gl.DEPTH_TEST)
+            P = projection(camera.K, (0, 0, camera.width, camera.height))
+            put(program, {"u_scale": float(scale), "u_peel": float(peel)})
+            for i, vehicle in parts.items():
+                paint = linear(np.array(PAINTS[moment.vehicles[i].color][1]) / 255)
+                put(program, {"u_paint": paint, "u_lamps": int(moment.lamps[i]), "u_id": float(i + 1)})
+                self._draw_parts(program, vehicle, P)
+            out.append(self._compose(dirty, target.color_attachments[0], scale, shadows=True, more=uniforms))
+        return out[0], out[1]
+
+    def _compose(
+        self, window: Window, vehicles: Any, scale: int, *, shadows: bool, more: dict[str, Any] | None = None
+    ) -> NDArray[np.uint8]:
+        device, camera = self._device, self._camera
+        x0, y0, x1, y1 = window
+        if not shadows:
+            self._color.use()
+            self._color.clear(0, 0, 0, 0)
+        program = device.program("screen.vert.glsl", "composite.frag.glsl")
+        vehicles.use(7)
+        put(
+            program,
+            {
+                **self._background.bind(),
+                **self._background.display_uniforms(),
+                **(more or {}),
+                "u_vehicles": 7,
+                "u_scale": scale,
+                "u_shadows": int(shadows),
+                "u_size": [camera.width, camera.height],
+                "u_jitter": [0.0, 0.0],
+            },
+        )
+        self._display.use()
+        self._display.scissor = (x0, y0, x1 - x0, y1 - y0)
+        device.context.enable_only(device.gl.NOTHING)
+        device.screen(program)
+        data = self._display.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=3, alignment=1)
+        return np.frombuffer(data, dtype=np.uint8).reshape(y1 - y0, x1 - x0, 3)
+
+
+@cache
+def device() -> Device:
+    """This process's OpenGL device."""
+    return Device()
+
+
+@cache
+def _mask_target(device: Device, size: tuple[int, int]) -> Any:
+    return device.target(size, ["1f1"], depth=False)
+
+
+def _rounded(size: tuple[int, int]) -> tuple[int, int]:
+    """A size up to which targets are kept, so that few of them serve all silhouettes."""
+    return tuple(1 << max(6, (side - 1).bit_length()) for side in size)  # type: ignore[return-value]
