@@ -203,10 +203,18 @@ def _measure(visible: Mask, silhouette: Silhouette, camera: Camera) -> _Extent:
     x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
     x1, y1 = min(silhouette.x + width, camera.width), min(silhouette.y + height, camera.height)
     mask[y0:y1, x0:x1] = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
+    # Drawn in another window, an edge may round to the pixel beside it; what is visible is part of the vehicle.
+    missed = visible & ~mask
+    mask |= missed
     rle = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
     segmentation = {"size": list(map(int, rle["size"])), "counts": rle["counts"].decode()}
     return _Extent(
-        bbox_of(mask), bbox_of(visible), segmentation, int(visible.sum()), int(mask.sum()), int(silhouette.mask.sum())
+        bbox_of(mask),
+        bbox_of(visible),
+        segmentation,
+        int(visible.sum()),
+        int(mask.sum()),
+        int(silhouette.mask.sum() + missed.sum()),
     )
 
 

@@ -165,6 +165,20 @@ def test_a_sliver_at_the_image_edge() -> None:
     assert annotation.truncation > 0.5
 
 
+def test_a_visible_pixel_beyond_the_silhouette_belongs_to_it() -> None:
+    recording, view = scene("nothing")
+    silhouette = view.silhouettes[0]
+    smaller = silhouette.mask.copy()
+    rows, columns = np.nonzero(smaller)
+    smaller[rows[0], columns[0]] = False
+    view = View(
+        view.rgb, view.depth, view.slope, view.ids, (Silhouette(silhouette.x, silhouette.y, smaller),), view.contrast
+    )
+    (annotation,), _ = annotate(recording.moment(0), view, CAMERA, Rules(), 1)
+    assert annotation.occlusion == 0
+    assert annotation.area_full == annotation.area
+
+
 def test_bbox_of_a_mask() -> None:
     mask = np.zeros((20, 30), bool)
     mask[4:7, 10:15] = True

@@ -69,4 +69,4 @@ class Daylight:
     @property
     def exposure(self) -> float:
         """What an automatic exposure does: brings a surface of 18% reflectance on level ground to a middle grey."""
-        return float(0.21 / (0.18 * self.ground_irradiance.mean() / math.pi))
+        return float(0.19 / (0.18 * self.ground_irradiance.mean() / math.pi))

@@ -22,6 +22,7 @@ from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain
 from skope.gen.render.sensor import NOISE_SIGMA, with_noise
+from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, window_of
 from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import LAMPS
@@ -251,7 +252,7 @@ class TinyRenderer:
         ids = np.where(self._background.part >= 0, STATIC, SKY).astype(np.int32)
         for i, layer in enumerate(layers):
             _put(layer, self._image, rgb, depth, ids, i + 1)
-        self._light_signals(moment, rgb, depth)
+        light_signals(rgb, depth, self._camera, moment, self._signals, FINE)
         clean = _mean(rgb)
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
@@ -287,19 +288,6 @@ class TinyRenderer:
         for other in (*layers[:i], *layers[i + 1 :]):
             _put(other, window, rgb, depth)
         return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean()) / NOISE_SIGMA
-
-    def _light_signals(self, moment: Moment, rgb: NDArray[np.uint8], depth: NDArray[np.float32]) -> None:
-        for signal in self._signals:
-            state = moment.signals[signal.program][signal.link].lower()
-            lit = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}.get(state)
-            pixels, z, valid = self._camera.project(signal.lamps)
-            away = self._camera.position - signal.lamps[0]
-            if lit is None or not valid[lit] or not self._camera.inside(pixels[lit]) or away @ signal.facing <= 0:
-                continue
-            at = (pixels[lit] * FINE).astype(int)
-            if z[lit] < depth[at[1], at[0]] + 0.3:
-                radius = max(1, round(0.1 * self._camera.K[0, 0] / z[lit] * FINE))
-                cv2.circle(rgb, at.tolist(), radius, ((235, 40, 30), (250, 190, 40), (40, 220, 110))[lit], -1)
 
 
 def _put(

@@ -18,7 +18,9 @@ from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import light_the_scenery
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
 from skope.gen.render.sensor import NOISE_SIGMA, with_noise
+from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import Window, window_of
+from skope.gen.towns.scenery import scenery
 from skope.gen.vehicles import PAINTS, build
 
 Array = NDArray[np.float64]
@@ -106,6 +108,7 @@ class GLRenderer:
             count = np.bincount(shown[shown > 0], minlength=len(windows) + 1)[1:]
             total = np.bincount(shown[shown > 0], weights=difference[shown > 0], minlength=len(windows) + 1)[1:]
             contrast = np.where(count > 0, total / np.maximum(count, 1) / NOISE_SIGMA, 0.0)
+        light_signals(clean, depth, camera, moment, scenery(self._recording.town).signals)
         silhouettes = tuple(self._silhouette(parts.get(i), window) for i, window in enumerate(windows))
         return View(with_noise(clean, self._recording, frame), depth, slope, ids, silhouettes, contrast)
 

@@ -1,0 +1,39 @@
+"""Lit lamps of traffic lights, drawn over a rendered image."""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.recording import Moment
+from skope.gen.towns.scenery import Signal
+
+_LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
+"""Which lamp each of SUMO's states lights; the others light none."""
+_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
+_RADIUS: Final = 0.1
+_SHIFT: Final = 4
+
+
+def light_signals(
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.floating[Any]],
+    camera: Camera,
+    moment: Moment,
+    signals: tuple[Signal, ...],
+    fine: int = 1,
+) -> None:
+    """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
+    for signal in signals:
+        lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
+        pixels, z, valid = camera.project(signal.lamps)
+        away = camera.position - signal.lamps[0]
+        if lamp is None or not valid[lamp] or not camera.inside(pixels[lamp]) or away @ signal.facing <= 0:
+            continue
+        at = pixels[lamp] * fine
+        if z[lamp] < depth[int(at[1]), int(at[0])] + 0.3:
+            radius = max(0.7, _RADIUS * camera.K[0, 0] / z[lamp] * fine)
+            center = np.rint((at - 0.5) * 2**_SHIFT).astype(int).tolist()
+            cv2.circle(rgb, center, round(radius * 2**_SHIFT), _COLORS[lamp], -1, cv2.LINE_AA, _SHIFT)
