@@ -85,3 +85,23 @@ def check(
     console.result(f"{dataset}: {count or 'no'} finding{'' if count == 1 else 's'}")
     if count:
         raise typer.Exit(1)
+
+
+@app.command()
+def doctor(
+    pictures: Annotated[Path | None, typer.Option(help="Folder for a test image of each renderer.")] = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Say what is installed, what of it works, and what to do about the rest; exit code 1 when something does not."""
+    from skope.gen.doctor import examine
+
+    console = Console(quiet)
+    broken = []
+    for finding in examine(pictures):
+        if not finding.works:
+            broken.append(finding.part)
+        console.result(f"{'ok ' if finding.works else 'NOT'} {finding.part:<18} {finding.text}")
+    console.result(f"not working: {', '.join(broken)}" if broken else "everything works; next: skope gen")
+    if broken:
+        raise typer.Exit(1)

@@ -49,7 +49,8 @@ class Daylight:
             horizon = day * np.array([0.75, 0.95, 1.15]) + (1 - day) * 0.35 * through
             return cls(direction, 10 * through, zenith, horizon, 0.0, 1 / 2500)
         grey = day * np.array([0.92, 0.97, 1.03])
-        return cls(direction, 0.4 * day * np.ones(3), 0.9 * grey, 0.7 * grey, 1.0, 1 / 1400)
+        # Clouds spread what is left of the sun around the zenith.
+        return cls(np.array([0.0, 0.0, 1.0]), 0.4 * day * np.ones(3), 0.9 * grey, 0.7 * grey, 1.0, 1 / 1400)
 
     def sky(self, direction: Array) -> Array:
         """(3,) mean radiance of the sky in a direction, clouds spread evenly."""

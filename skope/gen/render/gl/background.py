@@ -61,11 +61,6 @@ class Background:
     def sun_direction(self) -> Array:
         return self.daylight.sun_direction
 
-    @property
-    def shadow_reach(self) -> float:
-        """How many times their own height shadows are long, within reason."""
-        return float(np.clip(1 / np.tan(np.arcsin(self.sun_direction[2])), 1.0, 4.0))
-
     def bind(self) -> dict[str, Any]:
         """Put textures into their places; returns the uniforms that programs need of them and of the light."""
         self.noise.use(0)

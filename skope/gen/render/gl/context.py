@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
 from skope.gen.render.materials import GLOSS, MATERIALS
+from skope.gen.render.windows import Window
 from skope.gen.traffic import LAMPS
 
 Array = NDArray[np.float64]
@@ -103,6 +104,19 @@ class Device:
             self._arrays[key] = self.context.vertex_array(program, [])
         self._arrays[key].render(mode=self.gl.TRIANGLES, vertices=3)
 
+    def tiles(self, program: Any, places: Sequence[Window]) -> None:
+        """Run a program for every pixel of parts of the target."""
+        corners = [
+            corner
+            for x0, y0, x1, y1 in places
+            for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y0), (x1, y1), (x0, y1))
+        ]
+        buffer = self.context.buffer(np.array(corners, dtype="f4").tobytes())
+        array = self.context.vertex_array(program, [(buffer, "2f", "in_corner")])
+        array.render(vertices=len(corners))
+        array.release()
+        buffer.release()
+
     def upload(self, mesh: Mesh, origin: Array | None = None) -> DeviceMesh:
         """Put a mesh on the device, its positions relative to `origin` so that float32 keeps tenths of millimetres."""
         numbers = np.array([_NUMBERS[name] for name in mesh.materials])[mesh.material]
@@ -164,7 +178,7 @@ def noise_tile(size: int = 256) -> bytes:
     return (np.stack(layers, -1) * 255).astype(np.uint8).tobytes()
 
 
-def projection(K: Array, window: tuple[int, int, int, int], jitter: tuple[float, float] = (0.0, 0.0)) -> Array:
+def projection(K: Array, window: Window, jitter: tuple[float, float] = (0.0, 0.0)) -> Array:
     """(4, 4) camera frame -> clip space for a window (x0, y0, x1, y1) of the image, shifted by a share of a pixel.
 
     Image rows count upwards in clip space, so that the target's first row is the image's.

@@ -5,6 +5,7 @@ that they and their shadows may touch: once for depth, slope and ids at pixel ce
 silhouette, and in colour over the scenery.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
@@ -19,7 +20,7 @@ from skope.gen.render.gl.background import light_the_scenery
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
 from skope.gen.render.sensor import NOISE_SIGMA, with_noise
 from skope.gen.render.signals import light_signals
-from skope.gen.render.windows import Window, window_of
+from skope.gen.render.windows import Window, runs, window_of, window_with_shadow
 from skope.gen.towns.scenery import scenery
 from skope.gen.vehicles import PAINTS, build
 
@@ -61,7 +62,10 @@ class GLRenderer:
         self._sun_map, self._top_map = self._device.shadow_map(SHADOW_MAP), self._device.shadow_map(SHADOW_MAP)
         self._meshes: dict[tuple[Any, ...], tuple[DeviceMesh, DeviceMesh, DeviceMesh]] = {}
         self._focus = self._background.focus
-        self._plain = self._compose((0, 0, *size), self._color.color_attachments[0], SCALE, shadows=False)
+        self._color.use()
+        self._color.clear(0, 0, 0, 0)
+        ((_, plain),) = self._compose([(0, 0, *size)], self._color.color_attachments[0], SCALE, None)
+        self._plain = plain
 
     # ------------------------------------------------------------------------------------------------------- vehicles
 
@@ -89,41 +93,27 @@ class GLRenderer:
     def render(self, frame: int) -> View:
         """Draw a frame."""
         camera, moment = self._camera, self._recording.moment(frame)
-        windows = [
-            window_of(build(v.model, v.shape), T, camera)
-            for v, T in zip(moment.vehicles, moment.T_world_chassis, strict=True)
-        ]
+        models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
+        places = list(zip(models, moment.T_world_chassis, strict=True))
+        windows = [window_of(model, T, camera) for model, T in places]
         parts = {i: self._parts(moment, i) for i, window in enumerate(windows) if window is not None}
-        depth, slope, ids = (self._background.depth.copy(), self._background.slope.copy(), self._background.ids.copy())
-        clean = self._plain.copy()
+        scenery_view = self._background
+        view = _Buffers(
+            scenery_view.depth.copy(), scenery_view.slope.copy(), scenery_view.ids.copy(), self._plain.copy()
+        )
         contrast = np.zeros(len(windows))
         if parts:
-            dirty = self._dirty([w for w in windows if w is not None])
-            rows, columns = slice(dirty[1], dirty[3]), slice(dirty[0], dirty[2])
-            self._draw_geometry(parts, depth[rows, columns], slope[rows, columns], ids[rows, columns], dirty)
-            front, behind = self._draw_color(moment, parts, dirty)
-            clean[rows, columns] = front
-            difference = np.abs(front.astype(np.int16) - behind).mean(axis=-1)
-            shown = ids[rows, columns]
-            count = np.bincount(shown[shown > 0], minlength=len(windows) + 1)[1:]
-            total = np.bincount(shown[shown > 0], weights=difference[shown > 0], minlength=len(windows) + 1)[1:]
-            contrast = np.where(count > 0, total / np.maximum(count, 1) / NOISE_SIGMA, 0.0)
-        light_signals(clean, depth, camera, moment, scenery(self._recording.town).signals)
+            shades = [window_with_shadow(model, T, camera, self._background.sun_direction) for model, T in places]
+            size = (camera.width, camera.height)
+            vehicle_runs = runs([window for window in windows if window], size)
+            self._draw_geometry(parts, view, vehicle_runs)
+            contrast = self._draw_color(
+                moment, parts, view, vehicle_runs, runs([w for w in (*shades, *windows) if w], size)
+            )
+        light_signals(view.rgb, view.depth, camera, moment, scenery(self._recording.town).signals)
         silhouettes = tuple(self._silhouette(parts.get(i), window) for i, window in enumerate(windows))
-        return View(with_noise(clean, self._recording, frame), depth, slope, ids, silhouettes, contrast)
-
-    def _dirty(self, windows: list[Window]) -> Window:
-        """The rectangle of the image that vehicles and their shadows may touch."""
-        camera = self._camera
-        x0, y0, x1, y1 = (f(w[k] for w in windows) for k, f in enumerate((min, min, max, max)))
-        # Shadows reach about as far as vehicles are large in the image, and contact shadows a little further.
-        reach = round(0.6 * max(max(w[3] - w[1], w[2] - w[0]) for w in windows) * self._background.shadow_reach) + 8
-        return (
-            max(0, x0 - reach),
-            max(0, y0 - reach),
-            min(camera.width, x1 + reach),
-            min(camera.height, y1 + reach),
-        )
+        rgb = with_noise(view.rgb, self._recording, frame)
+        return View(rgb, view.depth, view.slope, view.ids, silhouettes, contrast)
 
     def _draw_parts(self, program: Any, parts: list[_Part], P: Array) -> None:
         for part in parts:
@@ -133,15 +123,8 @@ class GLRenderer:
             )
             part.mesh.draw(program)
 
-    def _draw_geometry(
-        self,
-        parts: dict[int, list[_Part]],
-        depth: NDArray[np.float32],
-        slope: NDArray[np.float32],
-        ids: NDArray[np.int32],
-        dirty: Window,
-    ) -> None:
-        """Draw depth, slope and ids, and put them into views of the scenery's where a vehicle is nearer."""
+    def _draw_geometry(self, parts: dict[int, list[_Part]], view: "_Buffers", places: list[Window]) -> None:
+        """Draw depth, slope and ids, and put them into the view where a vehicle is nearer than the scenery."""
         device, camera = self._device, self._camera
         program = device.program("geometry.vert.glsl", "geometry.frag.glsl")
         self._geometry.use()
@@ -151,12 +134,11 @@ class GLRenderer:
         for i, vehicle in parts.items():
             program["u_id"] = float(i + 1)
             self._draw_parts(program, vehicle, P)
-        x0, y0, x1, y1 = dirty
-        data = self._geometry.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=4, dtype="f4")
-        layer = np.frombuffer(data, dtype=np.float32).reshape(y1 - y0, x1 - x0, 4)
-        nearer = (layer[..., 3] > 0) & (layer[..., 0] < depth)
-        depth[nearer], slope[nearer] = layer[..., 0][nearer], layer[..., 1:3][nearer]
-        ids[nearer] = layer[..., 3][nearer].astype(np.int32)
+        for there, layer in _read(self._geometry, places, 4, np.float32):
+            nearer = (layer[..., 3] > 0) & (layer[..., 0] < view.depth[there])
+            view.depth[there][nearer] = layer[..., 0][nearer]
+            view.slope[there][nearer] = layer[..., 1:3][nearer]
+            view.ids[there][nearer] = layer[..., 3][nearer].astype(np.int32)
 
     def _silhouette(self, parts: list[_Part] | None, window: Window | None) -> Silhouette:
         if parts is None or window is None:
@@ -197,59 +179,94 @@ class GLRenderer:
         return uniforms
 
     def _draw_color(
-        self, moment: Moment, parts: dict[int, list[_Part]], dirty: Window
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """The rectangle's picture, and the same with the vehicle that is shown in front left out, pixel by pixel."""
+        self,
+        moment: Moment,
+        parts: dict[int, list[_Part]],
+        view: "_Buffers",
+        vehicle_runs: list[Window],
+        shaded_runs: list[Window],
+    ) -> Array:
+        """Draw vehicles and shadows into the view's picture; returns the vehicles' contrast.
+
+        For that the vehicle shown in front is left out, pixel by pixel, in a second picture.
+        """
         device, camera = self._device, self._camera
         uniforms = self._draw_shadows(parts) | self._background.bind()
         program = device.program("geometry.vert.glsl", "vehicle.frag.glsl")
         self._geometry.color_attachments[0].use(6)
         put(program, {**uniforms, "u_front": 6})
-        out = []
-        for target, scale, peel in ((self._color, SCALE, False), (self._behind, 1, True)):
-            x0, y0, x1, y1 = (scale * k for k in dirty)
+        P = projection(camera.K, (0, 0, camera.width, camera.height))
+        total, count = np.zeros(len(moment.vehicles) + 1), np.zeros(len(moment.vehicles) + 1)
+        for target, scale, places, peel in (
+            (self._color, SCALE, shaded_runs, False),
+            (self._behind, 1, vehicle_runs, True),
+        ):
             target.use()
-            target.scissor = (x0, y0, x1 - x0, y1 - y0)
             target.clear(0, 0, 0, 0)
             device.context.enable_only(device.gl.DEPTH_TEST)
-            P = projection(camera.K, (0, 0, camera.width, camera.height))
             put(program, {"u_scale": float(scale), "u_peel": float(peel)})
             for i, vehicle in parts.items():
                 paint = linear(np.array(PAINTS[moment.vehicles[i].color][1]) / 255)
                 put(program, {"u_paint": paint, "u_lamps": int(moment.lamps[i]), "u_id": float(i + 1)})
                 self._draw_parts(program, vehicle, P)
-            out.append(self._compose(dirty, target.color_attachments[0], scale, shadows=True, more=uniforms))
-        return out[0], out[1]
+            for there, rgb in self._compose(places, target.color_attachments[0], scale, uniforms):
+                if not peel:
+                    view.rgb[there] = rgb
+                    continue
+                ids = view.ids[there]
+                shown = ids > 0
+                difference = np.abs(view.rgb[there][shown].astype(np.int16) - rgb[shown]).mean(axis=-1)
+                total += np.bincount(ids[shown], weights=difference, minlength=len(total))
+                count += np.bincount(ids[shown], minlength=len(count))
+        return np.asarray(total[1:] / np.maximum(count[1:], 1) / NOISE_SIGMA)
 
     def _compose(
-        self, window: Window, vehicles: Any, scale: int, *, shadows: bool, more: dict[str, Any] | None = None
-    ) -> NDArray[np.uint8]:
+        self, places: list[Window], vehicles: Any, scale: int, shadows: dict[str, Any] | None
+    ) -> Iterator[tuple[tuple[slice, slice], NDArray[Any]]]:
+        """The picture of parts of the image, with `vehicles` over the scenery in their `shadows`, if any."""
         device, camera = self._device, self._camera
-        x0, y0, x1, y1 = window
-        if not shadows:
-            self._color.use()
-            self._color.clear(0, 0, 0, 0)
-        program = device.program("screen.vert.glsl", "composite.frag.glsl")
+        program = device.program("tiles.vert.glsl", "composite.frag.glsl")
         vehicles.use(7)
         put(
             program,
             {
                 **self._background.bind(),
                 **self._background.display_uniforms(),
-                **(more or {}),
+                **(shadows or {}),
                 "u_vehicles": 7,
                 "u_scale": scale,
-                "u_shadows": int(shadows),
+                "u_shadows": int(shadows is not None),
                 "u_size": [camera.width, camera.height],
-                "u_jitter": [0.0, 0.0],
             },
         )
         self._display.use()
-        self._display.scissor = (x0, y0, x1 - x0, y1 - y0)
         device.context.enable_only(device.gl.NOTHING)
-        device.screen(program)
-        data = self._display.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=3, alignment=1)
-        return np.frombuffer(data, dtype=np.uint8).reshape(y1 - y0, x1 - x0, 3)
+        device.tiles(program, places)
+        return _read(self._display, places, 3, np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Buffers:
+    """A frame in the making."""
+
+    depth: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    ids: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+def _read(
+    target: Any, places: list[Window], components: int, kind: type[np.generic]
+) -> Iterator[tuple[tuple[slice, slice], NDArray[Any]]]:
+    """Pixels of parts of a target, with where they are."""
+    if not places:
+        return
+    x0, y0, x1, y1 = (f(place[k] for place in places) for k, f in enumerate((min, min, max, max)))
+    name = {np.float32: "f4", np.uint8: "f1"}[kind]  # type: ignore[index]
+    data = target.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=components, dtype=name, alignment=1)
+    pixels = np.frombuffer(data, dtype=kind).reshape(y1 - y0, x1 - x0, components)
+    for a, b, c, d in places:
+        yield (slice(b, d), slice(a, c)), pixels[b - y0 : d - y0, a - x0 : c - x0]
 
 
 @cache

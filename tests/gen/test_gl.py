@@ -1,0 +1,145 @@
+"""What only the OpenGL renderer promises."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skope.camera import Camera
+from skope.dataset import encode_depth
+from skope.gen.mesh import flat
+from skope.gen.render import choose_renderer, make_renderer
+from skope.gen.render.gl import cache
+from skope.gen.render.gl.context import projection, put
+from skope.gen.render.gl.renderer import device
+from skope.gen.render.windows import TILE, runs
+from tests.gen.scenes import standing
+
+SIZE = (640, 360)
+
+
+def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
+    """(H, W, 4) depth, slopes and id of one quadrilateral given in world coordinates."""
+    gl = device()
+    mesh = gl.upload(flat([corners], "asphalt"), origin=camera.position)
+    target = gl.target(SIZE, ["4f4"])
+    target.use()
+    target.clear(0, 0, 0, 0)
+    gl.context.enable_only(gl.gl.DEPTH_TEST)
+    view = np.eye(4)
+    view[:3, :3] = camera.T_camera_world[:3, :3]
+    program = gl.program("geometry.vert.glsl", "geometry.frag.glsl")
+    P = projection(camera.K, (0, 0, *SIZE))
+    put(program, {"u_model": view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
+    mesh.draw(program)
+    return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (1000.0, -700.0)])
+@pytest.mark.parametrize("roll", [0.0, 0.4])
+def test_depth_of_the_road_within_a_millimetre(origin: tuple[float, float], roll: float) -> None:
+    x, y = origin
+    camera = Camera.looking([x, y, 7.5], yaw=0.6, pitch_down=0.3, roll=roll, size=SIZE)
+    r = 400  # the town's own roads end 250 m from its middle
+    corners = np.array([(x - r, y - r, 0), (x + r, y - r, 0), (x + r, y + r, 0), (x - r, y + r, 0)])
+    layer = geometry_of_plane(camera, corners)
+    columns, rows = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    rays, _ = camera.rays(np.stack([columns, rows], axis=-1))
+    down = (rays @ camera.T_camera_world[:3, :3])[..., 2]
+    truth = np.where(down < 0, -7.5 / np.where(down < 0, down, -1), np.inf)
+    near = truth < 200
+    assert near.sum() > 50_000
+    assert np.abs(layer[..., 0] - truth)[near].max() < 1e-3
+    # What the file holds is rounded to 1/256 m.
+    file = encode_depth(layer[..., 0]).astype(float) / 256
+    assert np.abs(file - truth)[near].max() < 3e-3
+    # The slope carries a pixel's depth to its neighbour's: inverse depth is linear on a plane.
+    z, right, below = (np.where(near, layer[..., k].astype(float), 1) for k in range(3))
+    for change, axis in ((right, 1), (below, 0)):
+        step = np.diff(1 / truth, axis=axis)
+        inverse = (-change / z**2)[:-1] if axis == 0 else (-change / z**2)[:, :-1]
+        inside = near[:-1] & near[1:] if axis == 0 else near[:, :-1] & near[:, 1:]
+        assert np.abs(inverse - step)[inside].max() < 2e-5
+
+
+def test_three_hundred_metres_and_sky() -> None:
+    camera = Camera.looking([0, 0, 50], yaw=0, pitch_down=0, size=SIZE, fov=np.radians(60))
+    layer = geometry_of_plane(camera, np.array([(300, 40, 20), (300, -40, 20), (300, -40, 80), (300, 40, 80)]))
+    hit = layer[..., 3] > 0
+    assert hit[180, 320]
+    assert not hit[0, 0]
+    np.testing.assert_allclose(layer[hit][:, 0], 300, atol=2e-3)
+    assert encode_depth(np.array([[300.0, np.inf]], dtype=np.float32)).tolist() == [[65535, 0]]
+
+
+def test_wheels_and_body_hide_what_is_behind_them_in_contrast_too() -> None:
+    """A dark car before a light one: without it the light one would show."""
+    camera = Camera.looking([0, -12, 3.0], yaw=np.pi / 2, pitch_down=0.15, size=SIZE, fov=np.radians(60))
+    recording = standing(camera, [("sedan", 0.0, 0.0, 0.0), ("van", 0.0, 5.0, 0.0)])
+    view = make_renderer("gl", recording).render(0)
+    assert (view.contrast > 3).all()
+    assert ((view.ids == 1).sum(), (view.ids == 2).sum()) > (1000, 1000)
+
+
+def test_the_scenery_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKOPE_CACHE", str(tmp_path))
+    camera = Camera.looking([0, -9, 6.5], yaw=np.pi / 2, pitch_down=0.35, size=(64, 36))
+    recording = standing(camera, [])
+    first = make_renderer("gl", recording).render(0)
+    (file,) = tmp_path.glob("light_*.npz")
+    again = make_renderer("gl", recording).render(0)
+    np.testing.assert_array_equal(first.rgb, again.rgb)
+    file.write_bytes(b"damaged")
+    np.testing.assert_array_equal(make_renderer("gl", recording).render(0).rgb, first.rgb)
+    assert file.stat().st_size > 1000
+
+
+def test_the_cache_is_bounded_and_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "LIMIT_BYTES", 30_000)
+    monkeypatch.setenv("SKOPE_CACHE", str(tmp_path))
+    for i in range(6):
+        cache.cached(f"{i}", lambda: {"ambient": np.zeros(4000, np.float16)})
+        os.utime(tmp_path / f"light_{i}.npz", (i, i))
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["light_3.npz", "light_4.npz", "light_5.npz"]
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("SKOPE_CACHE", str(tmp_path / "file" / "below"))
+    made = cache.cached("x", lambda: {"ambient": np.ones(3, np.float16)})
+    np.testing.assert_array_equal(made["ambient"], [1, 1, 1])
+
+
+def test_tiles_cover_windows() -> None:
+    windows = [(5, 5, 40, 20), (-50, 30, 10, 70), (90, 90, 500, 500), (20, 20, 20, 40)]
+    covered = np.zeros((100, 130), int)
+    for x0, y0, x1, y1 in runs(windows, (130, 100)):
+        covered[y0:y1, x0:x1] += 1
+        assert x0 % TILE == y0 % TILE == 0
+    assert covered.max() == 1
+    for x0, y0, x1, y1 in windows[:3]:
+        assert covered[max(y0, 0) : y1, max(x0, 0) : x1].all()
+
+
+def test_without_egl_the_fallback_is_taken_and_gl_is_refused(tmp_path: Path) -> None:
+    """A process that finds no EGL library: `auto` says why it draws with pybullet, `gl` is one line."""
+    code = "import ctypes.util; ctypes.util.find_library = lambda name: None; from skope.cli import main; main()"
+    blind = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none.json")}
+    flags = ["gen", "--sites", "t01_mill_corner", "--frames", "1", "--size", "64x36", "--workers", "1"]
+
+    def run(*more: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", code, *flags, "--out", str(tmp_path / "d"), *more]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=blind)
+
+    refused = run("--renderer", "gl")
+    assert refused.returncode == 2
+    assert "libegl1" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    taken = run()
+    assert taken.returncode == 0, taken.stderr
+    assert "renderer pybullet, which is plainer, because" in taken.stdout
+
+
+def test_auto_is_gl_where_egl_is_to_be_had() -> None:
+    assert choose_renderer("auto")[0] == "gl"
+    assert choose_renderer("pybullet")[0] == "pybullet"
