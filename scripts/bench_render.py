@@ -1,6 +1,6 @@
-"""Frames per second of `skope gen`'s fallback renderer against the loop that one would write with pybullet directly.
+"""Seconds a frame of `skope gen`'s renderers against the loop that one would write with pybullet directly.
 
-Both draw the same recording with TinyRenderer and yield colour, depth and instance ids; the peer draws the whole scene
+All draw the same recording and yield colour, depth and instance ids; the peer draws the whole scene
 with one `getCameraImage` a frame and, for the labels, every vehicle once more by itself. Run: make bench
 """
 
@@ -116,18 +116,21 @@ def main() -> None:
             seed=0,
         )
     )
-    begun = time.perf_counter()
-    renderer = make_renderer("pybullet", recording)
-    setup = time.perf_counter() - begun
     peer = Peer(recording)
-    ours = seconds(renderer.render, options.frames)
     plain = seconds(lambda frame: peer.render(frame, silhouettes=False), options.frames)
     labels = seconds(lambda frame: peer.render(frame, silhouettes=True), 2)
     vehicles = len(recording.frame) / len(recording)
     print(f"{options.site} at {options.size}, {vehicles:.0f} vehicles near the camera, one process")
-    print(f"skope, 3 x 3 anti-aliased, with silhouettes  {ours:7.3f} s a frame (+ {setup:.1f} s once)")
-    print(f"peer, whole scene, one sample a pixel        {plain:7.3f} s a frame   {plain / ours:5.2f} x ours")
-    print(f"peer, with silhouettes                       {labels:7.3f} s a frame   {labels / ours:5.2f} x ours")
+    print(f"{'peer, TinyRenderer, whole scene':<34} {plain:7.3f} s a frame, with silhouettes {labels:7.3f} s")
+    for name in ("gl", "pybullet"):
+        begun = time.perf_counter()
+        renderer = make_renderer(name, recording)
+        setup = time.perf_counter() - begun
+        ours = seconds(renderer.render, options.frames)
+        print(
+            f"{'skope, ' + name + ', with silhouettes':<34} {ours:7.3f} s a frame (+ {setup:.1f} s once); "
+            f"the peer takes {plain / ours:.1f} x and with silhouettes {labels / ours:.0f} x as long"
+        )
 
 
 if __name__ == "__main__":

@@ -79,14 +79,15 @@ class Device:
             ) from None
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
         self._arrays: dict[tuple[int, int], Any] = {}
-        self._programs: dict[tuple[str, str], Any] = {}
+        self._programs: dict[tuple[str, ...], Any] = {}
 
-    def program(self, vertex: str, fragment: str) -> Any:
-        """The program of two shader files, compiled once."""
-        key = vertex, fragment
+    def program(self, vertex: str, fragment: str, *options: str) -> Any:
+        """The program of two shader files, compiled once for each set of options (llvmpipe skips no branches)."""
+        key = vertex, fragment, *options
         if key not in self._programs:
+            head = "\n".join([_defines(), *(f"#define {option}" for option in options)])
             sources = [
-                _source(name).replace("#version 430", f"#version 430\n{_defines()}\n", 1) for name in (vertex, fragment)
+                _source(name).replace("#version 430", f"#version 430\n{head}\n", 1) for name in (vertex, fragment)
             ]
             self._programs[key] = self.context.program(vertex_shader=sources[0], fragment_shader=sources[1])
         return self._programs[key]

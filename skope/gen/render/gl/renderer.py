@@ -209,7 +209,9 @@ class GLRenderer:
                 paint = linear(np.array(PAINTS[moment.vehicles[i].color][1]) / 255)
                 put(program, {"u_paint": paint, "u_lamps": int(moment.lamps[i]), "u_id": float(i + 1)})
                 self._draw_parts(program, vehicle, P)
-            for there, rgb in self._compose(places, target.color_attachments[0], scale, uniforms):
+            # Without the vehicle its shadow is gone too.
+            shadows = None if peel else uniforms
+            for there, rgb in self._compose(places, target.color_attachments[0], scale, shadows):
                 if not peel:
                     view.rgb[there] = rgb
                     continue
@@ -225,7 +227,8 @@ class GLRenderer:
     ) -> Iterator[tuple[tuple[slice, slice], NDArray[Any]]]:
         """The picture of parts of the image, with `vehicles` over the scenery in their `shadows`, if any."""
         device, camera = self._device, self._camera
-        program = device.program("tiles.vert.glsl", "composite.frag.glsl")
+        options = [f"SCALE {scale}", *(["SHADOWS"] if shadows else [])]
+        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *options)
         vehicles.use(7)
         put(
             program,
@@ -234,8 +237,6 @@ class GLRenderer:
                 **self._background.display_uniforms(),
                 **(shadows or {}),
                 "u_vehicles": 7,
-                "u_scale": scale,
-                "u_shadows": int(shadows is not None),
                 "u_size": [camera.width, camera.height],
             },
         )

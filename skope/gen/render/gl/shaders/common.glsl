@@ -14,11 +14,15 @@ uniform vec4 u_albedo[MATERIAL_COUNT];  // linear colour; w: roughness
 const float PI = 3.14159265;
 
 // Clear and overcast sky: a gradient from horizon to zenith with the sun's glow (after Preetham's qualitative shape).
+vec3 open_sky(vec3 d) {
+    vec3 color = mix(u_horizon, u_zenith, pow(max(d.z, 0.0), 0.45));
+    float glow = max(dot(d, u_sun_direction), 0.0);
+    return color + (1.0 - u_cloud) * u_sun * (0.02 * pow(glow, 8.0) + 0.06 * pow(glow, 64.0));
+}
+
 vec3 sky(vec3 d) {
     float up = max(d.z, 0.0);
-    vec3 color = mix(u_horizon, u_zenith, pow(up, 0.45));
-    float glow = max(dot(d, u_sun_direction), 0.0);
-    color += (1.0 - u_cloud) * u_sun * (0.02 * pow(glow, 8.0) + 0.06 * pow(glow, 64.0));
+    vec3 color = open_sky(d);
     vec2 at = d.xy / (up + 0.12);
     float clouds = texture(u_noise, at * 0.045).r * 0.6 + texture(u_noise, at * 0.11).g * 0.4;
     float cover = smoothstep(0.52 - 0.4 * u_cloud, 0.75, clouds) * smoothstep(0.02, 0.25, up) * (0.55 + 0.4 * u_cloud);
@@ -28,9 +32,9 @@ vec3 sky(vec3 d) {
 
 // What a mirror sees in a direction: sky above, street and walls below and at the horizon.
 vec3 surroundings(vec3 d) {
-    vec3 above = sky(vec3(d.xy, max(d.z, 0.02)));
+    vec3 above = open_sky(vec3(d.xy, max(d.z, 0.02)));
     vec3 walls = 0.45 * u_ground + 0.08 * u_horizon;
-    float wall = smoothstep(0.16, 0.05, d.z) * (0.6 + 0.4 * texture(u_noise, vec2(atan(d.y, d.x) * 0.6, 0.3)).b);
+    float wall = smoothstep(0.16, 0.05, d.z) * (0.6 + 0.4 * texture(u_noise, d.xy * 0.4).b);
     return mix(mix(above, walls, wall), u_ground, smoothstep(0.02, -0.08, d.z));
 }
 
