@@ -167,6 +167,7 @@ def _start_worker() -> None:
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # llvmpipe's own threads
     cv2.setNumThreads(1)
     parent = parent_process()
     assert parent is not None

@@ -96,7 +96,9 @@ class GLRenderer:
         models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
         places = list(zip(models, moment.T_world_chassis, strict=True))
         windows = [window_of(model, T, camera) for model, T in places]
-        parts = {i: self._parts(moment, i) for i, window in enumerate(windows) if window is not None}
+        # From near to far: what a nearer vehicle hides is then not shaded.
+        away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
+        parts = {int(i): self._parts(moment, int(i)) for i in away.argsort(kind="stable") if windows[i] is not None}
         scenery_view = self._background
         view = _Buffers(
             scenery_view.depth.copy(), scenery_view.slope.copy(), scenery_view.ids.copy(), self._plain.copy()
@@ -192,9 +194,7 @@ class GLRenderer:
         """
         device, camera = self._device, self._camera
         uniforms = self._draw_shadows(parts) | self._background.bind()
-        program = device.program("geometry.vert.glsl", "vehicle.frag.glsl")
         self._geometry.color_attachments[0].use(6)
-        put(program, {**uniforms, "u_front": 6})
         P = projection(camera.K, (0, 0, camera.width, camera.height))
         total, count = np.zeros(len(moment.vehicles) + 1), np.zeros(len(moment.vehicles) + 1)
         for target, scale, places, peel in (
@@ -204,7 +204,9 @@ class GLRenderer:
             target.use()
             target.clear(0, 0, 0, 0)
             device.context.enable_only(device.gl.DEPTH_TEST)
-            put(program, {"u_scale": float(scale), "u_peel": float(peel)})
+            options = [f"SCALE {scale}", *(["PEEL"] if peel else [])]
+            program = device.program("geometry.vert.glsl", "vehicle.frag.glsl", *options)
+            put(program, {**uniforms, "u_front": 6})
             for i, vehicle in parts.items():
                 paint = linear(np.array(PAINTS[moment.vehicles[i].color][1]) / 255)
                 put(program, {"u_paint": paint, "u_lamps": int(moment.lamps[i]), "u_id": float(i + 1)})
