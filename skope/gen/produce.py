@@ -70,13 +70,13 @@ def _simulate_one(task: tuple[Path, RecordingPlan]) -> None:
 def _render(
     store: Store, plans: list[RecordingPlan], parameters: Parameters, workers: int, run: Run, console: Console
 ) -> None:
-    todo = [(plan, frame) for plan in plans for frame in store.missing(plan)]
+    missing = [(plan, store.missing(plan)) for plan in plans]
+    todo = [(plan, frame) for plan, frames in missing for frame in frames]
     if not todo:
         return
     tasks = [
         (store.root, plan, frames[i : i + CHUNK], parameters.renderer, parameters.rules)
-        for plan in plans
-        if (frames := store.missing(plan))
+        for plan, frames in missing
         for i in range(0, len(frames), CHUNK)
     ]
     console.say(f"{len(todo)} frames with {parameters.renderer}, {_estimate(store, todo, tasks, parameters, workers)}")

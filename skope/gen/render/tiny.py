@@ -204,9 +204,10 @@ class TinyRenderer:
                 stage.paint(part, (red / 255, green / 255, blue / 255))
             if stage.parts[part] == "taillight":
                 stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["taillight"])
+        T_chassis_world = np.linalg.inv(chassis)
         for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
             for part in parts:
-                stage.move(part, np.linalg.inv(chassis) @ T_world_wheel)
+                stage.move(part, T_chassis_world @ T_world_wheel)
         return stage.draw(self._camera, T_camera_chassis, window)
 
     def _shaded(self, moment: Moment) -> NDArray[np.uint8]:

@@ -30,8 +30,6 @@ PAINTS: Final[dict[str, tuple[float, tuple[int, int, int]]]] = {
 }
 """Share and sRGB of body colours; shares follow the order of the paint makers' yearly popularity reports."""
 
-WHEEL_NAMES: Final = ("front_right", "front_left", "rear_right", "rear_left")
-
 
 @dataclass(frozen=True)
 class Vehicle:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from typing import Any, Final
 
@@ -159,6 +160,7 @@ def put(program: Any, values: Mapping[str, Any]) -> None:
             )
 
 
+@cache
 def albedo_table() -> NDArray[np.float32]:
     """(M, 4) linear colour and roughness of every material, in the order of their numbers."""
     rows = [[*linear(MATERIALS[name]), GLOSS.get(name, 0.85)] for name in MATERIALS]

@@ -61,7 +61,6 @@ class GLRenderer:
         self._display = self._device.target(size, ["4f1"], depth=False)
         self._sun_map, self._top_map = self._device.shadow_map(SHADOW_MAP), self._device.shadow_map(SHADOW_MAP)
         self._meshes: dict[tuple[Any, ...], tuple[DeviceMesh, DeviceMesh, DeviceMesh]] = {}
-        self._focus = self._background.focus
         self._color.use()
         self._color.clear(0, 0, 0, 0)
         ((_, plain),) = self._compose([(0, 0, *size)], self._color.color_attachments[0], SCALE, None)
@@ -99,10 +98,8 @@ class GLRenderer:
         # From near to far: what a nearer vehicle hides is then not shaded.
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
         parts = {int(i): self._parts(moment, int(i)) for i in away.argsort(kind="stable") if windows[i] is not None}
-        scenery_view = self._background
-        view = _Buffers(
-            scenery_view.depth.copy(), scenery_view.slope.copy(), scenery_view.ids.copy(), self._plain.copy()
-        )
+        empty = self._background
+        view = _Buffers(empty.depth.copy(), empty.slope.copy(), empty.ids.copy(), self._plain.copy())
         contrast = np.zeros(len(windows))
         if parts:
             shades = [window_with_shadow(model, T, camera, self._background.sun_direction) for model, T in places]
@@ -169,7 +166,7 @@ class GLRenderer:
         uniforms: dict[str, Any] = {"u_texel": 0.5 / SHADOW_RADIUS}
         maps = (("sun", self._sun_map, self._background.sun_direction), ("top", self._top_map, np.array([0, 0, 1.0])))
         for unit, (name, target, direction) in enumerate(maps, start=4):
-            clip, texture = light_projection(direction, self._focus, SHADOW_RADIUS)
+            clip, texture = light_projection(direction, self._background.focus, SHADOW_RADIUS)
             target.use()
             target.clear()
             for vehicle in parts.values():
