@@ -132,8 +132,8 @@ def annotate(moment: Moment, view: View, camera: Camera, rules: Rules, image_id:
     out: list[Annotation] = []
     order = sorted(range(len(located.vehicles)), key=lambda i: moment.vehicles[i].track_id)
     for i in order:
-        visible = view.ids == i + 1
-        if not visible.any():
+        shape = _measure(view, i, camera)
+        if shape is None:
             continue
         tally.vehicles += 1
         tally.occluded_others += int(by_others[i])
@@ -141,7 +141,6 @@ def annotate(moment: Moment, view: View, camera: Camera, rules: Rules, image_id:
         if rules.occlusion == "paper" and by_paper[i]:
             continue
         points = np.concatenate([np.where(v[i, :, None] > 0, _within(pixels[i], camera), 0.0), v[i, :, None]], axis=1)
-        shape = _measure(visible, view.silhouettes[i], camera)
         occluded = rules.occlusion == "others" and bool(by_others[i])
         reason = _ignore_reason(shape, occluded, float(view.contrast[i]), rules)
         if reason:
@@ -197,25 +196,43 @@ class _Extent:
         }
 
 
-def _measure(visible: Mask, silhouette: Silhouette, camera: Camera) -> _Extent:
-    mask = np.zeros_like(visible)
+def _measure(view: View, i: int, camera: Camera) -> _Extent | None:
+    """Boxes, masks and counts of the frame's i-th vehicle; None without a visible pixel."""
+    silhouette = view.silhouettes[i]
     height, width = silhouette.mask.shape
     x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
     x1, y1 = min(silhouette.x + width, camera.width), min(silhouette.y + height, camera.height)
-    mask[y0:y1, x0:x1] = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
+    visible = view.ids[y0:y1, x0:x1] == i + 1
+    if not visible.any():
+        return None
+    whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
     # Drawn in another window, an edge may round to the pixel beside it; what is visible is part of the vehicle.
-    missed = visible & ~mask
-    mask |= missed
-    rle = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
-    segmentation = {"size": list(map(int, rle["size"])), "counts": rle["counts"].decode()}
+    inside = whole | visible
+    corner = np.array([x0, y0, 0, 0])
     return _Extent(
-        bbox_of(mask),
-        bbox_of(visible),
-        segmentation,
+        bbox_of(inside) + corner,
+        bbox_of(visible) + corner,
+        _segmentation(visible, (x0, y0), (camera.width, camera.height)),
         int(visible.sum()),
-        int(mask.sum()),
-        int(silhouette.mask.sum() + missed.sum()),
+        int(inside.sum()),
+        int(silhouette.mask.sum() + inside.sum() - whole.sum()),
     )
+
+
+def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
+    """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
+    (x0, y0), (width, height) = corner, size
+    # Runs go down the columns; an empty row at the end keeps them from going on in the next one.
+    columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
+    edges = np.flatnonzero(np.diff(columns, prepend=False))
+    column, row = np.divmod(edges, len(mask) + 1)
+    edges = (x0 + column) * height + y0 + row
+    # In a mask as high as the image a run may end where the next begins.
+    meets = np.flatnonzero(edges[1:] == edges[:-1])
+    edges = np.delete(edges, np.concatenate([meets, meets + 1]))
+    counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()
+    rle = coco_mask.frPyObjects({"size": [height, width], "counts": counts}, height, width)
+    return {"size": [height, width], "counts": rle["counts"].decode()}
 
 
 def bbox_of(mask: Mask) -> Array:

@@ -2,11 +2,12 @@ import math
 
 import numpy as np
 import pytest
+from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera import Camera
 from skope.errors import UserError
-from skope.gen.annotate import Rules, annotate, bbox_of, behind, locate, occluded_by_others
+from skope.gen.annotate import Rules, _segmentation, annotate, bbox_of, behind, locate, occluded_by_others
 from skope.gen.recording import Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View, make_renderer
 from skope.schema import Annotation
@@ -177,6 +178,19 @@ def test_a_visible_pixel_beyond_the_silhouette_belongs_to_it() -> None:
     (annotation,), _ = annotate(recording.moment(0), view, CAMERA, Rules(), 1)
     assert annotation.occlusion == 0
     assert annotation.area_full == annotation.area
+
+
+def test_segmentation_of_a_crop_is_that_of_the_whole_image() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        width, height = rng.integers(3, 30, 2).tolist()
+        w, h = int(rng.integers(1, width + 1)), height if rng.random() < 0.3 else int(rng.integers(1, height + 1))
+        x, y = int(rng.integers(0, width - w + 1)), int(rng.integers(0, height - h + 1))
+        mask = rng.random((h, w)) < rng.choice([0.1, 0.5, 0.9, 1.0])
+        image = np.zeros((height, width), dtype=np.uint8)
+        image[y : y + h, x : x + w] = mask
+        reference = coco_mask.encode(np.asfortranarray(image))
+        assert _segmentation(mask, (x, y), (width, height))["counts"] == reference["counts"].decode()
 
 
 def test_bbox_of_a_mask() -> None:

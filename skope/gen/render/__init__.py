@@ -16,7 +16,10 @@ STATIC: Final = 0
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A vehicle's pixels as if nothing stood before it, on a canvas of three times the image's width and height."""
+    """A vehicle's pixels as if nothing stood before it, on a canvas of three times the image's width and height.
+
+    All its visible pixels lie in the mask's rectangle.
+    """
 
     x: int
     """Image column of the mask's first column; negative left of the image."""
