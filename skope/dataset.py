@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import coco, keypoints
+from skope.depth import read_depth
 from skope.errors import UserError
-from skope.files import read_json
+from skope.files import read_bytes, read_json
 from skope.schema import AnnotationFile, Image
 
 CARD: Final = "dataset.json"
-DEPTH_SCALE: Final = 256.0
-"""Depth files hold round(metres * 256), as KITTI's do."""
-_BAND: Final = 64
-"""Rows that are encoded at a time: few enough to stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -80,51 +77,13 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.ui
 
     `size` (width, height), when given, is what the file must have.
     """
-    data = _read_bytes(path)
+    data = read_bytes(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
     if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-64:]:
         raise UserError(f"{path}: truncated JPEG")
-    pixels = cv2.imdecode(data_array(data), cv2.IMREAD_COLOR_RGB) if data else None
+    pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
     if pixels is None:
         raise UserError(f"{path}: not an image that can be decoded")
     if size is not None and (pixels.shape[1], pixels.shape[0]) != size:
         raise UserError(f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, its annotation says {size[0]}x{size[1]}")
     return np.asarray(pixels, dtype=np.uint8)
-
-
-def read_depth(path: Path) -> NDArray[np.float32]:
-    """Decode a depth file to (H, W) metres, sky = +inf."""
-    data = _read_bytes(path)
-    raw = cv2.imdecode(data_array(data), cv2.IMREAD_UNCHANGED) if data else None
-    if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
-        raise UserError(f"{path}: not a 16-bit depth image")
-    depth: NDArray[np.float32] = raw.astype(np.float32) / np.float32(DEPTH_SCALE)
-    depth[raw == 0] = np.inf
-    return depth
-
-
-def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """(H, W) metres, sky = +inf -> the 16-bit values of a depth file (0 = sky, 65535 = 255.99 m or farther)."""
-    out = np.empty(depth_m.shape, dtype=np.uint16)
-    for first in range(0, len(out), _BAND):
-        band = depth_m[first : first + _BAND]
-        scaled = band * np.float32(DEPTH_SCALE)
-        np.rint(scaled, out=scaled)
-        np.clip(scaled, 1, 65535, out=scaled)
-        scaled[np.isinf(band)] = 0
-        out[first : first + _BAND] = scaled
-    return out
-
-
-def data_array(data: bytes) -> NDArray[np.uint8]:
-    """Bytes as OpenCV's decoders want them."""
-    return np.frombuffer(data, dtype=np.uint8)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None

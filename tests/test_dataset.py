@@ -73,31 +73,6 @@ def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:
         dataset.read_image(path, size=(4, 4))
 
 
-# ------------------------------------------------------------------------------------------------------- depth
-
-
-def test_depth_keeps_a_256th_of_a_metre_and_the_sky(tmp_path: Path) -> None:
-    depth = np.array([[0.0, 0.001, 1.0, 10.3], [255.99, 256.0, 4000.0, np.inf]], dtype=np.float32)
-    coded = dataset.encode_depth(depth)
-    assert coded.dtype == np.uint16
-    assert coded.tolist() == [[1, 1, 256, 2637], [65533, 65535, 65535, 0]]
-    cv2.imwrite(str(tmp_path / "d.png"), coded)
-    back = dataset.read_depth(tmp_path / "d.png")
-    assert back.dtype == np.float32
-    assert np.isinf(back).tolist() == np.isinf(depth).tolist()
-    assert np.abs(back[0, 2:] - depth[0, 2:]).max() <= 0.5 / 256
-    assert back[1, 2] == pytest.approx(255.99, abs=0.01)
-
-
-def test_a_depth_file_has_16_bits(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "d.png"), np.zeros((3, 4), np.uint8))
-    with pytest.raises(UserError, match="not a 16-bit depth image"):
-        dataset.read_depth(tmp_path / "d.png")
-    (tmp_path / "d.png").write_bytes(b"")
-    with pytest.raises(UserError, match="not a 16-bit depth image"):
-        dataset.read_depth(tmp_path / "d.png")
-
-
 # -------------------------------------------------------------------------------------------------------- take
 
 

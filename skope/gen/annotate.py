@@ -13,7 +13,7 @@ from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
-from skope.gen.render import Silhouette, View
+from skope.gen.render import View
 from skope.gen.vehicles import Vehicle, build
 from skope.schema import Annotation, Box3D
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from skope import keypoints, schema
-from skope.dataset import DEPTH_SCALE
+from skope.depth import DEPTH_SCALE
 from skope.gen import annotate
 from skope.gen.plan import Parameters
 from skope.gen.store import Counts

@@ -15,9 +15,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skope import coco
-from skope.dataset import CARD, encode_depth
+from skope.dataset import CARD
+from skope.depth import depth_png
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_json, write_text
 from skope.gen.annotate import Tally
@@ -120,9 +122,8 @@ class Store:
             sun_elevation_deg=recording.sun_elevation_deg,
             camera=recording.camera,
         )
-        bgr = cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR)
-        self._encode(image.file_name, bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        self._encode(f"depth/{name}.png", encode_depth(view.depth), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        self._write(image.file_name, _jpeg(view.rgb))
+        self._write(f"depth/{name}.png", depth_png(view.depth))
         labels = {
             "image": coco.image_to_dict(image),
             "annotations": [coco.annotation_to_dict(annotation) for annotation in annotations],
@@ -130,11 +131,9 @@ class Store:
         }
         write_text(self._label_path(plan, frame), json.dumps(labels, allow_nan=False))
 
-    def _encode(self, name: str, pixels: np.ndarray, options: list[int]) -> None:
-        ok, data = cv2.imencode(Path(name).suffix, pixels, options)
-        assert ok
+    def _write(self, name: str, data: bytes) -> None:
         with replacing(self.root / name) as temporary:
-            temporary.write_bytes(data.tobytes())
+            temporary.write_bytes(data)
 
     def merge(self, plans: list[RecordingPlan]) -> "Counts":
         """Write the annotation files; ids count through the whole dataset in the order of the plans."""
@@ -194,6 +193,12 @@ class Counts:
 
     def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
         return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}
+
+
+def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert ok
+    return data.tobytes()
 
 
 def _short(value: Any) -> str:

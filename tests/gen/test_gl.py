@@ -5,17 +5,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from skope.camera import Camera
-from skope.dataset import encode_depth
+from skope.depth import encode_depth
 from skope.gen.mesh import flat
 from skope.gen.render import choose_renderer, make_renderer
+from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import cache
-from skope.gen.render.gl.context import projection, put
+from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import device
-from skope.gen.render.windows import TILE, runs
+from skope.gen.render.windows import TILE, runs, tiles
 from tests.gen.scenes import standing
 
 SIZE = (640, 360)
@@ -26,15 +28,7 @@ def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
     gl = device()
     mesh = gl.upload(flat([corners], "asphalt"), origin=camera.position)
     target = gl.target(SIZE, ["4f4"])
-    target.use()
-    target.clear(0, 0, 0, 0)
-    gl.context.enable_only(gl.gl.DEPTH_TEST)
-    view = np.eye(4)
-    view[:3, :3] = camera.T_camera_world[:3, :3]
-    program = gl.program("geometry.vert.glsl", "geometry.frag.glsl")
-    P = projection(camera.K, (0, 0, *SIZE))
-    put(program, {"u_model": view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
-    mesh.draw(program)
+    Stage(gl, mesh, camera, Daylight.of(standing(camera, []))).draw_geometry(target)
     return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
 
 
@@ -110,15 +104,24 @@ def test_the_cache_is_bounded_and_may_be_missing(tmp_path: Path, monkeypatch: py
     np.testing.assert_array_equal(made["ambient"], [1, 1, 1])
 
 
-def test_tiles_cover_windows() -> None:
-    windows = [(5, 5, 40, 20), (-50, 30, 10, 70), (90, 90, 500, 500), (20, 20, 20, 40)]
-    covered = np.zeros((100, 130), int)
-    for x0, y0, x1, y1 in runs(windows, (130, 100)):
-        covered[y0:y1, x0:x1] += 1
-        assert x0 % TILE == y0 % TILE == 0
-    assert covered.max() == 1
-    for x0, y0, x1, y1 in windows[:3]:
-        assert covered[max(y0, 0) : y1, max(x0, 0) : x1].all()
+def test_tiles_cover_polygons() -> None:
+    """Every pixel in a polygon, also in slivers and where most of it lies outside, is in exactly one run."""
+    rng = np.random.default_rng(2)
+    size = (130, 100)
+    columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    for _ in range(60):
+        corners = rng.uniform([-60, -40], [190, 140], (3, 2)) * rng.choice([1.0, 20.0])
+        hull = cv2.convexHull(corners.astype(np.float32))[:, 0].astype(float)
+        ahead = np.roll(hull, -1, axis=0) - hull
+        turn = [a[0] * (rows - p[1]) - a[1] * (columns - p[0]) for p, a in zip(hull, ahead, strict=True)]
+        within = np.all(np.array(turn) >= 0, axis=0) | np.all(np.array(turn) <= 0, axis=0)
+        covered = np.zeros(within.shape, int)
+        for x0, y0, x1, y1 in runs(tiles([hull], size), size):
+            assert x0 % TILE == y0 % TILE == 0
+            covered[y0:y1, x0:x1] += 1
+        assert covered.max() <= 1
+        assert covered[within].all()
+    assert runs(tiles([np.zeros((0, 2))], size), size) == []
 
 
 def test_without_egl_the_fallback_is_taken_and_gl_is_refused(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """Which pixels a vehicle may cover, on a canvas of three times the image's width and height."""
 
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,11 +15,12 @@ Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]
 """Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
 
+_SHIFT: Final = 4
 NEAR: Final = 0.3
 """Silhouettes are clipped at this depth, metres."""
-TILE: Final = 32
+TILE: Final = 8
 """Pixels; what changes in a frame is drawn in whole tiles."""
-CONTACT: Final = 1.1
+CONTACT: Final = 1.8
 """How far around itself a vehicle takes sky from the road, metres."""
 
 
@@ -26,40 +29,64 @@ def window_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera) -> Windo
     return _bounds(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera, canvas=1)
 
 
-def window_with_shadow(vehicle: Vehicle, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Window | None:
-    """Pixels of the image that a vehicle, its shadow or the sky that it takes from the road may touch.
+def hull_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
+    return _hull(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
-    Shadows are followed for 25 m at most. None when they are all outside the image.
+
+def shadow_hull_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
+
+    Shadows are followed for 25 m at most.
     """
     corners = _corners(vehicle)
     around = corners * [1, 1, 0] + np.sign(corners) * [CONTACT, CONTACT, 0]
     world = np.concatenate([corners, around]) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
     length = min(vehicle.shape.height / max(sun_direction[2], 1e-3), 25.0)
-    return _bounds(np.concatenate([world, world[:8] - length * sun_direction]), camera, canvas=0)
+    return _hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
 
 
-def runs(windows: list[Window], size: tuple[int, int]) -> list[Window]:
-    """The image's tiles that windows touch, neighbours in a row put together."""
-    width, height = size
-    touched = np.zeros((-(-height // TILE), -(-width // TILE) + 1), dtype=bool)
-    for x0, y0, x1, y1 in windows:
-        if x0 < x1 and y0 < y1:
-            touched[
-                max(y0, 0) // TILE : -(-min(y1, height) // TILE), max(x0, 0) // TILE : -(-min(x1, width) // TILE)
-            ] = True
-    out = []
-    for row, line in enumerate(touched):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]]).astype(np.int8)))
-        for first, last in edges.reshape(-1, 2):
-            y = row * TILE
-            out.append((int(first) * TILE, y, min(int(last) * TILE, width), min(y + TILE, height)))
-    return out
+def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(rows, columns) the tiles of an image of `size` (width, height) that polygons touch, and some beside them."""
+    columns, rows = (-(-side // TILE) for side in size)
+    touched = np.zeros((rows, columns), dtype=np.uint8)
+    for hull in hulls:
+        if len(hull):
+            corners = np.rint((hull / TILE - 0.5) * 2**_SHIFT).astype(np.int32)
+            cv2.fillConvexPoly(touched, corners, 1, shift=_SHIFT)
+    # What is filled has its centre in a polygon or lies on its edge.
+    return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
+
+
+def runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
+    """Tiles of an image of `size` (width, height), neighbours in a row put together."""
+    edges = np.diff(np.pad(touched, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, first = np.nonzero(edges == 1)
+    _, end = np.nonzero(edges == -1)
+    low, high = np.stack([first, rows], axis=1) * TILE, np.stack([end, rows + 1], axis=1) * TILE
+    return [(x0, y0, x1, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), np.minimum(high, size).tolist(), strict=True)]
+
+
+def crossing(a: Window, b: Window) -> bool:
+    """Whether two windows share pixels."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def inside(window: Window, camera: Camera) -> Window:
+    """The part of a window that lies in the image."""
+    x0, y0, x1, y1 = window
+    return max(x0, 0), max(y0, 0), min(x1, camera.width), min(y1, camera.height)
+
+
+def union(windows: Sequence[Window]) -> Window:
+    """The smallest window around windows, of which there is at least one."""
+    x0, y0, x1, y1 = zip(*windows, strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
 
 
 def _bounds(points_world: Array, camera: Camera, canvas: int) -> Window | None:
     """Pixels around what of the points' hull lies before the camera; `canvas` image sizes are added on each side."""
-    p = _in_front(camera.to_camera(points_world))
-    pixels = p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
+    pixels = _project(points_world, camera)
     size = np.array([camera.width, camera.height])
     low, high = pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)
     if (low >= size).any() or (high <= 0).any():
@@ -67,6 +94,19 @@ def _bounds(points_world: Array, camera: Camera, canvas: int) -> Window | None:
     x0, y0 = np.maximum(np.floor(low) - 1, -canvas * size).astype(int).tolist()
     x1, y1 = np.minimum(np.ceil(high) + 1, (1 + canvas) * size).astype(int).tolist()
     return x0, y0, x1, y1
+
+
+def _hull(points_world: Array, camera: Camera) -> Array:
+    pixels = _project(points_world, camera)
+    if not len(pixels):
+        return np.zeros((0, 2))
+    return cv2.convexHull(pixels.astype(np.float32))[:, 0].astype(np.float64)
+
+
+def _project(points_world: Array, camera: Camera) -> Array:
+    """(N, 2) pixels around what of the points' hull lies before the camera."""
+    p = _in_front(camera.to_camera(points_world))
+    return np.asarray(p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
 
 
 @cache

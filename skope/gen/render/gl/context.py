@@ -51,14 +51,14 @@ def _defines() -> str:
 
 @dataclass(frozen=True, eq=False)
 class DeviceMesh:
-    """A mesh's vertices on the device, drawn by any program with the inputs it needs."""
+    """Vertices on the device of a mesh's parts, drawn by any program with the inputs it needs."""
 
     device: "Device"
     vertices: Any
     count: int
 
     def draw(self, program: Any) -> None:
-        inputs = {"in_position": "3f", "in_normal": "3f", "in_material": "1f"}
+        inputs = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
         used = [name for name in inputs if name in program]
         layout = " ".join(inputs[name] if name in used else f"{4 * int(inputs[name][0])}x" for name in inputs)
         self.device.array(program, self.vertices, layout, used).render(vertices=self.count)
@@ -79,6 +79,7 @@ class Device:
                 "(Debian's names), or take --renderer pybullet"
             ) from None
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
+        self.context.front_face = "cw"  # rows of images run down
         self._arrays: dict[tuple[int, int], Any] = {}
         self._programs: dict[tuple[str, ...], Any] = {}
 
@@ -107,25 +108,42 @@ class Device:
         self._arrays[key].render(mode=self.gl.TRIANGLES, vertices=3)
 
     def tiles(self, program: Any, places: Sequence[Window]) -> None:
-        """Run a program for every pixel of parts of the target."""
-        corners = [
-            corner
-            for x0, y0, x1, y1 in places
-            for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y0), (x1, y1), (x0, y1))
-        ]
-        buffer = self.context.buffer(np.array(corners, dtype="f4").tobytes())
-        array = self.context.vertex_array(program, [(buffer, "2f", "in_corner")])
-        array.render(vertices=len(corners))
+        """Run a program for every pixel of parts of the image that the target is of."""
+        windows = np.array(places, dtype="f4").reshape(-1, 4)
+        self.triangles(program, windows[:, [0, 1, 2, 1, 2, 3, 0, 1, 2, 3, 0, 3]], "2f", "in_corner")
+
+    def triangles(self, program: Any, rows: NDArray[np.float32], layout: str, *names: str) -> None:
+        """Draw triangles from the values of their corners, which are on the device for this draw only."""
+        if not rows.size:
+            return
+        buffer = self.context.buffer(np.ascontiguousarray(rows, dtype="f4").tobytes())
+        array = self.context.vertex_array(program, [(buffer, layout, *names)])
+        array.render()
         array.release()
         buffer.release()
 
-    def upload(self, mesh: Mesh, origin: Array | None = None) -> DeviceMesh:
-        """Put a mesh on the device, its positions relative to `origin` so that float32 keeps tenths of millimetres."""
-        numbers = np.array([_NUMBERS[name] for name in mesh.materials])[mesh.material]
-        corners = mesh.triangles.ravel()
-        positions = mesh.vertices - (np.zeros(3) if origin is None else origin)
-        rows = np.concatenate([positions[corners], mesh.normals[corners], numbers.repeat(3)[:, None]], axis=1)
-        return DeviceMesh(self, self.context.buffer(rows.astype("f4").tobytes()), len(corners))
+    def upload(self, *parts: Mesh, origin: Array | None = None) -> DeviceMesh:
+        """Put meshes that are drawn together, each with matrices of its own, on the device.
+
+        Their positions are relative to `origin`, so that float32 keeps tenths of millimetres.
+        """
+        rows = []
+        for part, mesh in enumerate(parts):
+            numbers = np.array([_NUMBERS[name] for name in mesh.materials])[mesh.material].repeat(3)
+            corners = mesh.triangles.ravel()
+            positions = mesh.vertices[corners] - (np.zeros(3) if origin is None else origin)
+            rows.append(np.column_stack([positions, mesh.normals[corners], numbers, np.full(len(corners), part)]))
+        data = np.concatenate(rows)
+        return DeviceMesh(self, self.context.buffer(data.astype("f4").tobytes()), len(data))
+
+    def texture(self, values: NDArray[Any], kind: str) -> Any:
+        """A texture of values (H, W, C), looked up texel by texel; `kind` is "f1", "f2" or "f4"."""
+        height, width, components = values.shape
+        texture = self.context.texture(
+            (width, height), components, values.astype({"f1": "u1"}.get(kind, kind)).tobytes(), alignment=1, dtype=kind
+        )
+        texture.filter = (self.gl.NEAREST, self.gl.NEAREST)
+        return texture
 
     def target(self, size: tuple[int, int], kinds: Sequence[str], *, depth: bool = True) -> Any:
         """A framebuffer with colour attachments such as "4f4" (components, type) and a depth buffer."""
@@ -135,29 +153,36 @@ class Device:
         buffer = self.context.depth_renderbuffer(size) if depth else None
         return self.context.framebuffer(textures, buffer)
 
+    def depth_target(self, size: tuple[int, int]) -> Any:
+        """A framebuffer that is a depth texture."""
+        texture = self.context.depth_texture(size)
+        texture.compare_func = ""
+        texture.filter = (self.gl.NEAREST, self.gl.NEAREST)
+        return self.context.framebuffer(depth_attachment=texture)
+
     def shadow_map(self, size: int) -> Any:
         """A framebuffer that is a depth texture, compared when sampled, with everything outside it lit."""
-        texture = self.context.depth_texture((size, size))
+        target = self.depth_target((size, size))
+        texture = target.depth_attachment
         texture.compare_func = "<="
         texture.filter = (self.gl.LINEAR, self.gl.LINEAR)
         texture.repeat_x = texture.repeat_y = False
-        return self.context.framebuffer(depth_attachment=texture)
+        return target
 
 
 def put(program: Any, values: Mapping[str, Any]) -> None:
-    """Set a program's uniforms, those that it has: numbers, vectors, row-major matrices."""
+    """Set a program's uniforms, those that it has: numbers, vectors, row-major matrices, lists of matrices, bytes."""
     for name, value in values.items():
         if name not in program:
             continue
         if isinstance(value, int | float):
             program[name] = value
+        elif isinstance(value, bytes):
+            program[name].write(value)
         else:
             array = np.asarray(value, dtype=np.float32)
-            program[name].write(
-                np.ascontiguousarray(
-                    array.T if array.ndim == 2 and array.shape[0] == array.shape[1] else array
-                ).tobytes()
-            )
+            square = array.ndim >= 2 and array.shape[-1] == array.shape[-2]
+            program[name].write(np.ascontiguousarray(array.swapaxes(-1, -2) if square else array).tobytes())
 
 
 @cache

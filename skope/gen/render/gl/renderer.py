@@ -1,47 +1,71 @@
 """Renders a recording's frames with OpenGL.
 
-The scenery's light comes from `background`, worked out once. Per frame only the vehicles are drawn, in the rectangle
-that they and their shadows may touch: once for depth, slope and ids at pixel centres, once per vehicle for its whole
+The scenery's light comes from `background`, worked out once. Per frame only the vehicles are drawn, in the tiles that
+they and their shadows may touch: once for depth, slope and ids at pixel centres, once per vehicle for its whole
 silhouette, and in colour over the scenery.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import Silhouette, View
-from skope.gen.render.gl.background import light_the_scenery
+from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
 from skope.gen.render.sensor import NOISE_SIGMA, with_noise
 from skope.gen.render.signals import light_signals
-from skope.gen.render.windows import Window, runs, window_of, window_with_shadow
+from skope.gen.render.windows import (
+    CONTACT,
+    Window,
+    crossing,
+    hull_of,
+    inside,
+    runs,
+    shadow_hull_of,
+    tiles,
+    union,
+    window_of,
+)
 from skope.gen.towns.scenery import scenery
-from skope.gen.vehicles import PAINTS, build
+from skope.gen.vehicles import PAINTS, Vehicle, build
 
 Array = NDArray[np.float64]
 
-SCALE: Final = 2
-"""Colour samples per pixel and axis on vehicles."""
 SHADOW_MAP: Final = 2048
 SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
+CONTACT_MAP: Final = 1024
+"""Texels of the map of the sky that vehicles take from the road, over the same area."""
+PARTS: Final = "PARTS 5"
+"""Of a vehicle: its body and four wheels."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """A vehicle's body or wheel in a frame, ready to draw."""
+class _Placed:
+    """A vehicle in a frame, ready to draw."""
 
+    index: int
+    """In the frame."""
+    vehicle: Vehicle
+    T_world_chassis: Array
     mesh: DeviceMesh
-    T_camera: Array
-    T_axes: Array
-    """Mesh -> world axes, relative to the camera."""
-    wheel: bool
+    matrices: dict[str, Any]
+    """Of its parts: to the camera frame, and to world axes relative to the camera."""
+    look: dict[str, Any]
+    """Paint and lamps."""
+    window: Window
+    """Pixels that it may cover, in the image and beyond."""
+
+    @property
+    def number(self) -> int:
+        return self.index + 1
 
 
 class GLRenderer:
@@ -54,219 +78,292 @@ class GLRenderer:
         self._recording, self._camera = recording, camera
         self._device = device()
         self._background = light_the_scenery(self._device, recording)
+        self._meshes: dict[tuple[Any, ...], DeviceMesh] = {}
         size = (camera.width, camera.height)
+        self._image: Window = (0, 0, *size)
+        self._project = projection(camera.K, self._image)
         self._geometry = self._device.target(size, ["4f4"])
-        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), ["4f2"])
-        self._behind = self._device.target(size, ["4f2"])
+        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), ["4f1"])
+        self._behind = self._device.target(size, ["4f1"])
         self._display = self._device.target(size, ["4f1"], depth=False)
-        self._sun_map, self._top_map = self._device.shadow_map(SHADOW_MAP), self._device.shadow_map(SHADOW_MAP)
-        self._meshes: dict[tuple[Any, ...], tuple[DeviceMesh, DeviceMesh, DeviceMesh]] = {}
-        self._color.use()
-        self._color.clear(0, 0, 0, 0)
-        ((_, plain),) = self._compose([(0, 0, *size)], self._color.color_attachments[0], SCALE, None)
-        self._plain = plain
-
-    # ------------------------------------------------------------------------------------------------------- vehicles
-
-    def _mesh(self, recorded: RecordedVehicle) -> tuple[DeviceMesh, DeviceMesh, DeviceMesh]:
-        key = (recorded.model, *sorted(recorded.shape.items()))
-        if key not in self._meshes:
-            vehicle = build(recorded.model, recorded.shape)
-            meshes = (vehicle.mesh, vehicle.wheel.mirrored(), vehicle.wheel)
-            self._meshes[key] = tuple(self._device.upload(mesh) for mesh in meshes)  # type: ignore[assignment]
-        return self._meshes[key]
-
-    def _parts(self, moment: Moment, i: int) -> list[_Part]:
-        body, right, left = self._mesh(moment.vehicles[i])
-        eye = np.eye(4)
-        eye[:3, 3] = -self._camera.position
-        poses = [moment.T_world_chassis[i], *moment.T_world_wheels[i]]
-        meshes = (body, right, left, right, left)
-        return [
-            _Part(mesh, self._camera.T_camera_world @ T, eye @ T, wheel=k > 0)
-            for k, (mesh, T) in enumerate(zip(meshes, poses, strict=True))
-        ]
+        self._sun_map = self._device.shadow_map(SHADOW_MAP)
+        self._open = self._device.target((CONTACT_MAP, CONTACT_MAP), ["1f1"], depth=False)
+        # The average of a pixel's samples is a look-up half way between them.
+        for texture in (*self._color.color_attachments, *self._open.color_attachments):
+            texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
+        self._sun_clip, self._sun_map_from = light_projection(
+            self._background.daylight.sun_direction, self._background.focus, SHADOW_RADIUS
+        )
+        self._uniforms = {
+            "u_size": list(size),
+            "u_world_from_pixel": camera.T_camera_world[:3, :3].T @ np.linalg.inv(camera.K),
+            "u_vehicle_sun_map_from": self._sun_map_from,
+            "u_sun_map_from": self._sun_map_from,
+            "u_sun_at": self._sun_map_from[:3] @ [0, 0, 0.02, 1],
+            "u_open_at": 0.5 - self._background.focus[:2] / (2 * SHADOW_RADIUS),
+            "u_open_scale": 0.5 / SHADOW_RADIUS,
+            "u_eye_height": float(camera.position[2]),
+            "u_texel": 0.04 * 0.5 / SHADOW_RADIUS,
+        }
+        self._compose([self._image])
+        self._plain = self._read_display()
 
     # --------------------------------------------------------------------------------------------------------- frames
 
     def render(self, frame: int) -> View:
         """Draw a frame."""
-        camera, moment = self._camera, self._recording.moment(frame)
-        models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
-        places = list(zip(models, moment.T_world_chassis, strict=True))
-        windows = [window_of(model, T, camera) for model, T in places]
-        # From near to far: what a nearer vehicle hides is then not shaded.
+        camera, moment, empty = self._camera, self._recording.moment(frame), self._background
+        placed = self._place(moment)
+        depth, slope, ids = empty.depth.copy(), empty.slope.copy(), empty.ids.copy()
+        silhouettes = [Silhouette(0, 0, np.zeros((0, 0), dtype=bool))] * len(moment.vehicles)
+        contrast = np.zeros(len(moment.vehicles))
+        rgb = self._plain.copy()
+        if placed:
+            self._draw_geometry(placed)
+            shown = []
+            for vehicle in placed:
+                layer = _read(self._geometry, inside(vehicle.window, camera), np.float32)
+                shown.append(self._put(layer, vehicle, depth, slope, ids))
+                alone = not any(crossing(vehicle.window, other.window) for other in placed if other is not vehicle)
+                silhouettes[vehicle.index] = self._silhouette(vehicle, layer if alone else None)
+            self._draw_color(placed, rgb)
+            others = self._draw_behind(placed)
+            for vehicle, own, other in zip(placed, shown, others, strict=True):
+                x0, y0, x1, y1 = inside(vehicle.window, camera)
+                difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], other), own.view(np.uint8))
+                contrast[vehicle.index] = sum(difference) / 3 / NOISE_SIGMA
+        light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
+        return View(with_noise(rgb, self._recording, frame), depth, slope, ids, tuple(silhouettes), contrast)
+
+    def _place(self, moment: Moment) -> list[_Placed]:
+        """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
+        camera, out = self._camera, []
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
-        parts = {int(i): self._parts(moment, int(i)) for i in away.argsort(kind="stable") if windows[i] is not None}
-        empty = self._background
-        view = _Buffers(empty.depth.copy(), empty.slope.copy(), empty.ids.copy(), self._plain.copy())
-        contrast = np.zeros(len(windows))
-        if parts:
-            shades = [window_with_shadow(model, T, camera, self._background.sun_direction) for model, T in places]
-            size = (camera.width, camera.height)
-            vehicle_runs = runs([window for window in windows if window], size)
-            self._draw_geometry(parts, view, vehicle_runs)
-            contrast = self._draw_color(
-                moment, parts, view, vehicle_runs, runs([w for w in (*shades, *windows) if w], size)
+        for i in away.argsort(kind="stable").tolist():
+            recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
+            vehicle = build(recorded.model, recorded.shape)
+            window = window_of(vehicle, chassis, camera)
+            if window is None:
+                continue
+            parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
+            from_camera = parts.copy()
+            from_camera[:, :3, 3] -= camera.position
+            matrices = {"u_model": camera.T_camera_world @ parts, "u_world": from_camera}
+            paint = linear(np.array(PAINTS[recorded.color][1]) / 255)
+            out.append(
+                _Placed(
+                    index=i,
+                    vehicle=vehicle,
+                    T_world_chassis=chassis,
+                    mesh=self._mesh(recorded, vehicle),
+                    matrices={name: _bytes(matrix) for name, matrix in matrices.items()},
+                    look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
+                    window=window,
+                )
             )
-        light_signals(view.rgb, view.depth, camera, moment, scenery(self._recording.town).signals)
-        silhouettes = tuple(self._silhouette(parts.get(i), window) for i, window in enumerate(windows))
-        rgb = with_noise(view.rgb, self._recording, frame)
-        return View(rgb, view.depth, view.slope, view.ids, silhouettes, contrast)
+        return out
 
-    def _draw_parts(self, program: Any, parts: list[_Part], P: Array) -> None:
-        for part in parts:
-            put(
-                program,
-                {"u_model": part.T_camera, "u_world": part.T_axes, "u_project": P, "u_wheel": float(part.wheel)},
-            )
-            part.mesh.draw(program)
+    def _mesh(self, recorded: RecordedVehicle, vehicle: Vehicle) -> DeviceMesh:
+        key = (recorded.model, *sorted(recorded.shape.items()))
+        if key not in self._meshes:
+            right, left = vehicle.wheel.mirrored(), vehicle.wheel
+            self._meshes[key] = self._device.upload(vehicle.mesh, right, left, right, left)
+        return self._meshes[key]
 
-    def _draw_geometry(self, parts: dict[int, list[_Part]], view: "_Buffers", places: list[Window]) -> None:
-        """Draw depth, slope and ids, and put them into the view where a vehicle is nearer than the scenery."""
-        device, camera = self._device, self._camera
-        program = device.program("geometry.vert.glsl", "geometry.frag.glsl")
-        self._geometry.use()
-        self._geometry.clear(0, 0, 0, 0)
-        device.context.enable_only(device.gl.DEPTH_TEST)
-        P = projection(camera.K, (0, 0, camera.width, camera.height))
-        for i, vehicle in parts.items():
-            program["u_id"] = float(i + 1)
-            self._draw_parts(program, vehicle, P)
-        for there, layer in _read(self._geometry, places, 4, np.float32):
-            nearer = (layer[..., 3] > 0) & (layer[..., 0] < view.depth[there])
-            view.depth[there][nearer] = layer[..., 0][nearer]
-            view.slope[there][nearer] = layer[..., 1:3][nearer]
-            view.ids[there][nearer] = layer[..., 3][nearer].astype(np.int32)
+    # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
-    def _silhouette(self, parts: list[_Part] | None, window: Window | None) -> Silhouette:
-        if parts is None or window is None:
-            return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+    def _draw_geometry(self, placed: Sequence[_Placed]) -> None:
+        """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it."""
+        program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
+        self._prepare(self._geometry, [inside(vehicle.window, self._camera) for vehicle in placed])
+        put(program, {"u_project": self._project})
+        for vehicle in placed:
+            put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
+            vehicle.mesh.draw(program)
+
+    def _prepare(self, target: Any, places: Sequence[Window], *options: str) -> None:
+        """Make parts of a target ready for drawing."""
         device = self._device
-        x0, y0, x1, y1 = window
+        program = device.program("tiles.vert.glsl", "prepare.frag.glsl", *options)
+        put(program, {**self._background.bind(), **self._uniforms})
+        target.use()
+        device.context.enable_only(device.gl.DEPTH_TEST)
+        device.context.depth_func = "1"
+        device.tiles(program, places)
+        device.context.depth_func = "<="
+
+    def _put(
+        self,
+        layer: NDArray[np.float32],
+        placed: _Placed,
+        depth: NDArray[np.float32],
+        slope: NDArray[np.float32],
+        ids: NDArray[np.int32],
+    ) -> NDArray[np.bool_]:
+        """Put a vehicle into the frame where it is nearer than the scenery; returns where, in its window."""
+        x0, y0, x1, y1 = inside(placed.window, self._camera)
+        there = slice(y0, y1), slice(x0, x1)
+        own = (layer[..., 3] == placed.number) & (layer[..., 0] < depth[there])
+        np.copyto(depth[there], layer[..., 0], where=own)
+        np.copyto(slope[there], layer[..., 1:3], where=own[..., None])
+        ids[there][own] = placed.number
+        return np.asarray(own)
+
+    def _silhouette(self, placed: _Placed, layer: NDArray[np.float32] | None) -> Silhouette:
+        """A vehicle's silhouette, from what was drawn of its window if nothing else was drawn there."""
+        device, (x0, y0, x1, y1) = self._device, placed.window
+        if layer is not None and placed.window == inside(placed.window, self._camera):
+            return Silhouette(x0, y0, layer[..., 3] == placed.number)
         size = (x1 - x0, y1 - y0)
         target = _mask_target(device, _rounded(size))
-        program = device.program("geometry.vert.glsl", "geometry.frag.glsl")
+        program = device.program("geometry.vert.glsl", "mask.frag.glsl", PARTS)
         target.viewport = (0, 0, *size)
         target.use()
         target.clear(0, 0, 0, 0, viewport=(0, 0, *size))
         device.context.enable_only(device.gl.NOTHING)
-        program["u_id"] = 1.0
-        self._draw_parts(program, parts, projection(self._camera.K, window))
+        put(program, {**placed.matrices, "u_project": projection(self._camera.K, placed.window)})
+        placed.mesh.draw(program)
         data = target.read(viewport=(0, 0, *size), components=1, dtype="f1", alignment=1)
         return Silhouette(x0, y0, np.frombuffer(data, dtype=np.uint8).reshape(size[1], size[0]) > 0)
 
-    # --------------------------------------------------------------------------------------------------------- colour
+    # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_shadows(self, parts: dict[int, list[_Part]]) -> dict[str, Any]:
-        """Shadow maps of the vehicles from the sun and from straight above; returns their uniforms."""
+    def _draw_color(self, placed: Sequence[_Placed], rgb: NDArray[np.uint8]) -> None:
+        """Draw the vehicles and their shadows into the picture."""
+        size = (self._camera.width, self._camera.height)
+        sun = self._background.daylight.sun_direction
+        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in placed], size)
+        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, self._camera, sun) for v in placed], size)
+        self._draw_shadows(placed)
+        self._draw_vehicles(self._color, placed, runs(covered, size), f"SCALE {SCALE}")
+        self._compose(runs(shaded & ~covered, size), "SHADOWS")
+        self._compose(runs(covered, size), "SHADOWS", "VEHICLES")
+        places = runs(covered | shaded, size)
+        window = union(places)
+        picture = _read(self._display, window, np.uint8)
+        for x0, y0, x1, y1 in places:
+            rgb[y0:y1, x0:x1] = picture[y0 - window[1] : y1 - window[1], x0 - window[0] : x1 - window[0], :3]
+
+    def _draw_shadows(self, placed: Sequence[_Placed]) -> None:
+        """The vehicles' shadow map, and the map of the sky that they leave the road."""
         device = self._device
-        program = device.program("geometry.vert.glsl", "shadow.frag.glsl")
+        program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS)
+        self._sun_map.use()
+        self._sun_map.clear()
         device.context.enable_only(device.gl.DEPTH_TEST)
-        uniforms: dict[str, Any] = {"u_texel": 0.5 / SHADOW_RADIUS}
-        maps = (("sun", self._sun_map, self._background.sun_direction), ("top", self._top_map, np.array([0, 0, 1.0])))
-        for unit, (name, target, direction) in enumerate(maps, start=4):
-            clip, texture = light_projection(direction, self._background.focus, SHADOW_RADIUS)
-            target.use()
-            target.clear()
-            for vehicle in parts.values():
-                for part in vehicle:
-                    put(program, {"u_model": part.T_axes, "u_world": part.T_axes, "u_project": clip})
-                    part.mesh.draw(program)
-            target.depth_attachment.use(unit)
-            uniforms |= {f"u_vehicle_{name}_map": unit, f"u_vehicle_{name}_map_from": texture}
-        return uniforms
+        put(program, {"u_project": self._sun_clip})
+        for vehicle in placed:
+            put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
+            vehicle.mesh.draw(program)
+        self._open.use()
+        self._open.clear(1, 1, 1, 1)
+        device.context.enable_only(device.gl.BLEND)
+        device.context.blend_func = device.gl.ZERO, device.gl.SRC_COLOR
+        middle = self._camera.position + self._background.focus
+        corners = np.concatenate([_footprint(v.vehicle, v.T_world_chassis, middle) for v in placed])
+        program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
+        device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
-    def _draw_color(
-        self,
-        moment: Moment,
-        parts: dict[int, list[_Part]],
-        view: "_Buffers",
-        vehicle_runs: list[Window],
-        shaded_runs: list[Window],
-    ) -> Array:
-        """Draw vehicles and shadows into the view's picture; returns the vehicles' contrast.
+    def _draw_vehicles(self, target: Any, placed: Sequence[_Placed], places: Sequence[Window], *options: str) -> None:
+        """Draw the vehicles' picture into parts of a target, where the scenery does not hide them."""
+        device, gl = self._device, self._device.gl
+        uniforms = {**self._background.bind(), **self._uniforms}
+        self._prepare(target, places, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
+        device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+        program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, *options)
+        units = {"u_vehicle_sun_map": self._sun_map.depth_attachment, "u_front": self._geometry.color_attachments[0]}
+        put(program, {**uniforms, **self._bind(units), "u_project": self._project})
+        for vehicle in placed:
+            put(program, {**vehicle.matrices, **vehicle.look, "u_id": float(vehicle.number)})
+            vehicle.mesh.draw(program)
 
-        For that the vehicle shown in front is left out, pixel by pixel, in a second picture.
-        """
-        device, camera = self._device, self._camera
-        uniforms = self._draw_shadows(parts) | self._background.bind()
-        self._geometry.color_attachments[0].use(6)
-        P = projection(camera.K, (0, 0, camera.width, camera.height))
-        total, count = np.zeros(len(moment.vehicles) + 1), np.zeros(len(moment.vehicles) + 1)
-        for target, scale, places, peel in (
-            (self._color, SCALE, shaded_runs, False),
-            (self._behind, 1, vehicle_runs, True),
-        ):
-            target.use()
-            target.clear(0, 0, 0, 0)
-            device.context.enable_only(device.gl.DEPTH_TEST)
-            options = [f"SCALE {scale}", *(["PEEL"] if peel else [])]
-            program = device.program("geometry.vert.glsl", "vehicle.frag.glsl", *options)
-            put(program, {**uniforms, "u_front": 6})
-            for i, vehicle in parts.items():
-                paint = linear(np.array(PAINTS[moment.vehicles[i].color][1]) / 255)
-                put(program, {"u_paint": paint, "u_lamps": int(moment.lamps[i]), "u_id": float(i + 1)})
-                self._draw_parts(program, vehicle, P)
-            # Without the vehicle its shadow is gone too.
-            shadows = None if peel else uniforms
-            for there, rgb in self._compose(places, target.color_attachments[0], scale, shadows):
-                if not peel:
-                    view.rgb[there] = rgb
-                    continue
-                ids = view.ids[there]
-                shown = ids > 0
-                difference = np.abs(view.rgb[there][shown].astype(np.int16) - rgb[shown]).mean(axis=-1)
-                total += np.bincount(ids[shown], weights=difference, minlength=len(total))
-                count += np.bincount(ids[shown], minlength=len(count))
-        return np.asarray(total[1:] / np.maximum(count[1:], 1) / NOISE_SIGMA)
-
-    def _compose(
-        self, places: list[Window], vehicles: Any, scale: int, shadows: dict[str, Any] | None
-    ) -> Iterator[tuple[tuple[slice, slice], NDArray[Any]]]:
-        """The picture of parts of the image, with `vehicles` over the scenery in their `shadows`, if any."""
-        device, camera = self._device, self._camera
-        options = [f"SCALE {scale}", *(["SHADOWS"] if shadows else [])]
+    def _compose(self, places: Sequence[Window], *options: str) -> None:
+        """Put parts of the picture together."""
+        device = self._device
         program = device.program("tiles.vert.glsl", "composite.frag.glsl", *options)
-        vehicles.use(7)
-        put(
-            program,
-            {
-                **self._background.bind(),
-                **self._background.display_uniforms(),
-                **(shadows or {}),
-                "u_vehicles": 7,
-                "u_size": [camera.width, camera.height],
-            },
-        )
+        units = {
+            "u_vehicle_sun_map": self._sun_map.depth_attachment,
+            "u_vehicles": self._color.color_attachments[0],
+            "u_open": self._open.color_attachments[0],
+        }
+        put(program, {**self._background.bind(), **self._uniforms, **self._bind(units)})
         self._display.use()
         device.context.enable_only(device.gl.NOTHING)
         device.tiles(program, places)
-        return _read(self._display, places, 3, np.uint8)
+
+    def _bind(self, textures: dict[str, Any]) -> dict[str, int]:
+        """Put textures into places after the background's; returns the uniforms."""
+        first = len(self._background.textures)
+        for unit, texture in enumerate(textures.values(), start=first):
+            texture.use(unit)
+        return {name: unit for unit, name in enumerate(textures, start=first)}
+
+    def _read_display(self) -> NDArray[np.uint8]:
+        return np.ascontiguousarray(_read(self._display, self._image, np.uint8)[..., :3])
+
+    def _draw_behind(self, placed: Sequence[_Placed]) -> list[NDArray[np.uint8]]:
+        """For each vehicle, what its window of the image would show without it and its shadow."""
+        crowd = [v for v in placed if any(crossing(v.window, w.window) for w in placed if w is not v)]
+        if crowd:
+            hulls = [hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in crowd]
+            size = (self._camera.width, self._camera.height)
+            self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), "PEEL")
+            window = union([inside(v.window, self._camera) for v in crowd])
+            layer = _Layer(window, _read(self._behind, window, np.uint8))
+        out = []
+        for vehicle in placed:
+            x0, y0, x1, y1 = inside(vehicle.window, self._camera)
+            picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
+            if vehicle in crowd:
+                behind = layer.crop((x0, y0, x1, y1))
+                picture = cv2.copyTo(behind[..., :3], behind[..., 3], picture.copy())
+            out.append(picture)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
-class _Buffers:
-    """A frame in the making."""
+class _Layer:
+    """Pixels of a window of the image."""
 
-    depth: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    ids: NDArray[np.int32]
-    rgb: NDArray[np.uint8]
+    window: Window
+    pixels: NDArray[Any]
+    """(h, w, C)"""
+
+    def crop(self, window: Window) -> NDArray[Any]:
+        """Those of a window within it."""
+        x, y = self.window[:2]
+        x0, y0, x1, y1 = window
+        return self.pixels[y0 - y : y1 - y, x0 - x : x1 - x]
 
 
-def _read(
-    target: Any, places: list[Window], components: int, kind: type[np.generic]
-) -> Iterator[tuple[tuple[slice, slice], NDArray[Any]]]:
-    """Pixels of parts of a target, with where they are."""
-    if not places:
-        return
-    x0, y0, x1, y1 = (f(place[k] for place in places) for k, f in enumerate((min, min, max, max)))
+def _viewport(window: Window) -> tuple[int, int, int, int]:
+    x0, y0, x1, y1 = window
+    return x0, y0, x1 - x0, y1 - y0
+
+
+def _read(target: Any, window: Window, kind: type[np.generic]) -> NDArray[Any]:
+    """(h, w, 4) pixels of a window of a target."""
+    viewport = _viewport(window)
     name = {np.float32: "f4", np.uint8: "f1"}[kind]  # type: ignore[index]
-    data = target.read(viewport=(x0, y0, x1 - x0, y1 - y0), components=components, dtype=name, alignment=1)
-    pixels = np.frombuffer(data, dtype=kind).reshape(y1 - y0, x1 - x0, components)
-    for a, b, c, d in places:
-        yield (slice(b, d), slice(a, c)), pixels[b - y0 : d - y0, a - x0 : c - x0]
+    data = target.read(viewport=viewport, components=4, dtype=name, alignment=1)
+    return np.frombuffer(data, dtype=kind).reshape(viewport[3], viewport[2], 4)
+
+
+def _bytes(matrices: Array) -> bytes:
+    """Matrices (P, 4, 4) as uniforms want them."""
+    return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()
+
+
+def _footprint(vehicle: Vehicle, T_world_chassis: Array, middle: Array) -> Array:
+    """(6, 7) corners of two triangles around the ground that a vehicle takes sky from.
+
+    Their place in the map around `middle`, their place in the vehicle's axes, half the vehicle's length and width, and
+    its height.
+    """
+    size = np.array(vehicle.size_lwh) * [0.5, 0.5, 1.0]
+    local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
+    world = local @ T_world_chassis[:2, :2].T + T_world_chassis[:2, 3]
+    return np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, np.tile(size, (6, 1))])
 
 
 @cache

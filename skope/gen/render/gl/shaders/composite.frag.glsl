@@ -1,29 +1,23 @@
-// The picture: scenery in the vehicles' shadow, vehicles over it, exposure, filmic curve, lens shading, sRGB.
+// The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES.
 #version 430
+#include "display.glsl"
 in vec2 v_pixel;
-uniform sampler2D u_ambient;      // scenery's light, by part
+in vec3 v_ray;
+in vec3 v_sun_ray;
+uniform sampler2D u_ambient;      // scenery's light, by part, exposed
 uniform sampler2D u_sunlit;
 uniform sampler2D u_background;   // depth of the scenery, 0 for sky
-uniform sampler2D u_vehicles;     // linear colour, alpha; SCALE x SCALE samples per pixel
-uniform mat3 u_world_from_camera;
-uniform mat3 u_camera_from_pixel;
-uniform mat4 u_vehicle_sun_map_from;
-uniform mat4 u_vehicle_top_map_from;
+uniform sampler2D u_vehicles;     // the vehicles' picture and coverage, 2 x 2 samples per pixel
+uniform sampler2D u_open;         // share of the sky that the vehicles leave the road
 uniform sampler2DShadow u_vehicle_sun_map;
-uniform sampler2DShadow u_vehicle_top_map;
-uniform float u_exposure;
-uniform vec3 u_fog;               // radiance of the haze
-uniform float u_fog_density;      // 1 / m
-uniform vec2 u_size;
-uniform float u_texel;            // metres per texel of the vehicles' shadow maps
+uniform vec3 u_sun_at;            // in that map: the camera, lifted a little
+uniform vec2 u_open_at;           // in the map of the open sky: the camera
+uniform float u_open_scale;       // maps per metre
+uniform float u_eye_height;       // metres above the road
+uniform float u_texel;            // of the vehicles' sun map, per 4 cm
 out vec4 out_color;
 
-// Narkowicz' fit of the ACES filmic curve.
-vec3 filmic(vec3 x) { return clamp((x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0); }
-
-vec3 srgb(vec3 x) { return mix(12.92 * x, 1.055 * pow(max(x, 1e-5), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, x)); }
-
-const int TAPS = 5;
+const int TAPS = 3;
 
 // Share of a disc around a point that a shadow map leaves lit (Vogel's spiral).
 float lit(sampler2DShadow map, vec3 at, float radius) {
@@ -35,32 +29,20 @@ float lit(sampler2DShadow map, vec3 at, float radius) {
     return sum / float(TAPS);
 }
 
-vec3 display(vec3 linear, float depth) {
-    float haze = depth > 0.0 ? 1.0 - exp(-depth * u_fog_density) : 0.0;
-    vec3 color = mix(linear, u_fog, haze) * u_exposure;
-    vec2 off = (v_pixel / u_size - 0.5) * vec2(1.0, u_size.y / u_size.x);
-    color *= 1.0 - 0.45 * dot(off, off);
-    return srgb(filmic(color));
-}
-
 void main() {
     ivec2 pixel = ivec2(v_pixel);
-    float depth = texelFetch(u_background, pixel, 0).r;
     vec3 ambient = texelFetch(u_ambient, pixel, 0).rgb, sunlit = texelFetch(u_sunlit, pixel, 0).rgb;
 #ifdef SHADOWS
-    if (depth > 0.0) {
-        vec3 world = u_world_from_camera * (u_camera_from_pixel * vec3(floor(v_pixel) + 0.5, 1.0)) * depth;
-        vec3 sun_at = (u_vehicle_sun_map_from * vec4(world + vec3(0.0, 0.0, 0.02), 1.0)).xyz;
-        vec3 top_at = (u_vehicle_top_map_from * vec4(world, 1.0)).xyz;
-        sunlit *= lit(u_vehicle_sun_map, sun_at, 0.04 * u_texel);
-        // The sky that a vehicle takes from the road: near and under it most of it.
-        ambient *= 0.15 + 0.85 * lit(u_vehicle_top_map, top_at, 0.9 * u_texel);
-    }
+    float depth = texelFetch(u_background, pixel, 0).r;
+    sunlit *= lit(u_vehicle_sun_map, u_sun_at + v_sun_ray * depth, u_texel);
+    float open = texture(u_open, u_open_at + v_ray.xy * (depth * u_open_scale)).r;
+    // The map holds for the road; walls and poles beside a vehicle see more of the sky the higher up they are.
+    ambient *= mix(open, 1.0, clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0));
 #endif
-    vec4 front = vec4(0.0);
-    for (int y = 0; y < SCALE; ++y)
-        for (int x = 0; x < SCALE; ++x) front += texelFetch(u_vehicles, pixel * SCALE + ivec2(x, y), 0);
-    front /= float(SCALE * SCALE);
-    out_color = vec4(display(ambient + sunlit, depth) * (1.0 - front.a), 1.0);
-    if (front.a > 0.0) out_color.rgb += front.a * display(front.rgb / front.a, depth);
+    vec3 color = display(ambient + sunlit);
+#ifdef VEHICLES
+    vec4 front = texture(u_vehicles, (floor(v_pixel) + 0.5) / vec2(textureSize(u_ambient, 0)));
+    color = color * (1.0 - front.a) + front.rgb;
+#endif
+    out_color = vec4(color, 1.0);
 }

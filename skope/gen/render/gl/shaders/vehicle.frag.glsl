@@ -1,49 +1,45 @@
-// A vehicle's colour, SCALE x SCALE samples per image pixel: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
+// A vehicle's picture: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
+// With PEEL it is a plain one of what stands behind the vehicle shown.
 #version 430
 #include "common.glsl"
-in float v_depth;
+#include "display.glsl"
 in vec3 v_world;
-in vec3 v_local;
 in vec3 v_normal;
+in vec3 v_scenery_sun_at;
+in vec3 v_vehicle_sun_at;
+in float v_open;
 flat in int v_material;
 uniform vec3 u_paint;
 uniform int u_lamps;
-uniform float u_wheel;          // 1 for a wheel
 uniform float u_id;
-uniform sampler2D u_front;      // depth, slopes, id of what the image shows; depth 0 where no vehicle is
-uniform sampler2D u_background; // depth of the scenery
-uniform mat4 u_scenery_sun_map_from;
+uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the image shows
+uniform sampler2D u_mirror;     // octahedral map of what a mirror sees
 uniform sampler2DShadow u_scenery_sun_map;
-uniform mat4 u_vehicle_sun_map_from;
 uniform sampler2DShadow u_vehicle_sun_map;
 out vec4 out_color;
 
-void main() {
-    ivec2 pixel = ivec2(gl_FragCoord.xy) / SCALE;
-    float scenery = texelFetch(u_background, pixel, 0).r;
-    if (scenery > 0.0 && v_depth > scenery) discard;
-#ifdef PEEL
-    if (texelFetch(u_front, pixel, 0).a == u_id) discard;
-#endif
+vec3 mirror(vec3 d) {
+    vec2 at = d.xy / (abs(d.x) + abs(d.y) + abs(d.z));
+    if (d.z < 0.0) at = (1.0 - abs(at.yx)) * vec2(at.x < 0.0 ? -1.0 : 1.0, at.y < 0.0 ? -1.0 : 1.0);
+    return textureLod(u_mirror, at * 0.5 + 0.5, 0.0).rgb;
+}
 
-    vec3 n = normalize(v_normal), view = normalize(-v_world);
+void main() {
+#ifdef PEEL
+    if (texelFetch(u_front, ivec2(gl_FragCoord.xy), 0).a == u_id) discard;
+#endif
+    float metres = length(v_world), cosine = 1.0 / (gl_FragCoord.w * metres);
+    vec3 n = normalize(v_normal), view = -v_world / metres;
     if (dot(n, view) < 0.0) n = -n;
     vec3 base = v_material == M_PAINT ? u_paint : u_albedo[v_material].rgb;
     float facing = max(dot(n, u_sun_direction), 0.0);
-    // Near the road and under the body there is less sky.
-    float height = u_wheel > 0.5 ? 0.3 : v_local.z;
-    float open = clamp(0.35 + 0.65 * height / 0.9, 0.25, 1.0) * (0.55 + 0.45 * clamp(n.z * 0.5 + 0.5, 0.0, 1.0));
+    float open = v_open * (0.55 + 0.45 * clamp(n.z * 0.5 + 0.5, 0.0, 1.0));
     vec3 ambient = open * mix(u_ground, 0.65 * u_zenith + 0.35 * u_horizon, clamp(0.5 + 0.5 * n.z, 0.0, 1.0));
-
 #ifdef PEEL
-    // What stands behind is only held against what stands before it: no shadows, no mirror images.
-    out_color = vec4(base * (ambient + u_sun / PI * facing), 1.0);
-    return;
+    // It is only held against what stands before it: no shadows, no mirror images.
+    vec3 color = base * (ambient + u_sun / PI * facing);
 #else
-    vec3 lifted = v_world + n * 0.05;
-    float sun = texture(u_scenery_sun_map, (u_scenery_sun_map_from * vec4(lifted, 1.0)).xyz);
-    sun *= texture(u_vehicle_sun_map, (u_vehicle_sun_map_from * vec4(lifted, 1.0)).xyz);
-    vec3 mirrored = reflect(-view, n);
+    float sun = texture(u_scenery_sun_map, v_scenery_sun_at) * texture(u_vehicle_sun_map, v_vehicle_sun_at);
     float f0 = 0.04, coat = 0.0, metal = 0.0;
     if (v_material == M_PAINT) coat = 1.0;
     if (v_material == M_GLASS) { coat = 1.0; f0 = 0.08; }
@@ -51,13 +47,13 @@ void main() {
     if (v_material == M_CHROME || v_material == M_RIM) metal = 1.0;
     if (v_material == M_TRIM || v_material == M_GRILLE) coat = 0.25;
 
-    float f = fresnel(dot(n, view), f0);
+    float f = coat * fresnel(dot(n, view), f0);
+    vec3 mirrored = mirror(reflect(-view, n)) * open;
     vec3 color = base * (ambient + u_sun / PI * facing * sun) * (1.0 - metal * 0.8);
-    color = mix(color, surroundings(mirrored) * open, coat * f);
-    color += metal * base * surroundings(mirrored) * 0.55 * open;
-    color += (coat * f + metal * base) * ggx(n, view, u_sun_direction, max(u_albedo[v_material].a, 0.12)) * u_sun * sun;
+    color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
+    color += (f + metal * base) * ggx(n, view, u_sun_direction, max(u_albedo[v_material].a, 0.12)) * u_sun * sun;
     if (v_material == M_TAILLIGHT && (u_lamps & LAMP_BRAKE) != 0) color += vec3(1.1, 0.03, 0.02);
     if (v_material == M_HEADLIGHT && (u_lamps & LAMP_LOW_BEAM) != 0) color += vec3(1.6, 1.55, 1.45);
-    out_color = vec4(color, 1.0);
 #endif
+    out_color = vec4(display(exposed(color, metres, cosine)), 1.0);
 }

@@ -1,0 +1,162 @@
+"""The light of everything that does not move, worked out once per recording.
+
+An average of many samples, each with its own shift of the pixels, its own point of the sun's disc and its own
+direction of the sky: anti-aliasing, soft shadows and sky occlusion come out of the same average.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl.context import (
+    Device,
+    DeviceMesh,
+    albedo_table,
+    light_projection,
+    noise_tile,
+    projection,
+    put,
+)
+
+Array = NDArray[np.float64]
+
+SAMPLES: Final = 32
+SHADOW_MAP: Final = 4096
+SHADOW_RADIUS: Final = 140.0
+SUN_RADIUS: Final = 0.0047
+"""Of the sun's disc, radians."""
+_GOLDEN: Final = (1 + 5**0.5) / 2
+
+
+class Stage:
+    """Scenery on the device with the sun and the sky over it."""
+
+    def __init__(self, device: Device, mesh: DeviceMesh, camera: Camera, daylight: Daylight) -> None:
+        self.device, self._mesh, self._camera, self._daylight = device, mesh, camera, daylight
+        self._size = (camera.width, camera.height)
+        forward = camera.T_camera_world[2, :3]
+        level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
+        self.focus = np.asarray(40.0 * level - [0, 0, camera.position[2]])
+        """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
+        self.view = np.eye(4)
+        self.view[:3, :3] = camera.T_camera_world[:3, :3]
+        self.noise = device.context.texture((256, 256), 4, noise_tile())
+        self.noise.build_mipmaps()
+        self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
+        self.uniforms: dict[str, Any] = {
+            "u_eye": camera.position,
+            "u_sun_direction": daylight.sun_direction,
+            "u_sun": daylight.sun,
+            "u_zenith": daylight.zenith,
+            "u_horizon": daylight.horizon,
+            "u_ground": daylight.ground,
+            "u_cloud": daylight.cloud,
+            "u_albedo": albedo_table(),
+            "u_exposure": daylight.exposure,
+            "u_haze": daylight.horizon,
+            "u_haze_density": daylight.fog_density,
+            "u_vignetting": 0.1,
+        }
+        self.pixels: dict[str, Any] = {
+            "u_size": list(self._size),
+            "u_camera_from_pixel": np.linalg.inv(camera.K),
+            "u_world_from_camera": camera.T_camera_world[:3, :3].T,
+        }
+
+    def draw_geometry(self, target: Any) -> None:
+        """Depth, slopes and where there is something at all, at pixel centres."""
+        program = self.device.program("geometry.vert.glsl", "geometry.frag.glsl", "PARTS 1")
+        target.use()
+        target.clear(0, 0, 0, 0)
+        self.device.context.enable_only(self.device.gl.DEPTH_TEST)
+        P = projection(self._camera.K, (0, 0, *self._size))
+        put(program, {"u_model": self.view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
+        self._mesh.draw(program)
+
+    def draw_depth(self, target: Any, clip: Array) -> None:
+        """The scenery's depth buffer where `clip` takes world axes, relative to the camera, to clip space."""
+        program = self.device.program("geometry.vert.glsl", "shadow.frag.glsl", "PARTS 1")
+        target.use()
+        target.clear()
+        self.device.context.enable_only(self.device.gl.DEPTH_TEST)
+        put(program, {"u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
+        self._mesh.draw(program)
+
+    def light(self) -> dict[str, NDArray[np.float16]]:
+        """The mean of the samples: light from the sky ("ambient") and from the sun ("sunlit"), (H, W, 4) each."""
+        device, daylight, size = self.device, self._daylight, self._size
+        sums = device.target(size, ["4f4", "4f4"])
+        sums.use()
+        sums.clear(0, 0, 0, 0)
+        sun, sky = device.shadow_map(SHADOW_MAP), device.shadow_map(SHADOW_MAP)
+        sample = device.target(size, ["4f4", "4f4"])
+        shade = device.program("geometry.vert.glsl", "static.frag.glsl", "PARTS 1")
+        clear = device.program("screen.vert.glsl", "sky.frag.glsl")
+        add = device.program("screen.vert.glsl", "add.frag.glsl")
+        rng = np.random.default_rng(3)
+        for k in range(SAMPLES):
+            jitter = ((k + 0.5) / SAMPLES - 0.5, (k * _GOLDEN + 0.5) % 1 - 0.5)
+            toward_sun = daylight.sun_direction + SUN_RADIUS * _in_disc(k) @ _across(daylight.sun_direction)
+            toward_sky = _on_hemisphere(k)
+            # A shift of the map by less than a texel, new in each sample, hides its grid.
+            wander = self.focus + rng.uniform(-0.2, 0.2, 3)
+            sun_clip, sun_from = light_projection(toward_sun, wander, SHADOW_RADIUS)
+            sky_clip, sky_from = light_projection(toward_sky, wander, SHADOW_RADIUS)
+            self.draw_depth(sun, sun_clip)
+            self.draw_depth(sky, sky_clip)
+            sample.use()
+            sample.clear(0, 0, 0, 0)
+            device.context.enable_only(device.gl.DEPTH_TEST)
+            for unit, texture in enumerate((self.noise, sun.depth_attachment, sky.depth_attachment)):
+                texture.use(unit)
+            put(
+                shade,
+                {
+                    **self.uniforms,
+                    **{"u_noise": 0, "u_sun_map": 1, "u_sky_map": 2},
+                    "u_model": self.view,
+                    "u_world": np.eye(4),
+                    "u_project": projection(self._camera.K, (0, 0, *size), jitter),
+                    "u_sun_map_from": sun_from,
+                    "u_sky_map_from": sky_from,
+                    "u_sky_direction": toward_sky,
+                    "u_sky_radiance": daylight.sky(toward_sky),
+                },
+            )
+            self._mesh.draw(shade)
+            put(clear, {**self.uniforms, **self.pixels, "u_noise": 0, "u_jitter": [-jitter[0], -jitter[1]]})
+            device.screen(clear)
+            for unit, texture in enumerate(sample.color_attachments, start=1):
+                texture.use(unit)
+            put(add, {**self.pixels, "u_a": 1, "u_b": 2, "u_share": 1 / SAMPLES, "u_jitter": [0.0, 0.0]})
+            sums.use()
+            device.context.enable_only(device.gl.BLEND)
+            device.context.blend_func = device.gl.ONE, device.gl.ONE
+            device.screen(add)
+        out = {}
+        for name, texture in zip(("ambient", "sunlit"), sums.color_attachments, strict=True):
+            pixels = np.frombuffer(texture.read(), dtype=np.float32).reshape(size[1], size[0], 4)
+            out[name] = np.clip(pixels, 0, 6e4).astype(np.float16)
+        return out
+
+
+def _in_disc(k: int) -> Array:
+    angle, radius = 2.399963 * k, ((k + 0.5) / SAMPLES) ** 0.5
+    return np.array([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def _across(direction: Array) -> Array:
+    """(2, 3) unit vectors across a direction."""
+    side = np.cross(direction, [0.0, 0.0, 1.0])
+    side /= max(float(np.linalg.norm(side)), 1e-9)
+    return np.stack([side, np.cross(direction, side)])
+
+
+def _on_hemisphere(k: int) -> Array:
+    """Directions spread evenly over the upper hemisphere (a Fibonacci lattice)."""
+    z, angle = (k + 0.5) / SAMPLES, 2.399963 * k
+    r = (1 - z * z) ** 0.5
+    return np.array([r * np.cos(angle), r * np.sin(angle), z])
