@@ -23,6 +23,10 @@ def gen(
     interval: Annotated[float | None, typer.Option(help="Seconds between frames.")] = None,
     size: Annotated[str | None, typer.Option(help="Image size, WIDTHxHEIGHT.")] = None,
     fov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A condition as NAME=VALUE or NAME=LOW..HIGH (see the README); repeatable."),
+    ] = None,
     localizer: Annotated[str, typer.Option(help="rigid, or trilateration as in the paper.")] = "rigid",
     occlusion_rule: Annotated[
         str, typer.Option(help="others: ignore what something else hides; paper: remove what is half hidden.")
@@ -36,6 +40,7 @@ def gen(
     if ctx.invoked_subcommand is not None:
         return
     from skope.gen.annotate import Rules
+    from skope.gen.conditions import parse_settings
     from skope.gen.plan import from_preset
     from skope.gen.produce import check_workers, default_workers, produce
     from skope.gen.render import choose_renderer
@@ -53,6 +58,7 @@ def gen(
         interval_s=interval,
         size=size,
         fov_deg=fov,
+        settings=parse_settings(settings or []),
     )
     console = Console(quiet)
     count = check_workers(default_workers() if workers is None else workers)

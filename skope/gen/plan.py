@@ -3,13 +3,15 @@
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from importlib import resources
 from typing import Any
 
 from skope.errors import UserError, one_of
 from skope.gen.annotate import Rules
+from skope.gen.conditions import Range, check_settings
+from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import RecordingPlan, versions
 from skope.gen.towns import site
 from skope.gen.traffic import STEP
@@ -33,6 +35,8 @@ class Parameters:
     driver: str
     """What the renderer draws with: pixels are the same on the same one only."""
     rules: Rules
+    settings: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of conditions that are set; the others follow each site's weather and hour."""
 
     def __post_init__(self) -> None:
         self.pixels()
@@ -48,6 +52,10 @@ class Parameters:
             raise UserError(f"--fov: expected degrees from 5 to 150, got {self.fov_deg}")
         if self.interval_s < STEP or abs(self.interval_s / STEP - round(self.interval_s / STEP)) > 1e-6:
             raise UserError(f"--interval: expected a multiple of {STEP} seconds, got {self.interval_s}")
+        check_settings(self.settings)
+        for k1 in self.settings.get("k1", ()):
+            if k1:
+                pinhole_of(site(self.sites[0]).camera(self.pixels(), self.fov_deg, k1))
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images."""
@@ -69,6 +77,7 @@ class Parameters:
                 size=self.pixels(),
                 fov_deg=self.fov_deg,
                 seed=self.seed,
+                settings=self.settings,
             )
             for name in self.sites
             for index, frames in enumerate(shares)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import replacing
+from skope.gen.conditions import Conditions
 
 Array = NDArray[np.float64]
 
@@ -60,9 +61,7 @@ class Recording:
     camera: Camera
     weather: str
     time_of_day: str
-    sun_elevation_deg: float
-    sun_azimuth_deg: float
-    """Where the sun stands, counter-clockwise from east."""
+    conditions: Conditions
     seed: int
     versions: Mapping[str, str]
     vehicles: tuple[RecordedVehicle, ...]
@@ -105,10 +104,7 @@ class Recording:
 
 
 _ARRAYS: Final = ("times_s", "frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
-_HEADER: Final = (
-    *("town", "site", "name", "split", "weather", "time_of_day", "sun_elevation_deg", "sun_azimuth_deg", "seed"),
-    "versions",
-)
+_HEADER: Final = (*("town", "site", "name", "split", "weather", "time_of_day", "seed", "versions"),)
 
 
 def save(path: Path, recording: Recording) -> None:
@@ -118,6 +114,7 @@ def save(path: Path, recording: Recording) -> None:
         **{name: getattr(recording, name) for name in _HEADER},
         "size": [recording.camera.width, recording.camera.height],
         "camera": recording.camera.to_dict(),
+        "conditions": recording.conditions.to_dict(),
         "vehicles": [asdict(vehicle) for vehicle in recording.vehicles],
         "signals": [dict(states) for states in recording.signals],
     }
@@ -143,6 +140,7 @@ def load(path: Path) -> Recording:
     return Recording(
         **{name: header[name] for name in _HEADER},
         camera=Camera.from_dict(header["camera"], *header["size"]),
+        conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
         **arrays,

@@ -1,7 +1,8 @@
 """Make a recording: drive a site's traffic past its camera."""
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Final
 
@@ -9,8 +10,9 @@ import numpy as np
 
 import skope
 from skope.camera import Camera
+from skope.gen.conditions import Conditions, Range, ranges
 from skope.gen.recording import RecordedVehicle, Recording
-from skope.gen.towns import SUN_ELEVATION_DEG, Site, network
+from skope.gen.towns import Site, network
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
 from skope.gen.vehicles import Vehicle, fleet
 from skope.gen.world import Pose, World
@@ -21,6 +23,8 @@ WARM_UP: Final = (60.0, 100.0)
 """Range of the traffic's time before a recording starts, seconds: the first vehicles have crossed the town by then."""
 SETTLE: Final = 1.5
 """Seconds that the physics run before the first frame, so that springs have come to rest."""
+LAMPS_ON_DEG: Final = 10.0
+"""Vehicles drive with their lamps lit when the sun stands lower than this."""
 TRACKS_PER_RECORDING: Final = 100_000
 
 
@@ -36,6 +40,8 @@ class RecordingPlan:
     size: tuple[int, int]
     fov_deg: float
     seed: int
+    settings: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of conditions that are set; the others follow the site's weather and hour."""
 
     @property
     def name(self) -> str:
@@ -51,12 +57,12 @@ def versions() -> dict[str, str]:
 def simulate(plan: RecordingPlan) -> Recording:
     """Run traffic and physics, and record every frame of the plan."""
     site = plan.site
-    camera = site.camera(plan.size, plan.fov_deg)
     rng = np.random.default_rng([plan.seed, zlib.crc32(site.name.encode()), plan.index])
     warm_up = round(rng.uniform(*WARM_UP) / STEP)
-    azimuth = float(rng.uniform(190, 350))
+    conditions = Conditions.drawn(ranges(site.weather, site.time_of_day, plan.settings), rng)
+    camera = site.camera(plan.size, plan.fov_deg, conditions.k1)
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
-    log = _Log(camera, night=SUN_ELEVATION_DEG[site.time_of_day] < 10)
+    log = _Log(camera, night=conditions.sun_elevation_deg < LAMPS_ON_DEG)
     duration = (warm_up + settle + plan.frames * stride) * STEP
     with (
         Traffic(
@@ -72,7 +78,7 @@ def simulate(plan: RecordingPlan) -> Recording:
             world.advance(near)
             if k >= settle and (k - settle) % stride == 0:
                 log.add((k - settle) * STEP, near, world.poses(), snapshot, traffic)
-    return log.recording(plan, camera, azimuth)
+    return log.recording(plan, camera, conditions)
 
 
 class _Log:
@@ -111,7 +117,7 @@ class _Log:
                 self._entries.append((vehicle.model, traffic.trips[name].color))
             self._rows.append((frame, self._index[name], poses[name], driven.lamps | self._always))
 
-    def recording(self, plan: RecordingPlan, camera: Camera, azimuth: float) -> Recording:
+    def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
         vehicles = tuple(
             RecordedVehicle(
@@ -127,8 +133,7 @@ class _Log:
             camera=camera,
             weather=site.weather,
             time_of_day=site.time_of_day,
-            sun_elevation_deg=SUN_ELEVATION_DEG[site.time_of_day],
-            sun_azimuth_deg=round(azimuth, 3),
+            conditions=conditions,
             seed=plan.seed,
             versions=versions(),
             vehicles=vehicles,

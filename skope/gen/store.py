@@ -119,7 +119,7 @@ class Store:
             time_s=float(recording.times_s[frame]),
             split=recording.split,
             weather=recording.weather,
-            sun_elevation_deg=recording.sun_elevation_deg,
+            sun_elevation_deg=recording.conditions.sun_elevation_deg,
             camera=recording.camera,
         )
         self._write(image.file_name, _jpeg(view.rgb))

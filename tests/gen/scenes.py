@@ -5,10 +5,18 @@ from functools import cache
 import numpy as np
 
 from skope.camera import Camera
+from skope.gen.conditions import Conditions
 from skope.gen.recording import RecordedVehicle, Recording
 from skope.gen.simulate import RecordingPlan, simulate
 from skope.gen.towns import site
 from skope.gen.vehicles import fleet
+
+
+def conditions(weather: str = "clear", **fields: float) -> Conditions:
+    """A day at noon."""
+    fixed = {"sun_elevation_deg": 55.0, "sun_azimuth_deg": 240.0, "clouds": float(weather != "clear")}
+    camera = {"visibility_m": 8000.0, "exposure_ev": 0.0, "noise": 1.5, "vignetting": 0.1, "k1": 0.0}
+    return Conditions(**{**fixed, **camera, **fields})
 
 
 def pose(x: float, y: float, yaw: float) -> np.ndarray:
@@ -33,8 +41,7 @@ def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], we
         camera=camera,
         weather=weather,
         time_of_day="noon",
-        sun_elevation_deg=55.0,
-        sun_azimuth_deg=240.0,
+        conditions=conditions(weather),
         seed=0,
         versions={},
         vehicles=tuple(

@@ -18,7 +18,7 @@ from skope.gen.render.gl import cache
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import device
 from skope.gen.render.windows import TILE, runs, tiles
-from tests.gen.scenes import standing
+from tests.gen.scenes import conditions, standing
 
 SIZE = (640, 360)
 
@@ -28,7 +28,7 @@ def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
     gl = device()
     mesh = gl.upload(flat([corners], "asphalt"), origin=camera.position)
     target = gl.target(SIZE, ["4f4"])
-    Stage(gl, mesh, camera, Daylight.of(standing(camera, []))).draw_geometry(target)
+    Stage(gl, mesh, camera, Daylight.of(conditions())).draw_geometry(target)
     return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
 
 

@@ -33,7 +33,7 @@ class View:
     """One rendered frame of N vehicles. Depth and ids are sampled at pixel centres."""
 
     rgb: NDArray[np.uint8]
-    """(H, W, 3) sRGB with the sensor's noise."""
+    """(H, W, 3) sRGB."""
     depth: NDArray[np.float32]
     """(H, W) planar z in metres, sky = +inf."""
     slope: NDArray[np.float32]
@@ -44,7 +44,7 @@ class View:
     """N of them."""
     contrast: NDArray[np.float64]
     """(N,) mean absolute difference over the visible pixels between the frame with and without the vehicle, before
-    noise, in units of the noise's sigma; 0 without visible pixels."""
+    noise, of 255; 0 without visible pixels."""
 
 
 class Renderer(Protocol):
@@ -71,12 +71,14 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
 
 
 def make_renderer(name: str, recording: Recording) -> Renderer:
-    """The renderer of that name (one of `RENDERERS` but "auto") for a recording."""
+    """The renderer of that name (one of `RENDERERS` but "auto") for a recording, seen through its lens and sensor."""
+    from skope.gen.render.sensor import Sensor
+
     if name == "gl":
         from skope.gen.render.gl.renderer import GLRenderer
 
-        return GLRenderer(recording)
+        return Sensor(recording, GLRenderer)
     from skope.gen.render.tiny import TinyRenderer
 
     assert name == "pybullet"
-    return TinyRenderer(recording)
+    return Sensor(recording, TinyRenderer)

@@ -1,4 +1,4 @@
-"""Daylight in numbers: sun, sky, haze and exposure of a recording, in linear light."""
+"""Daylight in numbers: sun, sky, haze and exposure under a recording's conditions, in linear light."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Recording
+from skope.gen.conditions import OVERCAST, Conditions
 
 Array = NDArray[np.float64]
 
@@ -27,15 +27,19 @@ class Daylight:
     """(3,)"""
     horizon: Array
     """(3,)"""
-    cloud: float
-    """0 clear with a few clouds .. 1 overcast."""
-    fog_density: float
-    """Extinction of the haze, 1/m."""
+    clouds: float
+    """0 clear .. 1 overcast."""
+    haze_density: float
+    """Extinction of the air, 1/m."""
+    exposure_ev: float
+    """Stops over what an automatic exposure takes."""
+    vignetting: float
+    """Share of the light lost 45 degrees off the axis."""
 
     @classmethod
-    def of(cls, recording: Recording) -> Self:
+    def of(cls, conditions: Conditions) -> Self:
         """The light of a recording's sun and weather."""
-        elevation, azimuth = np.radians([max(recording.sun_elevation_deg, 2.0), recording.sun_azimuth_deg])
+        elevation, azimuth = np.radians([max(conditions.sun_elevation_deg, 2.0), conditions.sun_azimuth_deg])
         direction = np.array(
             [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
         )
@@ -44,13 +48,23 @@ class Daylight:
         mass = 1 / (math.sin(elevation) + 0.50572 * (degrees + 6.07995) ** -1.6364)
         through = np.exp(-_OPTICAL_DEPTH * mass)
         day = math.sin(elevation) ** 0.6
-        if recording.weather == "clear":
-            zenith = day * np.array([0.22, 0.46, 1.0])
-            horizon = day * np.array([0.75, 0.95, 1.15]) + (1 - day) * 0.35 * through
-            return cls(direction, 10 * through, zenith, horizon, 0.0, 1 / 2500)
         grey = day * np.array([0.92, 0.97, 1.03])
-        # Clouds spread what is left of the sun around the zenith.
-        return cls(np.array([0.0, 0.0, 1.0]), 0.4 * day * np.ones(3), 0.9 * grey, 0.7 * grey, 1.0, 1 / 1400)
+        # Scattered clouds leave the sun alone; a closed cover spreads what is left of it around the zenith.
+        share = float(np.clip((conditions.clouds - 0.5) / 0.5, 0, 1))
+        closed = share * share * (3 - 2 * share)
+        zenith = (1 - closed) * day * np.array([0.22, 0.46, 1.0]) + closed * 0.9 * grey
+        open_horizon = day * np.array([0.75, 0.95, 1.15]) + (1 - day) * 0.35 * through
+        overcast = conditions.clouds > OVERCAST
+        return cls(
+            sun_direction=np.array([0.0, 0.0, 1.0]) if overcast else direction,
+            sun=0.4 * day * np.ones(3) if overcast else 10 * (1 - closed) * through,
+            zenith=zenith,
+            horizon=(1 - closed) * open_horizon + closed * 0.7 * grey,
+            clouds=conditions.clouds,
+            haze_density=-math.log(0.05) / conditions.visibility_m,
+            exposure_ev=conditions.exposure_ev,
+            vignetting=conditions.vignetting,
+        )
 
     def sky(self, direction: Array) -> Array:
         """(3,) mean radiance of the sky in a direction, clouds spread evenly."""
@@ -69,5 +83,5 @@ class Daylight:
 
     @property
     def exposure(self) -> float:
-        """What an automatic exposure does: brings a surface of 18% reflectance on level ground to a middle grey."""
-        return float(0.19 / (0.18 * self.ground_irradiance.mean() / math.pi))
+        """An automatic exposure brings a surface of 18% reflectance on level ground to a middle grey."""
+        return float(2**self.exposure_ev * 0.19 / (0.18 * self.ground_irradiance.mean() / math.pi))

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Recording
+from skope.gen.conditions import OVERCAST, Conditions
 
 RGB = tuple[float, float, float]
 
@@ -69,11 +69,11 @@ class Light:
     horizon: RGB
 
     @classmethod
-    def of(cls, recording: Recording) -> "Light":
-        """Sun and sky of a recording's hour and weather."""
-        elevation, azimuth = np.radians([recording.sun_elevation_deg, recording.sun_azimuth_deg])
-        low = float(np.clip(1 - recording.sun_elevation_deg / 35, 0, 1))
-        if recording.weather != "clear":
+    def of(cls, conditions: Conditions) -> "Light":
+        """Sun and sky under a recording's conditions."""
+        elevation, azimuth = np.radians([conditions.sun_elevation_deg, conditions.sun_azimuth_deg])
+        low = float(np.clip(1 - conditions.sun_elevation_deg / 35, 0, 1))
+        if conditions.clouds > OVERCAST:
             level = 1 - 0.3 * low
             grey: RGB = (0.80 * level, 0.82 * level, 0.85 * level)
             return cls(

@@ -1,6 +1,8 @@
-"""The image sensor's noise."""
+"""What the camera adds to a clean picture: the lens' distortion and the sensor's noise."""
 
-from functools import cache
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -8,17 +10,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.recording import Recording
+from skope.gen.render import Renderer, View
+from skope.gen.render.lens import Lens
 
-NOISE_SIGMA: Final = 1.5
-"""Standard deviation, of 255."""
+LEAST_NOISE: Final = 0.3
+"""Rounding to whole values is noise of this standard deviation already."""
 _SLACK: Final = 256
 
 
-@cache
-def _field(height: int, width: int) -> NDArray[np.int16]:
-    """Noise for an image and `_SLACK` pixels more on each axis, made once per process."""
+class Sensor:
+    """A renderer whose views are those of the recording's own camera."""
+
+    def __init__(self, recording: Recording, make: Callable[[Recording], Renderer]) -> None:
+        """`make` is given the recording with a camera that has no distortion."""
+        self._recording = recording
+        self._lens = None if recording.camera.distortion.model == "none" else Lens(recording.camera)
+        self._clean = make(replace(recording, camera=self._lens.pinhole) if self._lens else recording)
+
+    def render(self, frame: int) -> View:
+        """Draw a frame; its contrast is in units of the noise's sigma."""
+        view = self._clean.render(frame)
+        if self._lens:
+            view = self._lens.bend(view)
+        sigma = max(self._recording.conditions.noise, LEAST_NOISE)
+        return replace(view, rgb=with_noise(view.rgb, self._recording, frame), contrast=view.contrast / sigma)
+
+
+@lru_cache(maxsize=2)
+def _field(height: int, width: int, sigma: float) -> NDArray[np.int16]:
+    """Noise for an image and `_SLACK` pixels more on each axis."""
     rng = np.random.default_rng(5)
-    noise = NOISE_SIGMA * rng.standard_normal((height + _SLACK, width + _SLACK, 3), dtype=np.float32)
+    noise = sigma * rng.standard_normal((height + _SLACK, width + _SLACK, 3), dtype=np.float32)
     return np.asarray(np.rint(noise), dtype=np.int16)
 
 
@@ -31,5 +53,5 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     seed = [recording.seed, *recording.site.encode(), int(recording.name), frame]
     y, x = np.random.default_rng(seed).integers(0, _SLACK, 2)
     height, width = clean.shape[:2]
-    noise = _field(height, width)[y : y + height, x : x + width]
+    noise = _field(height, width, recording.conditions.noise)[y : y + height, x : x + width]
     return np.asarray(cv2.add(clean, noise, dtype=cv2.CV_8U), dtype=np.uint8)

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.errors import UserError
 from skope.gen.bullet import engine
+from skope.gen.conditions import OVERCAST
 from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain
-from skope.gen.render.sensor import NOISE_SIGMA, with_noise
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, window_of
 from skope.gen.towns.scenery import scenery
@@ -145,10 +144,8 @@ class TinyRenderer:
     """Draws the frames of one recording with TinyRenderer."""
 
     def __init__(self, recording: Recording) -> None:
-        if recording.camera.distortion.model != "none":
-            raise UserError(f"{recording.site}: --renderer pybullet draws cameras without distortion only")
         self._recording, self._camera = recording, recording.camera
-        self._light = Light.of(recording)
+        self._light = Light.of(recording.conditions)
         self._image: Window = (0, 0, recording.camera.width, recording.camera.height)
         self._models: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[_Stage, list[int], list[list[int]]]] = {}
         self._signals = scenery(recording.town).signals
@@ -219,7 +216,7 @@ class TinyRenderer:
             points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
             height = points[:, 2:] - chassis[2, 3]
             flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
-            if self._recording.weather == "clear":
+            if self._recording.conditions.clouds <= OVERCAST:
                 sun = np.array(self._light.direction)
                 self._fill(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
             self._fill(contact, flat)
@@ -258,7 +255,7 @@ class TinyRenderer:
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
         return View(
-            with_noise(np.rint(clean).astype(np.uint8), self._recording, frame),
+            np.rint(clean).astype(np.uint8),
             np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE]),
             _slope(depth),
             np.ascontiguousarray(middle),
@@ -288,7 +285,7 @@ class TinyRenderer:
         window = (coarse[1].start, coarse[0].start, coarse[1].stop, coarse[0].stop)
         for other in (*layers[:i], *layers[i + 1 :]):
             _put(other, window, rgb, depth)
-        return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean()) / NOISE_SIGMA
+        return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean())
 
 
 def _put(

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Final
 
-from skope.camera import Camera
+from skope.camera import Camera, Distortion
 from skope.errors import UserError
-
-SUN_ELEVATION_DEG: Final[dict[str, float]] = {"noon": 55.0, "low_sun": 20.0, "dawn": 8.0, "dusk": 8.0, "night": -20.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +32,15 @@ class Site:
     weather: str
     time_of_day: str
 
-    def camera(self, size: tuple[int, int], fov_deg: float) -> Camera:
-        """The site's camera for an image size (width, height) and a horizontal field of view."""
+    def camera(self, size: tuple[int, int], fov_deg: float, k1: float = 0.0) -> Camera:
+        """The site's camera for an image size (width, height), a field of view and a radial distortion."""
         return Camera.looking(
             self.position,
             yaw=math.radians(self.yaw_deg),
             pitch_down=math.radians(self.pitch_deg),
             size=size,
             fov=math.radians(fov_deg),
+            distortion=Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else None,
         )
 
 

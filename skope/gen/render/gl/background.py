@@ -48,7 +48,7 @@ class Background:
 
 def light_the_scenery(device: Device, recording: Recording) -> Background:
     """Work out the light of a recording's scenery."""
-    camera, daylight = recording.camera, Daylight.of(recording)
+    camera, daylight = recording.camera, Daylight.of(recording.conditions)
     size = (camera.width, camera.height)
     stage = Stage(device, device.upload(scenery(recording.town).mesh, origin=camera.position), camera, daylight)
     light = cached(_digest(device, recording), stage.light)
@@ -119,7 +119,7 @@ def _digest(device: Device, recording: Recording) -> str:
     parts = (
         *(skope.__version__, device.name, shader_sources(), str(SAMPLES), str(SHADOW_MAP)),
         *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
-        *(recording.weather, str(recording.sun_elevation_deg), str(recording.sun_azimuth_deg)),
+        *(str(getattr(recording.conditions, name)) for name in ("sun_elevation_deg", "sun_azimuth_deg", "clouds")),
     )
     digest = hashlib.sha256("\n".join(parts).encode())
     for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, albedo_table()):

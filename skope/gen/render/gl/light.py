@@ -53,12 +53,12 @@ class Stage:
             "u_zenith": daylight.zenith,
             "u_horizon": daylight.horizon,
             "u_ground": daylight.ground,
-            "u_cloud": daylight.cloud,
+            "u_cloud": daylight.clouds,
             "u_albedo": albedo_table(),
             "u_exposure": daylight.exposure,
             "u_haze": daylight.horizon,
-            "u_haze_density": daylight.fog_density,
-            "u_vignetting": 0.1,
+            "u_haze_density": daylight.haze_density,
+            "u_vignetting": daylight.vignetting,
         }
         self.pixels: dict[str, Any] = {
             "u_size": list(self._size),

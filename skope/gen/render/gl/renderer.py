@@ -14,12 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.errors import UserError
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
-from skope.gen.render.sensor import NOISE_SIGMA, with_noise
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import (
     CONTACT,
@@ -73,8 +71,6 @@ class GLRenderer:
 
     def __init__(self, recording: Recording) -> None:
         camera = recording.camera
-        if camera.distortion.model != "none":
-            raise UserError(f"{recording.site}: --renderer gl draws cameras without distortion only")
         self._recording, self._camera = recording, camera
         self._device = device()
         self._background = light_the_scenery(self._device, recording)
@@ -131,9 +127,9 @@ class GLRenderer:
             for vehicle, own, other in zip(placed, shown, others, strict=True):
                 x0, y0, x1, y1 = inside(vehicle.window, camera)
                 difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], other), own.view(np.uint8))
-                contrast[vehicle.index] = sum(difference) / 3 / NOISE_SIGMA
+                contrast[vehicle.index] = sum(difference) / 3
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
-        return View(with_noise(rgb, self._recording, frame), depth, slope, ids, tuple(silhouettes), contrast)
+        return View(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
     def _place(self, moment: Moment) -> list[_Placed]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""

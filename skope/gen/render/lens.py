@@ -1,0 +1,110 @@
+"""Lens distortion: one warp for picture, depth, ids and silhouettes, from a view without distortion."""
+
+from dataclasses import replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera, Distortion
+from skope.errors import UserError
+from skope.gen.render import Silhouette, View
+
+Array = NDArray[np.float64]
+
+_LIMIT: Final = 8192
+_MARGIN: Final = 2
+"""Pixels of the pinhole's image beyond what the lens shows."""
+
+
+def pinhole_of(camera: Camera) -> Camera:
+    """A camera without distortion that sees all that `camera` shows, as fine as its middle.
+
+    Raises UserError when the distortion folds the image or shows more than such a camera could.
+    """
+    name = f"camera.distortion {camera.distortion.model} {list(camera.distortion.coefficients)}"
+    columns, rows = (np.linspace(0, side, 64) for side in (camera.width, camera.height))
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
+    rays, valid = camera.rays(border)
+    if not valid.all():
+        raise UserError(f"{name}: folds back inside the image at this field of view")
+    focal = camera.K[[0, 1], [0, 1]]
+    low = np.floor(rays[:, :2].min(axis=0) * focal) - _MARGIN
+    high = np.ceil(rays[:, :2].max(axis=0) * focal) + _MARGIN
+    width, height = (high - low).astype(int).tolist()
+    if max(width, height) > _LIMIT:
+        raise UserError(f"{name}: shows more than a view of {_LIMIT} pixels without distortion")
+    K = np.array([[focal[0], 0, -low[0]], [0, focal[1], -low[1]], [0, 0, 1]])
+    return replace(camera, width=width, height=height, K=K, distortion=Distortion())
+
+
+class Lens:
+    """Takes views of a pinhole camera to those of a camera with distortion at the same place."""
+
+    def __init__(self, camera: Camera) -> None:
+        """Raises UserError as `pinhole_of` does."""
+        self._camera = camera
+        self.pinhole = pinhole_of(camera)
+        columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+        rays, _ = camera.rays(np.stack([columns, rows], axis=-1))
+        K = self.pinhole.K
+        source = rays[..., :2] * K[[0, 1], [0, 1]] + K[:2, 2]
+        # Where in the pinhole's image each pixel's centre is, counted in OpenCV's way.
+        self._columns, self._rows = (source[..., k].astype(np.float32) - np.float32(0.5) for k in (0, 1))
+        whole = np.floor(source).astype(np.int64)
+        self._nearest = whole[..., 1] * self.pinhole.width + whole[..., 0]
+        self._off = (source - whole - 0.5).astype(np.float32)
+        """(H, W, 2) from the centre of the nearest pixel to there."""
+        self._jacobian = np.stack([np.gradient(source, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float32)
+        """(H, W, 2, 2) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
+
+    def bend(self, view: View) -> View:
+        """The view as the lens shows it; depth and ids are those of the nearest pixel, depth carried on its slope."""
+        depth = view.depth.reshape(-1)[self._nearest]
+        slope = view.slope.reshape(-1, 2)[self._nearest]
+        finite = np.isfinite(depth)
+        z = np.where(finite, depth, np.float32(1))
+        # Inverse depth is linear in the pixel on a plane.
+        shift = np.where(finite, (slope * self._off).sum(-1), np.float32(0))
+        moved = np.where(finite, z / np.maximum(1 - shift / z, np.float32(0.5)), depth)
+        return View(
+            rgb=np.asarray(cv2.remap(view.rgb, self._columns, self._rows, cv2.INTER_LINEAR), dtype=np.uint8),
+            depth=moved,
+            slope=np.einsum("hwi,hwij->hwj", slope, self._jacobian),
+            ids=view.ids.reshape(-1)[self._nearest],
+            silhouettes=tuple(map(self._bend_silhouette, view.silhouettes)),
+            contrast=view.contrast,
+        )
+
+    def _bend_silhouette(self, silhouette: Silhouette) -> Silhouette:
+        """Inside the image by the same warp; beyond it, where only their number counts, pixel by pixel forwards."""
+        camera, pinhole = self._camera, self.pinhole
+        rows, columns = np.nonzero(silhouette.mask)
+        if not len(rows):
+            return silhouette
+        centers = np.stack([columns + silhouette.x, rows + silhouette.y], axis=-1) + 0.5
+        distorted, monotonic = camera.distortion.distort((centers - pinhole.K[:2, 2]) / pinhole.K[[0, 1], [0, 1]])
+        pixels = np.floor(distorted * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
+        size = np.array([camera.width, camera.height])
+        on_canvas = monotonic & (pixels >= -size).all(-1) & (pixels < 2 * size).all(-1)
+        pixels = pixels[on_canvas].astype(np.int64)
+        if not len(pixels):
+            return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+        low, high = pixels.min(axis=0) - 1, pixels.max(axis=0) + 2
+        mask = np.zeros(tuple((high - low)[::-1]), dtype=bool)
+        mask[tuple((pixels - low).T[::-1])] = True
+        x0, y0 = np.maximum(low, 0)
+        x1, y1 = np.minimum(high, size)
+        if x0 < x1 and y0 < y1:
+            mask[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] = self._sampled(silhouette, x0, y0, x1, y1)
+        return Silhouette(int(low[0]), int(low[1]), mask)
+
+    def _sampled(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
+        """The silhouette at the source pixels of a window of the image."""
+        row, column = np.divmod(self._nearest[y0:y1, x0:x1], self.pinhole.width)
+        row, column = row - silhouette.y, column - silhouette.x
+        height, width = silhouette.mask.shape
+        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        return np.asarray(there & silhouette.mask[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
