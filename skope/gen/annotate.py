@@ -13,7 +13,8 @@ from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
-from skope.gen.render import View
+from skope.gen.render import STATIC, View
+from skope.gen.sight import Sight
 from skope.gen.vehicles import Vehicle, build
 from skope.schema import Annotation, Box3D
 
@@ -93,17 +94,23 @@ class Tally:
 
 
 def behind(view: View, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
-    """How far points (..., 3) lie behind the surface that their pixels show, metres, and those pixels' ids.
+    """How far points (..., 3) lie behind the surfaces that pixels show, metres, and those pixels' ids; (4, ...) each.
 
-    Distances are from the camera's centre. The pixel's centre is not the point's own ray: the difference that the
-    surface's slope makes between the two is allowed for, up to `SLOPE_CAP`. NaN and -2 outside the image.
+    The pixels are the four whose centres are around the point, its own first. Distances are from the camera's centre.
+    A pixel's centre is not the point's own ray: the difference that the surface's slope makes between the two is
+    allowed for, up to `SLOPE_CAP`. NaN and -2 outside the image.
     """
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
-    at = np.where(seen[..., None], pixels, 0.0)
-    columns, rows = np.floor(at[..., 0]).astype(int), np.floor(at[..., 1]).astype(int)
+    at = np.where(seen[..., None], pixels, 0.5)
+    own = np.floor(at)
+    beside = own + np.where(at - own < 0.5, -1, 1)
+    size = np.array([camera.width, camera.height])
+    picks = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    which = np.clip([np.where(pick, beside, own) for pick in picks], 0, size - 1).astype(int)
+    columns, rows = which[..., 0], which[..., 1]
     depth = view.depth[rows, columns].astype(np.float64)
-    centers = np.stack([columns, rows], axis=-1) + 0.5
+    centers = which + 0.5
     rays, _ = camera.rays(centers)
     length = np.linalg.norm(rays, axis=-1)
     # On a plane the inverse depth is linear in the pixel, which carries the slope from the centre to the point's ray.
@@ -116,16 +123,35 @@ def behind(view: View, camera: Camera, points: Array) -> tuple[Array, NDArray[np
     return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
 
 
+def _hidden(moment: Moment, located: Located, camera: Camera, gap: Array, shown: NDArray[np.int32]) -> Mask:
+    """(N, 33) which points something hides.
+
+    The four pixels around a point decide where they show the same and agree. Where an edge passes between them the
+    point's own ray does: the vehicles' shapes are known. What is not a vehicle hides the point if its own pixel shows
+    it.
+    """
+    # A wheel's centre may be inside the image while the middle of its face is not: then nothing says it is hidden.
+    blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
+    hidden: Mask = blocked[0].copy()
+    edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
+    doubtful = edge & ~(blocked[0] & (shown[0] == STATIC))
+    if doubtful.any():
+        points = located.tested[doubtful]
+        away = np.linalg.norm(points - camera.position, axis=-1)
+        hits = Sight(moment, located.vehicles, camera).first_hits(points)
+        hidden[doubtful] = away - hits > POINT_TOLERANCE
+    return hidden
+
+
 def annotate(moment: Moment, view: View, camera: Camera, rules: Rules, image_id: int) -> tuple[list[Annotation], Tally]:
     """Annotations of a frame's vehicles, ignored ones included, in track order; their ids count from 1."""
     located = locate(moment, rules.localizer)
     pixels, _, valid = camera.project(located.points)
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, located.tested)
-    own = shown == np.arange(1, len(located.vehicles) + 1)[:, None]
-    # A wheel's centre may be inside the image while the middle of its face is not: then nothing says it is hidden.
-    v = np.where(inside, np.where(np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE, 1, 2), 0)
-    hidden = inside & (np.nan_to_num(gap, nan=0.0) > VEHICLE_TOLERANCE)
+    own = shown[0] == np.arange(1, len(located.vehicles) + 1)[:, None]
+    v = np.where(inside, np.where(_hidden(moment, located, camera, gap, shown), 1, 2), 0)
+    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = Tally()

@@ -58,8 +58,9 @@ def label_rules(parameters: Parameters) -> list[str]:
     return [
         "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
         "v = 0: outside the image, x = y = 0.",
-        f"A keypoint is hidden when it lies more than {annotate.POINT_TOLERANCE} m behind the surface that its pixel "
-        f"shows, after allowing for that surface's slope (at most {annotate.SLOPE_CAP} m).",
+        f"A keypoint is hidden when it lies more than {annotate.POINT_TOLERANCE} m behind the surface that the four "
+        f"pixels around it show, after allowing for that surface's slope (at most {annotate.SLOPE_CAP} m); where they "
+        "disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something else.",
         f"A vehicle is {by_rule} (tolerance {annotate.VEHICLE_TOLERANCE} m).",
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
