@@ -13,8 +13,8 @@ RGB = tuple[float, float, float]
 MATERIALS: Final[dict[str, RGB]] = {
     # ground
     "asphalt": (0.36, 0.36, 0.37),
-    "asphalt_worn": (0.39, 0.39, 0.395),
-    "asphalt_polished": (0.41, 0.41, 0.41),
+    "asphalt_worn": (0.372, 0.372, 0.38),
+    "asphalt_polished": (0.383, 0.383, 0.388),
     "asphalt_patch": (0.27, 0.27, 0.285),
     "asphalt_old": (0.43, 0.425, 0.42),
     "bitumen": (0.14, 0.14, 0.15),
@@ -22,7 +22,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "cover": (0.25, 0.24, 0.23),
     "marking": (0.86, 0.86, 0.83),
     "kerb": (0.64, 0.63, 0.60),
-    "sidewalk": (0.60, 0.58, 0.55),
+    "sidewalk": (0.57, 0.555, 0.53),
     "paving": (0.60, 0.50, 0.42),
     "tactile": (0.68, 0.62, 0.50),
     "gravel": (0.60, 0.57, 0.51),
@@ -35,7 +35,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "brick_painted": (0.84, 0.82, 0.77),
     "plaster": (0.83, 0.78, 0.67),
     "plaster_white": (0.87, 0.86, 0.83),
-    "plaster_ochre": (0.80, 0.66, 0.42),
+    "plaster_ochre": (0.83, 0.71, 0.50),
     "plaster_rose": (0.80, 0.62, 0.55),
     "plaster_sage": (0.66, 0.71, 0.61),
     "plaster_grey": (0.64, 0.65, 0.66),
@@ -44,7 +44,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "stone": (0.60, 0.58, 0.53),
     "sandstone": (0.72, 0.62, 0.47),
     # roofs
-    "tiles": (0.55, 0.31, 0.23),
+    "tiles": (0.52, 0.33, 0.26),
     "tiles_brown": (0.42, 0.31, 0.26),
     "slate": (0.34, 0.36, 0.39),
     "felt": (0.40, 0.40, 0.40),
@@ -64,13 +64,13 @@ MATERIALS: Final[dict[str, RGB]] = {
     "shutter_brown": (0.37, 0.25, 0.17),
     "fascia_red": (0.55, 0.10, 0.10),
     "fascia_green": (0.08, 0.27, 0.18),
-    "fascia_blue": (0.10, 0.20, 0.42),
+    "fascia_blue": (0.17, 0.25, 0.40),
     "fascia_black": (0.10, 0.10, 0.11),
     "fascia_cream": (0.85, 0.80, 0.66),
     "lettering": (0.90, 0.89, 0.85),
     "lettering_gold": (0.80, 0.64, 0.30),
     "lettering_dark": (0.18, 0.14, 0.12),
-    "awning_red": (0.66, 0.16, 0.14),
+    "awning_red": (0.58, 0.20, 0.18),
     "awning_blue": (0.16, 0.27, 0.50),
     "awning_green": (0.14, 0.36, 0.24),
     # street furniture
@@ -87,7 +87,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     # plants
     "bark": (0.30, 0.24, 0.18),
     "leaves": (0.28, 0.36, 0.17),
-    "hedge": (0.10, 0.15, 0.06),
+    "hedge": (0.19, 0.26, 0.12),
     "woods": (0.20, 0.27, 0.14),
     # vehicles; "paint" is the vehicle's own colour
     "trim": (0.09, 0.09, 0.10),

@@ -1,4 +1,4 @@
-"""Street furniture: lights, signs, cabinets, bins, benches, bollards, a bus shelter; x along the street, y to the road."""
+"""Lights, signs, cabinets, bins, benches, bollards, bus shelters; x along the street, y towards the carriageway."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, Final
@@ -54,14 +54,12 @@ class _Spots:
         return True
 
 
-def _wanted(
-    layout: Layout, edge: Any, rng: np.random.Generator
-) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
+def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
     """What is wished for along an edge: distance from the kerb, metres along, how to make it."""
     length = edge.getLanes()[0].getLength()
     main = edge.getLaneNumber() > 1
     start = 8.0 if hash_of(edge.getID()) % 2 else 24.0
-    for s in np.arange(start, length, 34.0):
+    for s in np.arange(start, length, 36.0):
         yield 2.25, float(s), street_light
     signalled = edge.getToNode().getType() == "traffic_light"
     yield 0.75, 10.0, lambda: sign("limit")
@@ -75,7 +73,7 @@ def _wanted(
         yield 0.75, length - 24.0, lambda: sign("priority")
     if main:
         yield 1.55, 44.0, bus_shelter
-    for s in np.arange(rng.uniform(3.0, 9.0), length, 11.0 if main else 26.0):
+    for s in np.arange(rng.uniform(3.0, 9.0), length, 11.0 if main else 30.0):
         at = float(s + rng.uniform(-3.0, 3.0))
         central = layout.centre_distance(beside(edge, at, 1.0)[0]) < 90.0
         offset, make = _small(central, float(rng.random()))
@@ -105,12 +103,12 @@ def _small(central: bool, chance: float) -> tuple[float, Callable[[], Mesh]]:
 
 def street_light() -> Mesh:
     """A pole of 8 m whose curved arm ends before the carriageway."""
-    bend = np.linspace(0, np.pi / 2, 6)
+    bend = np.linspace(0, np.pi / 2, 5)
     arm = [(0.0, 0.9 * (1 - np.cos(a)), 7.1 + 0.9 * np.sin(a)) for a in bend]
-    pole = lathe([(0.0, 0.11), (1.1, 0.11), (1.15, 0.075), (7.1, 0.05)], ["zinc"] * 3, 8, "z")
+    pole = lathe([(0.0, 0.11), (1.1, 0.11), (1.1, 0.075), (7.1, 0.05)], ["zinc"] * 3, 6, "z")
     head = box([-0.13, 0.75, 7.94], [0.13, 1.45, 8.08], "pole")
     lens = box([-0.1, 0.85, 7.92], [0.1, 1.4, 7.94], "lettering")
-    return merged([pole, tube(arm, [0.05] * 6, "zinc", 6), head, lens])
+    return merged([pole, tube(arm, [0.05] * 5, "zinc", 5), head, lens])
 
 
 def sign(kind: str) -> Mesh:
@@ -161,7 +159,7 @@ def _rectangle(half: float, height: float) -> Array:
 def _digits() -> Array:
     """Bars that look like two digits from afar."""
     bars = [(-0.11, 0.03, 0.11), (0.11, 0.03, 0.11), (0.03, 0.03, 0.11)]
-    return np.stack([_rectangle(w, h) + [x, 0.0] for x, w, h in bars])
+    return np.stack([_rectangle(w, h) + np.array([x, 0.0]) for x, w, h in bars])
 
 
 def bollard() -> Mesh:
@@ -170,8 +168,8 @@ def bollard() -> Mesh:
 
 
 def litter_bin() -> Mesh:
-    profile = [(0.0, 0.2), (0.06, 0.23), (0.75, 0.26), (0.8, 0.27), (0.86, 0.24), (0.9, 0.1), (0.9, 0.0)]
-    return lathe(profile, ["iron", "door_green", "iron", "door_green", "iron", "iron"], 10, "z")
+    profile = [(0.0, 0.22), (0.7, 0.26), (0.78, 0.26), (0.88, 0.2), (0.9, 0.0)]
+    return lathe(profile, ["door_green", "iron", "door_green", "iron"], 8, "z")
 
 
 def pillar_box() -> Mesh:
@@ -226,4 +224,3 @@ def bus_shelter() -> Mesh:
     out.box("timber", (-1.6, -0.5, 0.42), (0.6, -0.15, 0.47))
     out.box("sign_red", (-1.95, 0.65, 2.32), (1.95, 0.67, 2.4), without="-y")
     return out.mesh()
-

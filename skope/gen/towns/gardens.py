@@ -1,7 +1,7 @@
 """What encloses the plots of houses: low walls, picket fences, railings and hedges in front, timber fences behind."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import shapely
@@ -10,19 +10,23 @@ from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.towns.houses import House, covered
-from skope.gen.towns.layout import KERB_HEIGHT, KERB_WIDTH, SIDEWALK, Layout
+from skope.gen.towns.houses import House, covered, forecourts, paths
+from skope.gen.towns.layout import KERB_HEIGHT, KERB_WIDTH, SIDEWALK, Layout, along, free, rectangle
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.trees import bush, hedge
 
 Array = NDArray[np.float64]
 
+OPEN_GROUND: Final = 55.0
+"""Open ground is enclosed as far as that from a camera, metres."""
 
-def gardens(layout: Layout, houses: list[House], rng: np.random.Generator) -> Iterator[Mesh]:
+
+def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Boundaries and bushes of all plots that have a garden."""
-    built = covered(houses)
+    built = unary_union([covered(houses), *paths(houses), forecourts(houses)])
     street = layout.road.buffer(KERB_WIDTH + SIDEWALK + 0.05)
-    taken = unary_union([built.buffer(0.25), street])
+    taken = unary_union([covered(houses).buffer(0.25), street])
+    yield from _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng)
     seen = unary_union([taken, layout.around_cameras])
     shapely.prepare(taken)
     shapely.prepare(seen)
@@ -39,11 +43,28 @@ def gardens(layout: Layout, houses: list[House], rng: np.random.Generator) -> It
             low, high = -y - 11.0, -y + 2.0
             if house.kind == "house" and _fits(seen, house, (side, low), (side, high)):
                 middle = house.to_world(np.array([side, (low + high) / 2]))
-                yield _panels(high - low).mesh().moved([*middle, KERB_HEIGHT], house.heading + np.pi / 2)
+                yield _panels(high - low, house.near).mesh().moved([*middle, KERB_HEIGHT], house.heading + np.pi / 2)
         for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
             if abs(at) > 1.6:
                 place = house.to_world(np.array([at, y + 1.6]))
                 yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, KERB_HEIGHT])
+
+
+def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Enclosures and shrubs where no house stands at the street; all lower than 1 m."""
+    shapely.prepare(taken)
+    kinds = {edge.getID(): rng.random() for edge in layout.edges}
+    length = 5.6
+    for edge, place, heading in along(layout, length + 0.15, KERB_WIDTH + SIDEWALK + 0.45):
+        run = rectangle(place, heading, length, 0.5)
+        if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
+            yield _boundary(kinds[edge.getID()], length, layout.camera_distance(place) < 25.0, rng).moved(
+                [*place, KERB_HEIGHT], heading
+            )
+    for _, place, _ in along(layout, 2.6, KERB_WIDTH + SIDEWALK + 2.4):
+        at, likely = place + rng.uniform(-1.2, 1.2, 2), rng.random()
+        if likely < 0.5 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
+            yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, KERB_HEIGHT])
 
 
 def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:
@@ -52,11 +73,11 @@ def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, floa
 
 def _boundary(kind: float, length: float, near: bool, rng: np.random.Generator) -> Mesh:
     """One of several enclosures of about 0.9 m, along x around the origin."""
-    if kind < 0.3:
+    if kind < 0.4:
         return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
-    if kind < 0.58:
+    if kind < 0.64:
         return _low_wall(length, ("brick", "stone", "brick_brown")[int(kind * 100) % 3]).mesh()
-    if kind < 0.82:
+    if kind < 0.84:
         return _pickets(length, near).mesh()
     return _railing(length, near).mesh()
 
@@ -80,8 +101,8 @@ def _pickets(length: float, near: bool) -> Solid:
     if not near:
         out.box("frame", (-half, 0.0, 0.08), (half, 0.02, 0.88))
         return out
-    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / 0.17))):
-        out.box("frame", (x - 0.045, 0.0, 0.08), (x + 0.045, 0.02, 0.85), without="-z")
+    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / 0.19))):
+        out.box("frame", (x - 0.045, 0.0, 0.08), (x + 0.045, 0.02, 0.85), without="-z +z")
         out.face("frame", (x + 0.045, 0.02, 0.85), (x - 0.045, 0.02, 0.85), (x, 0.02, 0.92))
     return out
 
@@ -98,10 +119,10 @@ def _railing(length: float, near: bool) -> Solid:
     return out
 
 
-def _panels(length: float) -> Solid:
+def _panels(length: float, near: bool) -> Solid:
     half = length / 2
     out = Solid()
     out.box("timber", (-half, -0.02, 0.05), (half, 0.02, 1.7), without="-z")
-    for x in np.linspace(-half, half, max(2, round(length / 2.6) + 1)):
+    for x in np.linspace(-half, half, max(2, round(length / 2.6) + 1)) if near else ():
         out.box("concrete", (x - 0.05, -0.05, 0.0), (x + 0.05, 0.05, 1.78), without="-z")
     return out

@@ -160,8 +160,23 @@ def _repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
                 old.append(rectangle(at, heading, rng.uniform(8.0, 16.0), 0.7))
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
+    for node in layout.net.getNodes():
+        if len(node.getShape()) > 3 and (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
+            for kept in (new, old):
+                at, heading = _within(area, rng), rng.uniform(0, np.pi)
+                kept.append(rectangle(at, heading, rng.uniform(1.2, 2.6), 1.1))
+            cracks += [_crack(_within(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
     seams = [shape.boundary.buffer(0.035, cap_style="flat") for shape in (*new, *old)]
     return unary_union(new), unary_union(old), unary_union([*seams, *cracks])
+
+
+def _within(region: Polygon, rng: np.random.Generator) -> Array:
+    """A random place (2,) inside a region."""
+    x0, y0, x1, y1 = region.bounds
+    while True:
+        place = rng.uniform((x0, y0), (x1, y1))
+        if region.contains(Point(place)):
+            return np.asarray(place)
 
 
 def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:

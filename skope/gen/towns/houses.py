@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.towns import roof
 from skope.gen.towns.facade import Shop, Style, facade
-from skope.gen.towns.layout import KERB_HEIGHT, SIDEWALK, Layout, beside, polygons, rectangle, right_of
+from skope.gen.towns.layout import KERB_HEIGHT, SIDEWALK, Layout, beside, polygons, rectangle
 from skope.gen.towns.solid import Solid
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ CENTRE_RADIUS: Final = 95.0
 FORECOURT: Final = 0.9
 """From sidewalk to shop front, metres."""
 FRONT_GARDEN: Final = (3.2, 6.5)
-SIGHT: Final = 45.0
+SIGHT: Final = 38.0
 """Houses keep out of the view of road that is nearer than that to a camera, metres."""
 
 _BRICKS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
@@ -80,7 +80,7 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
             else:
                 s += 2.5
     for edge in layout.edges:
-        for s in np.arange(10.0, edge.getLanes()[0].getLength(), 19.0):
+        for s in np.arange(10.0, edge.getLanes()[0].getLength(), 23.0):
             place, heading = beside(edge, float(s), rng.uniform(34.0, 60.0))
             size = (rng.uniform(8.0, 14.0), rng.uniform(8.0, 11.0))
             turned = heading + rng.choice([0.0, np.pi / 2, np.pi])
@@ -131,7 +131,9 @@ def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh
     footprints = [house.footprint for house in houses]
     index = shapely.STRtree(footprints)
     for house in houses:
-        sides = [rectangle(house.to_world(np.array([s * house.size[0] / 2, 0.0])), house.heading, 1.0, 4.0) for s in (1, -1)]
+        sides = [
+            rectangle(house.to_world(np.array([s * house.size[0] / 2, 0.0])), house.heading, 1.0, 4.0) for s in (1, -1)
+        ]
         joined = [len(index.query(side, predicate="intersects")) > 1 for side in sides]
         style = _style(house.kind, rng)
         solid = _building(house, style, (joined[0], joined[1]), rng)
@@ -249,7 +251,7 @@ def _put_into_slope(
             out.add(roof.roof_window(float(at), 0.5 * y, eaves + pitch * 0.5 * y + thickness + 0.01, pitch))
 
 
-def forecourts(layout: Layout, houses: list[House]) -> Any:
+def forecourts(houses: list[House]) -> Any:
     """Paved ground between the sidewalk and the fronts of shops."""
     shops = [house for house in houses if house.terraced]
     strips = [
@@ -270,7 +272,9 @@ def paths(houses: list[House]) -> tuple[Any, Any]:
         # Doors are somewhere in the front: the path leads to its middle and along it.
         ring = [[-0.6, y], [0.6, y], [0.6, y + d], [-0.6, y + d]]
         walks += [Polygon(house.to_world(np.array(ring)))]
-        walks += [Polygon(house.to_world(np.array([[-x + 0.6, y], [x - 0.6, y], [x - 0.6, y + 1.0], [-x + 0.6, y + 1.0]])))]
+        walks += [
+            Polygon(house.to_world(np.array([[-x + 0.6, y], [x - 0.6, y], [x - 0.6, y + 1.0], [-x + 0.6, y + 1.0]])))
+        ]
         if i % 2 and house.kind == "house":
             side = [[x + 0.3, y - 5.0], [x + 2.7, y - 5.0], [x + 2.7, y + d], [x + 0.3, y + d]]
             drives.append(Polygon(house.to_world(np.array(side))))

@@ -1,9 +1,10 @@
 """Where things may stand in a town: the carriageway, what lies beside it, and what its cameras must see."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import shapely
@@ -15,14 +16,14 @@ from shapely.ops import unary_union
 from skope.gen.towns import Site, network, sites
 
 Array = NDArray[np.float64]
-Region = Polygon | MultiPolygon
+Region: TypeAlias = Polygon | MultiPolygon
 
 KERB_HEIGHT: Final = 0.12
 KERB_WIDTH: Final = 0.15
 SIDEWALK: Final = 2.4
 CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
-NEAR: Final = 60.0
+NEAR: Final = 48.0
 """Things nearer than that to a camera are drawn in full detail, metres."""
 HALF_VIEW_DEG: Final = 56.0
 
@@ -81,7 +82,7 @@ def _sightlines(site: Site, road: Region, reach: float) -> Region:
     fans = []
     for part in polygons(road.intersection(view)):
         ring = np.array(part.exterior.coords)
-        fans += [Polygon([eye, a, b]) for a, b in zip(ring, ring[1:], strict=False)]
+        fans += [Polygon([eye, a, b]) for a, b in itertools.pairwise(ring)]
     return unary_union([fan for fan in fans if fan.area > 1e-6])
 
 

@@ -3,21 +3,25 @@
 import zlib
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from shapely.ops import unary_union
 
-from skope.gen.mesh import Mesh, box, lathe, merged
+from skope.gen.mesh import Mesh, lathe, merged, tube
 from skope.gen.towns.furniture import furniture
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
 from skope.gen.towns.houses import covered, forecourts, house_meshes, paths, plots
 from skope.gen.towns.layout import KERB_HEIGHT, Layout, right_of
+from skope.gen.towns.solid import Solid
 from skope.gen.towns.trees import hills, plant, tree_meshes
 
 Array = NDArray[np.float64]
+
+ARM_CLEARANCE: Final = 16.0
+"""Nearer than that to a camera no signal hangs over the road, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +52,13 @@ def scenery(town: str) -> Scenery:
     built = covered(houses)
     walks, drives = paths(houses)
     trees = plant(layout, unary_union([built, drives]), rng["trees"])
-    signals, poles = _signals(layout.net)
+    signals, poles = _signals(layout)
     pits = unary_union([tree.pit for tree in trees if tree.street])
-    beside_road = Beside(forecourts(layout, houses), walks, drives, built.buffer(0.35, join_style="mitre"), pits)
+    beside_road = Beside(forecourts(houses), walks, drives, built.buffer(0.35, join_style="mitre"), pits)
     meshes = [
         *ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])),
         *house_meshes(houses, rng["houses"]),
-        *gardens(layout, houses, rng["gardens"]),
+        *gardens(layout, houses, pits, rng["gardens"]),
         *tree_meshes(trees, rng["crowns"]),
         *furniture(layout, unary_union([built, drives, pits]), rng["furniture"]),
         hills(layout, rng["hills"]),
@@ -66,8 +70,31 @@ def scenery(town: str) -> Scenery:
 _PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "hills")
 
 
-def _signals(net: Any) -> tuple[tuple[Signal, ...], list[Mesh]]:
-    """One pole with a head for every edge that leads to a signalled junction, at its stop line."""
+def _head() -> Mesh:
+    """Housing, back plate and visors of a signal that faces -x; its lowest point is at 2.55 m."""
+    out = Solid()
+    out.box("trim", (-0.12, -0.17, 2.6), (0.1, 0.17, 3.6))
+    out.box("trim", (0.1, -0.26, 2.55), (0.12, 0.26, 3.65))
+    for z in (3.42, 3.1, 2.78):
+        for y in (-0.13, 0.12):
+            out.box("trim", (-0.3, y, z), (-0.12, y + 0.01, z + 0.12), without="+x")
+        out.box("trim", (-0.34, -0.13, z + 0.12), (-0.12, 0.13, z + 0.135), without="+x")
+    return out.mesh()
+
+
+def _arm(reach: float) -> Mesh:
+    """A taller pole with an arm that carries a head `reach` metres to the left, above 5 m."""
+    pole = lathe([(3.0, 0.09), (5.7, 0.08), (6.0, 0.07), (6.01, 0.0)], ["pole"] * 3, 8, "z").moved([0.2, 0, 0])
+    arm = tube([(0.2, 0.0, 5.75), (0.2, reach / 2, 5.85), (0.2, reach + 0.3, 5.85)], (0.06, 0.05, 0.04), "pole", 7)
+    return merged([pole, arm])
+
+
+def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
+    """A pole with a head for every edge that leads to a signalled junction, at its stop line.
+
+    Of more than one lane, a second head hangs over the road, unless it would hang before a camera.
+    """
+    net = layout.net
     signals, poles = [], []
     for program in net.getTrafficLights():
         links = {lane.getEdge().getID(): (lane.getEdge(), link) for lane, _, link in reversed(program.getConnections())}
@@ -75,10 +102,17 @@ def _signals(net: Any) -> tuple[tuple[Signal, ...], list[Mesh]]:
             shape = np.array(edge.getLanes()[0].getShape())
             heading = float(np.arctan2(*(shape[-1] - shape[-2])[::-1]))
             foot = shape[-1] + right_of(heading) * (edge.getLanes()[0].getWidth() / 2 + 0.7)
-            head = box([-0.12, -0.17, 2.6], [0.1, 0.17, 3.6], "trim")
-            pole = lathe([(0.0, 0.07), (3.2, 0.06)], ["pole"], 8, "z").moved([0.17, 0, 0])
-            poles.append(merged([head, pole]).moved([*foot, KERB_HEIGHT], heading))
             facing = np.array([-np.cos(heading), -np.sin(heading), 0.0])
-            lamps = [*foot, KERB_HEIGHT] + 0.13 * facing + np.array([[0, 0, 3.42], [0, 0, 3.1], [0, 0, 2.78]])
-            signals.append(Signal(program.getID(), link, lamps, facing))
+            parts = [_head(), lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0])]
+            heads = [np.zeros(3)]
+            if len(edge.getLanes()) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
+                reach = 0.7 + edge.getLanes()[0].getWidth()
+                heads.append(np.array([0.0, reach, 2.65]))
+                parts += [_arm(reach), _head().moved(heads[1])]
+            poles.append(merged(parts).moved([*foot, KERB_HEIGHT], heading))
+            for at in heads:
+                place = foot - right_of(heading) * at[1]
+                heights = np.array([3.42, 3.1, 2.78]) + at[2] + KERB_HEIGHT
+                lamps = np.column_stack([np.tile(place, (3, 1)), heights]) + 0.13 * facing
+                signals.append(Signal(program.getID(), link, lamps, facing))
     return tuple(signals), poles

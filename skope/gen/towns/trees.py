@@ -17,8 +17,11 @@ from skope.gen.towns.layout import KERB_HEIGHT, Layout, along, free, rectangle
 
 Array = NDArray[np.float64]
 
-SIGHT: Final = 45.0
+SIGHT: Final = 38.0
 """Trees keep out of the view of road that is nearer than that to a camera, metres."""
+
+CROWN: Final = 3.5
+"""How far crowns reach at most, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +41,18 @@ class Tree:
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     """Street trees, trees in gardens, and groves behind the houses."""
-    seen = layout.sightlines(SIGHT)
-    keep_clear = unary_union([layout.road.buffer(1.2), built.buffer(2.2), seen])
+    seen = [layout.sightlines(SIGHT), layout.around_cameras.buffer(CROWN)]
+    keep_clear = unary_union([layout.road.buffer(1.2), built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
     out = []
-    for spacing, offset, chance in ((15.0, 1.6, 0.5), (13.0, 5.5, 0.4), (11.0, 22.0, 0.5), (10.0, 50.0, 0.7)):
+    for spacing, offset, chance in ((15.0, 1.6, 0.5), (13.0, 5.5, 0.4), (12.0, 22.0, 0.5), (13.0, 50.0, 0.7)):
         for _, place, _ in along(layout, spacing, offset):
             street = offset < 2
             wander = rng.uniform(-1.0, 1.0, 2) * (0.3 if street else 0.25 * offset)
             at, height, likely = place + wander, rng.uniform(5.0, 9.5), rng.random()
             if likely < chance and free(keep_clear, at, 0.4):
                 distance = layout.camera_distance(at)
-                out.append(Tree(at, height, 2 if distance < 32 else 1 if distance < 75 else 0, street))
+                out.append(Tree(at, height, 2 if distance < 30 else 1 if distance < 65 else 0, street))
     return out
 
 
@@ -64,7 +67,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     bare = height * rng.uniform(0.26, 0.34)
     reach = np.array([1.0, 1.0, 1.25]) * height * rng.uniform(0.22, 0.29)
     middle = np.array([0.0, 0.0, height - reach[2] * 0.95])
-    count, share = ((6, 0.66), (18, 0.47), (26, 0.38))[tree.detail]
+    count, share = ((6, 0.66), (17, 0.48), (24, 0.39))[tree.detail]
     centers = middle + reach * 0.78 * _spread(count, rng)
     size = share * reach.mean()
     parts = [lathe([(-0.05, 0.2), (0.3, 0.14), (middle[2], 0.08)], ["bark", "bark"], 6, "z")]
@@ -136,9 +139,7 @@ def bush(radius: float, rng: np.random.Generator) -> Mesh:
 def hedge(length: float, height: float, depth: float, rng: np.random.Generator) -> Mesh:
     """A clipped hedge along x around the origin: a dark core within an uneven coat of leaves."""
     half, inner = length / 2, 0.07
-    core = box(
-        [-half + inner, -depth / 2 + inner, 0.0], [half - inner, depth / 2 - inner, height - inner], "hedge"
-    )
+    core = box([-half + inner, -depth / 2 + inner, 0.0], [half - inner, depth / 2 - inner, height - inner], "hedge")
     columns = max(3, int(length / 0.45))
     x = np.linspace(-half, half, columns)
     profile = np.array([[-0.5, 0.0], [-0.52, 0.55], [-0.42, 1.0], [0.42, 1.0], [0.52, 0.55], [0.5, 0.0]])
@@ -156,12 +157,11 @@ def hills(layout: Layout, rng: np.random.Generator) -> Mesh:
     """Wooded hills all around, where the ground ends."""
     x0, y0, x1, y1 = layout.road.bounds
     centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
-    angle = np.linspace(0, 2 * np.pi, 181)[::-1]
+    angle = np.linspace(0, 2 * np.pi, 361)[::-1]
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
     rows = []
-    for share, height in ((0.62, -0.5), (0.66, 5.0), (0.72, 9.0), (0.85, 16.0), (1.0, 26.0)):
-        swell = sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9)) * 0.3
-        rough = np.resize(rng.uniform(0.8, 1.2, 180), 181)
-        z = height * np.clip(1 + swell, 0.3, 2) * (rough if height > 0 else 1)
-        rows.append(np.column_stack([centre + share * half * ring, z]))
-    return grid(np.array(rows), [["woods"] * 180] * 4)
+    for share, height in ((0.62, -0.5), (0.64, 5.0), (0.70, 7.0), (0.85, 14.0), (0.86, 17.0), (1.0, 22.0)):
+        crowns = np.resize(rng.uniform(0.78, 1.12, 360), 361)
+        rows.append(np.column_stack([centre + share * half * ring, height * np.clip(swell, 0.3, 2) * crowns]))
+    return grid(np.array(rows), [["woods"] * 360] * 5)

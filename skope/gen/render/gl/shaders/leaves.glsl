@@ -14,10 +14,10 @@ bool beside_leaf(vec3 p) {
     return dot(from, from) - 0.72 * along * along > 0.075;
 }
 
-bool leaf_gap(vec3 p) { return beside_leaf(p * 5.5) && beside_leaf(p.yzx * 7.0 + 0.37); }
+bool leaf_gap(vec3 p) { return beside_leaf(p * 7.5) && beside_leaf(p.yzx * 9.5 + 0.37); }
 
 // 0..1, one value for each leaf.
 float leaf_tone(vec3 p) {
-    uint n = beside_leaf(p * 5.5) ? leaf_bits(p.yzx * 7.0 + 0.37) : leaf_bits(p * 5.5);
+    uint n = beside_leaf(p * 7.5) ? leaf_bits(p.yzx * 9.5 + 0.37) : leaf_bits(p * 7.5);
     return float(n >> 24) / 255.0;
 }

@@ -16,11 +16,13 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
     float footprint = length(fwidth(p));  // metres that a pixel covers: patterns finer than that fade to their mean
     bool level = abs(n.z) > 0.75;
     vec2 at = level ? p.xy : vec2(dot(p.xy, normalize(vec2(-n.y, n.x) + 1e-6)), p.z);
-    vec4 broad = noise(at, 31.0), middle = noise(at + 3.7, 5.3), fine = noise(at, 0.8);
+    // Turned against each other and against walls and streets, the noises' tiles do not show.
+    mat2 turn = mat2(0.82, 0.57, -0.57, 0.82);
+    vec4 broad = noise(turn * at, 31.0), middle = noise(turn * turn * at + 3.7, 5.9), fine = noise(turn * turn * turn * at, 2.1);
     vec4 streaks = noise(vec2(at.x, at.y * 0.22) + 11.0, 2.7);
     float above = p.z - 0.12;  // the sidewalk
     if (between(M_ASPHALT, M_ASPHALT_OLD)) {
-        float grit = noise(at, 0.23).g;
+        float grit = noise(turn * at, 0.57).g * noise(turn * turn * at, 0.83).r * 2.0;
         color *= 0.84 + 0.16 * broad.r + 0.14 * middle.g + 0.22 * (fine.b - 0.5) + 0.25 * (grit - 0.5);
         color = mix(color, color * 0.72, smoothstep(0.70, 0.80, noise(at, 13.0).a) * 0.5);  // oil and damp
         float crack = abs(noise(at, 17.0).r - 0.5) + 0.05 * smoothstep(0.45, 0.6, broad.b);
@@ -35,8 +37,8 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= mix(0.75 + 0.6 * ribs, 1.0, smoothstep(0.02, 0.06, footprint)) * (0.7 + 0.6 * middle.g);
     } else if (v_material == M_MARKING) {
         color *= 0.78 + 0.28 * fine.g;
-        float worn = smoothstep(0.58, 0.74, 0.65 * noise(at, 0.5).b + 0.45 * middle.r);
-        color = mix(color, u_albedo[M_ASPHALT].rgb, worn * 0.8);
+        float worn = smoothstep(0.60, 0.78, 0.6 * noise(turn * at, 0.9).b + 0.4 * middle.r);
+        color = mix(color, u_albedo[M_ASPHALT].rgb, worn * 0.6);
     } else if (v_material == M_SIDEWALK || v_material == M_KERB || v_material == M_PAVING) {
         vec2 size = v_material == M_PAVING ? vec2(0.2, 0.1) : v_material == M_KERB ? vec2(0.9) : vec2(0.6, 0.6);
         vec2 cell = at / size;
@@ -47,13 +49,13 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         if (v_material == M_SIDEWALK) color *= mix(vec3(1.0), vec3(0.80, 0.79, 0.78), smoothstep(0.72, 0.76, other));
         color *= 1.0 - 0.45 * joint;
         color *= 1.0 - 0.3 * smoothstep(0.52, 0.75, middle.a);                                        // stains
-        color *= 1.0 - 0.4 * smoothstep(0.80, 0.84, noise(at, 0.9).r) * smoothstep(0.05, 0.01, footprint);  // gum
+        color *= 1.0 - 0.25 * smoothstep(0.84, 0.90, noise(turn * at, 0.7).r) * smoothstep(0.05, 0.01, footprint);  // gum
     } else if (v_material == M_TACTILE) {
         color *= (0.85 + 0.3 * middle.r) * (1.0 - 0.3 * mix(joints(at / 0.1, vec2(0.2)), 0.5, smoothstep(0.02, 0.08, footprint)));
     } else if (v_material == M_GRAVEL || v_material == M_SOIL) {
         color *= 0.6 + 0.35 * middle.g + 0.5 * noise(at, 0.31).b;
     } else if (v_material == M_GRASS) {
-        float blades = noise(at, 0.37).g;
+        float blades = noise(turn * at, 0.61).g * noise(turn * turn * at, 0.97).r * 2.0;
         color *= 0.62 + 0.26 * broad.r + 0.28 * middle.g + 0.55 * (fine.g - 0.4) + 0.45 * (blades - 0.5);
         color = mix(color, color * vec3(1.25, 1.08, 0.80), smoothstep(0.40, 0.75, 0.5 * broad.b + 0.5 * middle.b));
         color = mix(color, color * vec3(0.78, 0.95, 0.80), smoothstep(0.55, 0.7, middle.r));
@@ -72,7 +74,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= 1.0 - 0.16 * smoothstep(0.55, 0.75, streaks.b);
     } else if (between(M_PLASTER, M_CONCRETE)) {
         color *= 0.92 + 0.1 * broad.r + 0.05 * (middle.g - 0.5) + 0.05 * (fine.g - 0.5);
-        color *= 1.0 - 0.13 * smoothstep(0.55, 0.85, streaks.b) - 0.08 * smoothstep(0.6, 0.8, middle.a);
+        color *= 1.0 - 0.10 * smoothstep(0.60, 0.9, streaks.b) - 0.08 * smoothstep(0.6, 0.8, middle.a);
         if (v_material == M_CONCRETE) color *= 1.0 - 0.25 * mix(joints(at / vec2(2.4, 1.2), vec2(0.006, 0.012)), 0.02, smoothstep(0.05, 0.2, footprint));
     } else if (between(M_STONE, M_SANDSTONE)) {
         float row = floor(at.y / 0.28);
@@ -111,15 +113,17 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= mix(vec3(0.85, 1.0, 0.95), vec3(1.35, 1.12, 0.75), smoothstep(0.25, 0.75, tree));
     } else if (v_material == M_WOODS) {
         vec2 crown = vec2(at.x, p.z) / 7.0;
-        color *= 0.5 + 0.55 * texture(u_noise, crown).g + 0.5 * texture(u_noise, crown * 3.7).b;
+        color *= 0.3 + 0.7 * texture(u_noise, turn * crown).g + 0.6 * texture(u_noise, crown * 3.7).b;
     } else if (v_material == M_BARK || v_material == M_CABINET || v_material == M_ZINC) {
         color *= 0.8 + 0.35 * fine.g;
     } else if (v_material == M_WINDOW || v_material == M_SHOP_WINDOW) {
         // A dark room: lighter where its walls and things catch the daylight.
         bool shop = v_material == M_SHOP_WINDOW;
         float room = texture(u_noise, floor(at / vec2(1.4, 2.9)) * 0.319).r;
-        float things = smoothstep(0.45, 0.75, noise(at * vec2(1.0, 0.6), 1.3).g);
-        color *= 0.25 + 0.6 * room + (shop ? 1.1 : 0.25) * things;
+        color *= 0.3 + 0.7 * room;
+        vec3 goods = texture(u_noise, floor(at / vec2(0.37, 0.52)) * 0.231).rgb - 0.45;
+        if (shop) color *= mix(0.6, 1.5, smoothstep(0.2, 0.8, room)) + 2.2 * max(goods, 0.0) * smoothstep(2.4, 1.6, above);
+        color = mix(color, vec3(0.20, 0.23, 0.26), 0.5 * smoothstep(0.35, 0.75, broad.r) * float(!shop));  // across the street
         gloss = 1.8;  // two faces of a pane, often two panes
     } else if (v_material == M_CURTAIN || v_material == M_BLIND) {
         float fold = v_material == M_CURTAIN ? texture(u_noise, vec2(at.x * 1.9, 0.2)).g : fract(at.y / 0.07);
