@@ -63,8 +63,8 @@ def test_the_ground_beside_it_is_laid_once_everywhere(town: str) -> None:
 
 def test_nothing_stands_on_the_carriageway(town: str) -> None:
     road, mesh = Layout.of(town).road, scenery(town).mesh
-    flat_or_leaf = np.array([name in GROUND or name == "leaves" for name in mesh.materials])[mesh.material]
-    standing = corners(mesh, ~flat_or_leaf)
+    is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
+    standing = corners(mesh, ~is_ground)
     standing = standing[(standing[..., 2].max(axis=1) > KERB_HEIGHT + 1e-6) & (standing[..., 2].min(axis=1) < 5.0)]
     feet = np.unique(standing.reshape(-1, 3)[:, :2].round(4), axis=0)
     near = shapely.contains_xy(road.buffer(CLEARANCE - 1e-3), feet)

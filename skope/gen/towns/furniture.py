@@ -58,7 +58,7 @@ def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tup
     """What is wished for along an edge: distance from the kerb, metres along, how to make it."""
     length = edge.getLanes()[0].getLength()
     main = edge.getLaneNumber() > 1
-    start = 8.0 if hash_of(edge.getID()) % 2 else 24.0
+    start = 8.0 if _number_of(edge.getID()) % 2 else 24.0
     for s in np.arange(start, length, 36.0):
         yield 2.25, float(s), street_light
     signalled = edge.getToNode().getType() == "traffic_light"
@@ -84,7 +84,7 @@ def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tup
                 yield 0.62, (length - 2.0 - 1.6 * k) if near_end else 2.0 + 1.6 * k, bollard
 
 
-def hash_of(name: str) -> int:
+def _number_of(name: str) -> int:
     """A number for a name, the same in every process."""
     return sum(name.encode())
 

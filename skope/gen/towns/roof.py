@@ -1,11 +1,14 @@
 """Roofs of houses: x along the ridge, z up, the eaves' height given; chimneys, dormers, gutters."""
 
+from typing import Final
+
 import numpy as np
 
 from skope.gen.towns.solid import Solid
 
-OVERHANG = 0.35
-THICKNESS = 0.14
+OVERHANG: Final = 0.35
+"""Of eaves beyond walls, metres."""
+THICKNESS: Final = 0.14
 
 
 def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, material: str, walls: str) -> Solid:

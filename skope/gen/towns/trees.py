@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely import Polygon
+from shapely import Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
@@ -17,10 +17,12 @@ from skope.gen.towns.layout import KERB_HEIGHT, Layout, along, free, rectangle
 
 Array = NDArray[np.float64]
 
+CLEARANCE: Final = 0.4
+"""Between crowns and the carriageway, metres."""
 SIGHT: Final = 38.0
 """Trees keep out of the view of road that is nearer than that to a camera, metres."""
 
-CROWN: Final = 3.5
+CROWN: Final = 4.0
 """How far crowns reach at most, metres."""
 
 
@@ -29,6 +31,8 @@ class Tree:
     place: Array
     """(2,) of its foot."""
     height: float
+    room: float
+    """How far its crown may reach, metres."""
     detail: int
     """0, 1 or 2: what its crown is made of."""
     street: bool
@@ -36,7 +40,7 @@ class Tree:
 
     @property
     def pit(self) -> Polygon:
-        return rectangle(self.place, 0.0, 1.3, 1.3)
+        return rectangle(self.place, 0.0, 1.2, 1.2)
 
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
@@ -45,14 +49,15 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     keep_clear = unary_union([layout.road.buffer(1.2), built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
     out = []
-    for spacing, offset, chance in ((15.0, 1.6, 0.5), (13.0, 5.5, 0.4), (12.0, 22.0, 0.5), (13.0, 50.0, 0.7)):
+    for spacing, offset, chance in ((15.0, 2.15, 0.5), (13.0, 5.5, 0.4), (12.0, 22.0, 0.5), (13.0, 50.0, 0.7)):
         for _, place, _ in along(layout, spacing, offset):
-            street = offset < 2
-            wander = rng.uniform(-1.0, 1.0, 2) * (0.3 if street else 0.25 * offset)
+            street = offset < 3
+            wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else 0.25 * offset)
             at, height, likely = place + wander, rng.uniform(5.0, 9.5), rng.random()
             if likely < chance and free(keep_clear, at, 0.4):
                 distance = layout.camera_distance(at)
-                out.append(Tree(at, height, 2 if distance < 30 else 1 if distance < 65 else 0, street))
+                room = layout.road.distance(Point(at)) - CLEARANCE
+                out.append(Tree(at, height, room, 2 if distance < 30 else 1 if distance < 58 else 0, street))
     return out
 
 
@@ -65,11 +70,14 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     """A trunk with branches that carry a crown of many overlapping clumps of leaves."""
     height = tree.height
     bare = height * rng.uniform(0.26, 0.34)
-    reach = np.array([1.0, 1.0, 1.25]) * height * rng.uniform(0.22, 0.29)
+    up = height * rng.uniform(0.27, 0.36)
+    # Clumps at the rim stand out by up to 0.7 of the crown's own radius.
+    across = min(0.8 * up, tree.room / 1.7)
+    reach = np.array([across, across, up])
     middle = np.array([0.0, 0.0, height - reach[2] * 0.95])
-    count, share = ((6, 0.66), (17, 0.48), (24, 0.39))[tree.detail]
+    count, share = ((7, 0.7), (17, 0.52), (22, 0.45))[tree.detail]
     centers = middle + reach * 0.78 * _spread(count, rng)
-    size = share * reach.mean()
+    size = share * across
     parts = [lathe([(-0.05, 0.2), (0.3, 0.14), (middle[2], 0.08)], ["bark", "bark"], 6, "z")]
     if tree.detail:
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), "bark", 4) for center in centers[::5]]

@@ -14,10 +14,15 @@ bool beside_leaf(vec3 p) {
     return dot(from, from) - 0.72 * along * along > 0.075;
 }
 
-bool leaf_gap(vec3 p) { return beside_leaf(p * 7.5) && beside_leaf(p.yzx * 9.5 + 0.37); }
+// The grids are turned against walls, ground and each other, or rows of leaves would show.
+vec3 first_grid(vec3 p) { return mat3(0.79, 0.47, -0.39, -0.61, 0.65, -0.45, 0.04, 0.60, 0.80) * p * 7.5; }
+
+vec3 second_grid(vec3 p) { return mat3(0.55, -0.62, 0.56, 0.80, 0.58, -0.15, -0.23, 0.53, 0.82) * p * 9.5; }
+
+bool leaf_gap(vec3 p) { return beside_leaf(first_grid(p)) && beside_leaf(second_grid(p)); }
 
 // 0..1, one value for each leaf.
 float leaf_tone(vec3 p) {
-    uint n = beside_leaf(p * 7.5) ? leaf_bits(p.yzx * 9.5 + 0.37) : leaf_bits(p * 7.5);
-    return float(n >> 24) / 255.0;
+    vec3 cell = beside_leaf(first_grid(p)) ? second_grid(p) : first_grid(p);
+    return float(leaf_bits(cell) >> 24) / 255.0;
 }
