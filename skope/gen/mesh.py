@@ -104,6 +104,23 @@ def flat(polygons: Iterable[ArrayLike], material: str) -> Mesh:
     return merged(parts)
 
 
+def quads(corners: ArrayLike, material: str) -> Mesh:
+    """Planar quadrilaterals (N, 4, 3), counter-clockwise from outside, with hard edges between them.
+
+    One whose last two corners are the same is a triangle.
+    """
+    c = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 3)
+    normals = np.cross(c[:, 2] - c[:, 0], c[:, 3] - c[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    first = 4 * np.arange(len(c))[:, None, None]
+    halves = first + np.array([[0, 1, 2], [0, 2, 3]])
+    proper = np.stack([np.ones(len(c), bool), (c[:, 2] != c[:, 3]).any(axis=1)], axis=1)
+    triangles = halves[proper]
+    return Mesh(
+        c.reshape(-1, 3), normals.repeat(4, axis=0), triangles, (material,), np.zeros(len(triangles), dtype=np.int64)
+    )
+
+
 def box(low: ArrayLike, high: ArrayLike, material: str) -> Mesh:
     """An axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
@@ -133,3 +150,22 @@ def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -
         points = np.stack([u, w, along] if axis == "z" else [w, along, u], axis=-1)
         parts.append(grid(points, [[material] * sides]))
     return merged(parts)
+
+
+def tube(path: ArrayLike, radii: Sequence[float], material: str, sides: int) -> Mesh:
+    """A round pipe along points (N, 3) with a radius at each, open at both ends."""
+    p = np.asarray(path, dtype=np.float64)
+    along = np.gradient(p, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    # A pipe bends little enough here that one direction is across all of it.
+    chord = p[-1] - p[0]
+    side = np.cross(chord, np.eye(3)[np.abs(chord).argmin()])
+    u = np.cross(side, along)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    w = np.cross(along, u)
+    angle = np.linspace(0, 2 * np.pi, sides + 1)[:, None]
+    rings = [
+        center + radius * (np.cos(angle) * a + np.sin(angle) * b)
+        for center, radius, a, b in zip(p, radii, u, w, strict=True)
+    ]
+    return grid(np.stack(rings), [[material] * sides] * (len(p) - 1))

@@ -12,21 +12,83 @@ RGB = tuple[float, float, float]
 
 MATERIALS: Final[dict[str, RGB]] = {
     # ground
-    "asphalt": (0.35, 0.35, 0.36),
+    "asphalt": (0.36, 0.36, 0.37),
+    "asphalt_worn": (0.372, 0.372, 0.38),
+    "asphalt_polished": (0.383, 0.383, 0.388),
+    "asphalt_patch": (0.27, 0.27, 0.285),
+    "asphalt_old": (0.43, 0.425, 0.42),
+    "bitumen": (0.14, 0.14, 0.15),
+    "gutter": (0.47, 0.465, 0.45),
+    "cover": (0.25, 0.24, 0.23),
     "marking": (0.86, 0.86, 0.83),
-    "kerb": (0.62, 0.61, 0.58),
-    "sidewalk": (0.56, 0.54, 0.51),
-    "grass": (0.30, 0.38, 0.20),
-    # scenery
-    "brick": (0.47, 0.27, 0.21),
-    "plaster": (0.79, 0.75, 0.66),
-    "stone": (0.58, 0.56, 0.52),
-    "tiles": (0.45, 0.24, 0.18),
-    "slate": (0.30, 0.31, 0.34),
-    "window": (0.20, 0.25, 0.30),
-    "bark": (0.27, 0.21, 0.15),
-    "leaves": (0.20, 0.33, 0.14),
+    "kerb": (0.64, 0.63, 0.60),
+    "sidewalk": (0.57, 0.555, 0.53),
+    "paving": (0.60, 0.50, 0.42),
+    "tactile": (0.68, 0.62, 0.50),
+    "gravel": (0.60, 0.57, 0.51),
+    "soil": (0.31, 0.25, 0.19),
+    "grass": (0.35, 0.38, 0.24),
+    # walls; patterns go by the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"
+    "brick": (0.55, 0.31, 0.24),
+    "brick_brown": (0.43, 0.31, 0.25),
+    "brick_buff": (0.70, 0.60, 0.44),
+    "brick_painted": (0.84, 0.82, 0.77),
+    "plaster": (0.83, 0.78, 0.67),
+    "plaster_white": (0.87, 0.86, 0.83),
+    "plaster_ochre": (0.83, 0.71, 0.50),
+    "plaster_rose": (0.80, 0.62, 0.55),
+    "plaster_sage": (0.66, 0.71, 0.61),
+    "plaster_grey": (0.64, 0.65, 0.66),
+    "concrete": (0.62, 0.61, 0.58),
+    "dressing": (0.77, 0.74, 0.68),
+    "stone": (0.60, 0.58, 0.53),
+    "sandstone": (0.72, 0.62, 0.47),
+    # roofs
+    "tiles": (0.52, 0.33, 0.26),
+    "tiles_brown": (0.42, 0.31, 0.26),
+    "slate": (0.34, 0.36, 0.39),
+    "felt": (0.40, 0.40, 0.40),
+    # joinery, shops
+    "window": (0.20, 0.24, 0.28),
+    "shop_window": (0.24, 0.25, 0.26),
+    "curtain": (0.66, 0.64, 0.60),
+    "blind": (0.72, 0.68, 0.60),
+    "frame": (0.88, 0.87, 0.84),
+    "frame_dark": (0.20, 0.21, 0.22),
+    "door_green": (0.12, 0.28, 0.20),
+    "door_red": (0.48, 0.11, 0.10),
+    "door_blue": (0.13, 0.22, 0.38),
+    "door_oak": (0.45, 0.29, 0.16),
+    "shutter_green": (0.22, 0.37, 0.28),
+    "shutter_blue": (0.31, 0.42, 0.52),
+    "shutter_brown": (0.37, 0.25, 0.17),
+    "fascia_red": (0.55, 0.10, 0.10),
+    "fascia_green": (0.08, 0.27, 0.18),
+    "fascia_blue": (0.17, 0.25, 0.40),
+    "fascia_black": (0.10, 0.10, 0.11),
+    "fascia_cream": (0.85, 0.80, 0.66),
+    "lettering": (0.90, 0.89, 0.85),
+    "lettering_gold": (0.80, 0.64, 0.30),
+    "lettering_dark": (0.18, 0.14, 0.12),
+    "awning_red": (0.58, 0.20, 0.18),
+    "awning_blue": (0.16, 0.27, 0.50),
+    "awning_green": (0.14, 0.36, 0.24),
+    # street furniture
     "pole": (0.45, 0.46, 0.47),
+    "zinc": (0.58, 0.60, 0.62),
+    "iron": (0.13, 0.13, 0.14),
+    "balustrade": (0.55, 0.60, 0.62),
+    "timber": (0.46, 0.34, 0.23),
+    "cabinet": (0.36, 0.43, 0.37),
+    "sign_red": (0.74, 0.08, 0.08),
+    "sign_white": (0.91, 0.91, 0.90),
+    "sign_blue": (0.08, 0.24, 0.58),
+    "sign_yellow": (0.93, 0.72, 0.10),
+    # plants
+    "bark": (0.30, 0.24, 0.18),
+    "leaves": (0.28, 0.36, 0.17),
+    "hedge": (0.19, 0.26, 0.12),
+    "woods": (0.20, 0.27, 0.14),
     # vehicles; "paint" is the vehicle's own colour
     "trim": (0.09, 0.09, 0.10),
     "glass": (0.12, 0.15, 0.18),
@@ -40,6 +102,9 @@ MATERIALS: Final[dict[str, RGB]] = {
     "rim": (0.60, 0.61, 0.63),
 }
 GLOSS: Final[dict[str, float]] = {
+    "window": 0.08,
+    "shop_window": 0.08,
+    "zinc": 0.45,
     "paint": 0.25,
     "glass": 0.1,
     "headlight": 0.15,
@@ -52,7 +117,8 @@ GLOSS: Final[dict[str, float]] = {
 }
 """Roughness of the materials that shine."""
 BRAKE_LIGHT: Final = (1.0, 0.16, 0.12)
-GROUND: Final = ("asphalt", "marking", "kerb", "sidewalk", "grass")
+GROUND: Final = tuple(MATERIALS)[: list(MATERIALS).index("grass") + 1]
+"""Materials that lie on the ground: the first ones of the table."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,128 @@
+"""What encloses the plots of houses: low walls, picket fences, railings and hedges in front, timber fences behind."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString
+from shapely.ops import unary_union
+
+from skope.gen.mesh import Mesh
+from skope.gen.towns.houses import House, covered, forecourts, paths
+from skope.gen.towns.layout import KERB_HEIGHT, KERB_WIDTH, SIDEWALK, Layout, along, free, rectangle
+from skope.gen.towns.solid import Solid
+from skope.gen.towns.trees import bush, hedge
+
+Array = NDArray[np.float64]
+
+OPEN_GROUND: Final = 55.0
+"""Open ground is enclosed as far as that from a camera, metres."""
+
+
+def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Boundaries and bushes of all plots that have a garden."""
+    built = unary_union([covered(houses), *paths(houses), forecourts(houses)])
+    street = layout.road.buffer(KERB_WIDTH + SIDEWALK + 0.05)
+    taken = unary_union([covered(houses).buffer(0.25), street])
+    yield from _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng)
+    seen = unary_union([taken, layout.around_cameras])
+    shapely.prepare(taken)
+    shapely.prepare(seen)
+    for house in houses:
+        if house.terraced or house.setback == 0.0:
+            continue
+        x, y = house.size[0] / 2, house.size[1] / 2
+        front, kind = y + house.setback - 0.25, rng.random()
+        for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
+            if _fits(taken, house, (a, front), (b, front)):
+                middle = house.to_world(np.array([(a + b) / 2, front]))
+                yield _boundary(kind, b - a, house.near, rng).moved([*middle, KERB_HEIGHT], house.heading)
+        for side in (-x - 1.3, x + 3.0):
+            low, high = -y - 11.0, -y + 2.0
+            if house.kind == "house" and _fits(seen, house, (side, low), (side, high)):
+                middle = house.to_world(np.array([side, (low + high) / 2]))
+                yield _panels(high - low, house.near).mesh().moved([*middle, KERB_HEIGHT], house.heading + np.pi / 2)
+        for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
+            if abs(at) > 1.6:
+                place = house.to_world(np.array([at, y + 1.6]))
+                yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, KERB_HEIGHT])
+
+
+def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Enclosures and shrubs where no house stands at the street; all lower than 1 m."""
+    shapely.prepare(taken)
+    kinds = {edge.getID(): rng.random() for edge in layout.edges}
+    length = 5.6
+    for edge, place, heading in along(layout, length + 0.15, KERB_WIDTH + SIDEWALK + 0.45):
+        run = rectangle(place, heading, length, 0.5)
+        if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
+            yield _boundary(kinds[edge.getID()], length, layout.camera_distance(place) < 25.0, rng).moved(
+                [*place, KERB_HEIGHT], heading
+            )
+    for _, place, _ in along(layout, 2.6, KERB_WIDTH + SIDEWALK + 2.4):
+        at, likely = place + rng.uniform(-1.2, 1.2, 2), rng.random()
+        if likely < 0.5 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
+            yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, KERB_HEIGHT])
+
+
+def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return not taken.intersects(LineString(house.to_world(np.array([a, b]))))
+
+
+def _boundary(kind: float, length: float, near: bool, rng: np.random.Generator) -> Mesh:
+    """One of several enclosures of about 0.9 m, along x around the origin."""
+    if kind < 0.4:
+        return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
+    if kind < 0.64:
+        return _low_wall(length, ("brick", "stone", "brick_brown")[int(kind * 100) % 3]).mesh()
+    if kind < 0.84:
+        return _pickets(length, near).mesh()
+    return _railing(length, near).mesh()
+
+
+def _low_wall(length: float, material: str) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box(material, (-half, -0.12, 0.0), (half, 0.12, 0.62), without="-z +z")
+    out.box("dressing", (-half - 0.03, -0.16, 0.62), (half + 0.03, 0.16, 0.7))
+    for x in (-half + 0.2, half - 0.2):
+        out.box(material, (x - 0.2, -0.2, 0.0), (x + 0.2, 0.2, 0.86), without="-z")
+        out.box("dressing", (x - 0.24, -0.24, 0.86), (x + 0.24, 0.24, 0.94))
+    return out
+
+
+def _pickets(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    for z in (0.25, 0.68):
+        out.box("frame", (-half, -0.05, z), (half, -0.01, z + 0.07))
+    if not near:
+        out.box("frame", (-half, 0.0, 0.08), (half, 0.02, 0.88))
+        return out
+    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / 0.19))):
+        out.box("frame", (x - 0.045, 0.0, 0.08), (x + 0.045, 0.02, 0.85), without="-z +z")
+        out.face("frame", (x + 0.045, 0.02, 0.85), (x - 0.045, 0.02, 0.85), (x, 0.02, 0.92))
+    return out
+
+
+def _railing(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box("dressing", (-half, -0.1, 0.0), (half, 0.1, 0.22), without="-z")
+    for z in (0.3, 0.9):
+        out.box("iron", (-half, -0.015, z), (half, 0.015, z + 0.04))
+    step = 0.2 if near else 0.8
+    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / step))):
+        out.box("iron", (x - 0.012, -0.012, 0.22), (x + 0.012, 0.012, 1.0), without="-z +z")
+    return out
+
+
+def _panels(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box("timber", (-half, -0.02, 0.05), (half, 0.02, 1.7), without="-z")
+    for x in np.linspace(-half, half, max(2, round(length / 2.6) + 1)) if near else ():
+        out.box("concrete", (x - 0.05, -0.05, 0.0), (x + 0.05, 0.05, 1.78), without="-z")
+    return out
