@@ -1,114 +1,324 @@
 """Frames per second of `skope gen`, and of pybullet's renderers on the same scene in the same run.
 
-skope writes whole frames (JPEG, depth, annotations); the peers draw colour, depth and ids of the whole scene with one
-`getCameraImage` a frame, and for the labels every vehicle once more by itself. One process per core, each with one
-thread, all at work at the same time; figures are medians over processes. Run: make bench
+skope writes whole frames (JPEG, depth, annotations). The peers draw colour, depth and ids of the whole scene with one
+`getCameraImage` a frame, and for labels like skope's every vehicle once more by itself; nothing of theirs is written.
+One process per core with one thread each, all at work at the same time. Run: make bench
 """
 
 import argparse
 import multiprocessing
 import os
-import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from skope.gen import recording as recordings
 from skope.gen.recording import Recording
-from skope.gen.simulate import RecordingPlan, simulate
 from skope.gen.towns import site
-from skope.gen.vehicles import build
 
+SITE = "t01_main_west"
 STAGES = {
-    "skope.gen.render.gl.renderer": {"GLRenderer": ["render"]},
+    "place and matrices": ["GLRenderer._place"],
+    "depth and ids": ["GLRenderer._draw_geometry", "GLRenderer._put"],
+    "whole silhouettes": ["GLRenderer._silhouette"],
+    "shadow maps": ["GLRenderer._draw_shadows"],
+    "vehicles' colour": ["GLRenderer._prepare", "GLRenderer._draw_vehicles"],
+    "composition": ["GLRenderer._compose", "GLRenderer._draw_color"],
+    "contrast": ["GLRenderer._draw_behind"],
+    "copies": ["GLRenderer.render"],
+    "noise": ["sensor.with_noise"],
+    "annotation": ["annotate.annotate"],
+    "JPEG": ["store._jpeg"],
+    "depth PNG": ["store.depth_png"],
+    "files": ["store.Store.add"],
 }
 
 
-def plan_of(options: argparse.Namespace) -> RecordingPlan:
-    width, height = map(int, options.size.split("x"))
-    return RecordingPlan(
-        site=site(options.site), index=0, frames=options.frames, interval=0.5, size=(width, height), fov_deg=110, seed=0
-    )
-
-
 def with_vehicles(recording: Recording, count: int) -> Recording:
-    """The recording with the `count` vehicles that are nearest to the camera of those in the image, in each frame."""
+    """The recording with `count` of the vehicles in each image, spread evenly from the nearest to the farthest."""
     from skope.gen.render.windows import window_of
+    from skope.gen.vehicles import build
 
-    keep = []
+    keep: list[int] = []
     for frame in range(len(recording)):
         moment = recording.moment(frame)
         first = int(np.searchsorted(recording.frame, frame))
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - recording.camera.position, axis=1)
-        shown = [
-            i
-            for i in away.argsort(kind="stable")
-            if window_of(
-                build(moment.vehicles[i].model, moment.vehicles[i].shape), moment.T_world_chassis[i], recording.camera
-            )
-        ]
-        chosen = np.unique(np.linspace(0, len(shown) - 1, count).round().astype(int)) if shown else []
-        keep += sorted(first + shown[k] for k in chosen)
+        models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
+        windows = [window_of(m, T, recording.camera) for m, T in zip(models, moment.T_world_chassis, strict=True)]
+        shown = [i for i in away.argsort(kind="stable") if windows[i]]
+        if len(shown) < count:
+            raise SystemExit(f"{SITE}: only {len(shown)} vehicles in the image of frame {frame}, {count} are asked for")
+        keep += sorted(first + shown[k] for k in np.linspace(0, len(shown) - 1, count).round().astype(int))
     names = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
     return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
 
 
-# -------------------------------------------------------------------------------------------------------------- skope
+# --------------------------------------------------------------------------------------------------------- contestants
 
 
-def skope_frames(recording: Recording, plan: RecordingPlan, root: Path, renderer: str) -> Callable[[int], None]:
-    """What `skope gen` does for each frame."""
-    from skope.gen.annotate import Rules, annotate
-    from skope.gen.render import make_renderer
-    from skope.gen.store import Store
+class Skope:
+    """What `skope gen` does for each frame, from the recording to the files."""
 
-    store, draws = Store(root), make_renderer(renderer, recording)
+    def __init__(self, recording: Recording, folder: Path, renderer: str) -> None:
+        from skope.gen.render import make_renderer
+        from skope.gen.simulate import RecordingPlan
+        from skope.gen.store import Store
 
-    def frame_to_disk(frame: int) -> None:
-        view = draws.render(frame)
-        annotations, tally = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=0)
-        store.add(plan, recording, frame, view, annotations, tally)
+        size = (recording.camera.width, recording.camera.height)
+        self.plan = RecordingPlan(
+            site=site(SITE), index=0, frames=len(recording), interval=0.5, size=size, fov_deg=110, seed=0
+        )
+        self.recording, self.store = recording, Store(folder)
+        self.renderer = make_renderer(renderer, recording)
 
-    return frame_to_disk
+    def __call__(self, frame: int) -> None:
+        from skope.gen import annotate
+
+        view = self.renderer.render(frame)
+        moment = self.recording.moment(frame)
+        labels, tally = annotate.annotate(moment, view, self.recording.camera, annotate.Rules(), image_id=0)
+        self.store.add(self.plan, self.recording, frame, view, labels, tally)
 
 
-def stage_times(recording: Recording, plan: RecordingPlan, root: Path) -> dict[str, float]:
-    """Milliseconds a frame by stage; waiting for the device after each of them, the sum is a little larger."""
-    from skope.gen import store
+class Peer:
+    """One pybullet client with the whole scene in it; vehicles are moved and everything is drawn anew."""
+
+    def __init__(self, recording: Recording, renderer: str, labels: bool) -> None:
+        from skope.gen.bullet import engine
+        from skope.gen.render.materials import Light
+        from skope.gen.towns.scenery import scenery
+
+        self.engine, self.recording, self.labels = engine(), recording, labels
+        self.light = Light.of(recording.conditions)
+        self.client = self.engine.connect(self.engine.DIRECT)
+        self.renderer = self.engine.ER_TINY_RENDERER
+        if renderer == "egl":
+            from importlib.util import find_spec
+
+            library = find_spec("eglRenderer")
+            assert library is not None
+            assert self.engine.loadPlugin(str(library.origin), "_eglRendererPlugin", physicsClientId=self.client) >= 0
+            self.renderer = self.engine.ER_BULLET_HARDWARE_OPENGL
+        self.add(scenery(recording.town).mesh)
+        self.vehicles: dict[int, list[list[int]]] = {}
+
+    def add(self, mesh: Any) -> list[int]:
+        from skope.gen.render.materials import MATERIALS
+
+        bodies = []
+        for material, part in mesh.by_material().items():
+            # pybullet takes 128k vertices and 32k triangles a shape at most.
+            for triangles in np.array_split(part.triangles, -(-len(part.triangles) // 30_000)):
+                used, index = np.unique(triangles, return_inverse=True)
+                shape = self.engine.createVisualShape(
+                    self.engine.GEOM_MESH,
+                    vertices=part.vertices[used].tolist(),
+                    indices=index.ravel().tolist(),
+                    normals=part.normals[used].tolist(),
+                    rgbaColor=[*MATERIALS.get(material, (0.5, 0.5, 0.5)), 1],
+                    physicsClientId=self.client,
+                )
+                bodies.append(self.engine.createMultiBody(0, -1, shape, physicsClientId=self.client))
+        return bodies
+
+    def move(self, present: dict[int, list[np.ndarray]]) -> None:
+        from skope.gen.render.tiny import quaternion
+
+        away = np.eye(4)
+        away[2, 3] = -1000
+        for track, parts in self.vehicles.items():
+            for bodies, T in zip(parts, present.get(track, [away] * 5), strict=True):
+                for body in bodies:
+                    self.engine.resetBasePositionAndOrientation(
+                        body, T[:3, 3], quaternion(T[:3, :3]), physicsClientId=self.client
+                    )
+
+    def draw(self) -> None:
+        from skope.gen.render.tiny import FAR
+        from skope.gen.render.windows import NEAR
+
+        camera = self.recording.camera
+        width, height, f = camera.width, camera.height, camera.K[0, 0]
+        projection = np.zeros((4, 4))
+        projection[0, 0], projection[1, 1] = 2 * f / width, 2 * f / height
+        projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+        projection[3, 2] = -1
+        view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.T_camera_world
+        self.engine.getCameraImage(
+            *(width, height, view.T.ravel().tolist(), projection.T.ravel().tolist()),
+            lightDirection=list(self.light.direction),
+            shadow=1,
+            renderer=self.renderer,
+            physicsClientId=self.client,
+        )
+
+    def __call__(self, frame: int) -> None:
+        from skope.gen.vehicles import build
+
+        moment, present = self.recording.moment(frame), {}
+        for i, vehicle in enumerate(moment.vehicles):
+            if vehicle.track_id not in self.vehicles:
+                model = build(vehicle.model, vehicle.shape)
+                self.vehicles[vehicle.track_id] = [self.add(model.mesh), *(self.add(model.wheel) for _ in range(4))]
+            present[vehicle.track_id] = [moment.T_world_chassis[i], *moment.T_world_wheels[i]]
+        self.move(present)
+        self.draw()
+        if self.labels:
+            for track in present:
+                self.move({track: present[track]})
+                self.draw()
+
+
+# ----------------------------------------------------------------------------------------------------------- processes
+
+
+def work(make: Callable[[Recording], Callable[[int], None]], path: Path, start: Any, frames: int, out: Any) -> None:
+    """A process: gets ready, waits for the others, draws its frames."""
+    os.environ["LP_NUM_THREADS"] = "1"
+    import cv2
+
+    cv2.setNumThreads(1)
+    recording = recordings.load(path)
+    draw = make(recording)
+    draw(0)
+    start.wait()
+    begun = time.perf_counter()
+    for frame in range(frames):
+        draw(frame % len(recording))
+    out.put((begun, time.perf_counter()))
+
+
+def frames_per_second(
+    make: Callable[[Recording], Callable[[int], None]], path: Path, processes: int, frames: int
+) -> float:
+    """All processes' frames over the time from the first one's start to the last one's end."""
+    context = multiprocessing.get_context("fork")
+    start, out = context.Barrier(processes), context.Queue()
+    workers = [context.Process(target=work, args=(make, path, start, frames, out)) for _ in range(processes)]
+    for worker in workers:
+        worker.start()
+    times = [out.get() for _ in workers]
+    for worker in workers:
+        worker.join()
+    return processes * frames / (max(end for _, end in times) - min(begun for begun, _ in times))
+
+
+@contextmanager
+def timed_stages() -> Iterator[dict[str, float]]:
+    """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
+    from skope.gen import annotate, store
+    from skope.gen.render import sensor
     from skope.gen.render.gl import renderer as gl
 
-    times: dict[str, float] = {}
-    nested: list[float] = []
+    owners = {"GLRenderer": gl.GLRenderer, "sensor": sensor, "annotate": annotate, "store": store}
+    spent, inner = dict.fromkeys(STAGES, 0.0), [0.0]
 
-    def timed(owner: Any, name: str, label: str) -> None:
-        plain = getattr(owner, name)
-
-        @wraps(plain)
+    def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:
         def run(*args: Any, **keywords: Any) -> Any:
             begun = time.perf_counter()
-            nested.append(0.0)
-            value = plain(*args, **keywords)
+            inner.append(0.0)
+            value = function(*args, **keywords)
             gl.device().context.finish()
-            spent = time.perf_counter() - begun
-            times[label] = times.get(label, 0.0) + spent - nested.pop()
-            if nested:
-                nested[-1] += spent
+            taken = time.perf_counter() - begun
+            spent[stage] += taken - inner.pop()
+            inner[-1] += taken
             return value
 
-        setattr(owner, name, run)
+        return run
 
-    for owner, name, label in (
-        *((gl.GLRenderer, name, label) for name, label in gl.STAGES.items()),
-        (store, "encode_depth", "write"),
-    ):
-        timed(owner, name, label)
-    return times
+    undo = []
+    for stage, names in STAGES.items():
+        for name in names:
+            *path, last = name.split(".")
+            owner = owners[path[0]] if len(path) == 1 else getattr(owners[path[0]], path[1])
+            undo.append((owner, last, getattr(owner, last)))
+            setattr(owner, last, timed(getattr(owner, last), stage))
+    yield spent
+    for owner, name, function in undo:
+        setattr(owner, name, function)
+
+
+def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
+    os.environ["LP_NUM_THREADS"] = "1"
+    recording = recordings.load(path)
+    draw = Skope(recording, folder, "gl")
+    draw(0)
+    with timed_stages() as spent:
+        for frame in range(frames):
+            draw(frame % len(recording))
+    out.put({stage: 1e3 * seconds / frames for stage, seconds in spent.items()})
+
+
+# ---------------------------------------------------------------------------------------------------------------- main
+
+
+def simulated(path: Path, size: tuple[int, int], frames: int) -> None:
+    from skope.gen.simulate import RecordingPlan, simulate
+
+    plan = RecordingPlan(site=site(SITE), index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
+    recordings.save(path, simulate(plan))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", default="1920x1080")
+    parser.add_argument("--vehicles", default="6,12,20")
+    parser.add_argument("--frames", type=int, default=24, help="of each of skope's processes")
+    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--recording", type=Path, help="a recording of that site, instead of simulating one")
+    parser.add_argument("--skope-only", action="store_true", help="leave pybullet's renderers out")
+    options = parser.parse_args()
+    width, height = map(int, options.size.split("x"))
+    counts = [int(count) for count in options.vehicles.split(",")]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        full = options.recording
+        if full is None:
+            full = folder / "full.npz"
+            simulated(full, (width, height), 8)
+        paths = {count: folder / f"{count}.npz" for count in counts}
+        for count, path in paths.items():
+            recordings.save(path, with_vehicles(recordings.load(full), count))
+        print(f"{SITE}, {width}x{height}, {options.processes} processes of one thread; frames per second", flush=True)
+        ours = {}
+        for count, path in paths.items():
+
+            def skope(recording: Recording, count: int = count) -> Callable[[int], None]:
+                return Skope(recording, folder / f"{count}_{os.getpid()}", "gl")
+
+            ours[count] = frames_per_second(skope, path, options.processes, options.frames)
+            print(f"  skope, gl, to disk, {count:2} vehicles   {ours[count]:7.2f}", flush=True)
+        middle = counts[len(counts) // 2]
+        context = multiprocessing.get_context("fork")
+        queue = context.Queue()
+        process = context.Process(target=stage_table, args=(paths[middle], folder / "stages", options.frames, queue))
+        process.start()
+        table = queue.get()
+        process.join()
+        print(f"milliseconds a frame by stage, {middle} vehicles, one process")
+        for stage, milliseconds in table.items():
+            print(f"  {stage:<20} {milliseconds:7.1f}")
+        print(f"  {'sum':<20} {sum(table.values()):7.1f}", flush=True)
+        if options.skope_only:
+            return
+        print(f"pybullet on the same recording, {middle} vehicles; how many times as fast skope, gl, to disk, is")
+        for renderer, title in (("tiny", "TinyRenderer"), ("egl", "EGL plugin (draws 1024x768, enlarges it)")):
+            for labels, what in ((False, "colour, depth, ids"), (True, "and each vehicle alone")):
+
+                def peer(recording: Recording, renderer: str = renderer, labels: bool = labels) -> Peer:
+                    return Peer(recording, renderer, labels)
+
+                frames = 2 if labels or renderer == "tiny" else 8
+                rate = frames_per_second(peer, paths[middle], options.processes, frames)
+                print(f"  {title:<42} {what:<24} {rate:7.3f}   x{ours[middle] / rate:.1f}", flush=True)
 
 
 if __name__ == "__main__":
-    pass
+    main()

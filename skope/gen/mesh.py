@@ -37,6 +37,10 @@ class Mesh:
         flip = np.array([1.0, -1.0, 1.0])
         return Mesh(self.vertices * flip, self.normals * flip, self.triangles[:, ::-1], self.materials, self.material)
 
+    def taken(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "Mesh":
+        """The mesh with some of its triangles, by index, in that order, or by a mask."""
+        return Mesh(self.vertices, self.normals, self.triangles[chosen], self.materials, self.material[chosen])
+
     def by_material(self) -> dict[str, "Mesh"]:
         """One mesh per material, in the order of `materials`, with unused vertices left out."""
         out = {}

@@ -26,9 +26,8 @@ SIZE = (640, 360)
 def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
     """(H, W, 4) depth, slopes and id of one quadrilateral given in world coordinates."""
     gl = device()
-    mesh = gl.upload(flat([corners], "asphalt"), origin=camera.position)
     target = gl.target(SIZE, ["4f4"])
-    Stage(gl, mesh, camera, Daylight.of(conditions())).draw_geometry(target)
+    Stage(gl, flat([corners], "asphalt"), camera, Daylight.of(conditions())).draw_geometry(target)
     return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
 
 

@@ -12,9 +12,10 @@ import skope
 from skope.gen.recording import Recording
 from skope.gen.render import SKY, STATIC
 from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl.cache import cached
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
-from skope.gen.render.gl.light import SAMPLES, SHADOW_MAP, SHADOW_RADIUS, Stage
+from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
 from skope.gen.towns.scenery import scenery
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     """Work out the light of a recording's scenery."""
     camera, daylight = recording.camera, Daylight.of(recording.conditions)
     size = (camera.width, camera.height)
-    stage = Stage(device, device.upload(scenery(recording.town).mesh, origin=camera.position), camera, daylight)
+    stage = Stage(device, scenery(recording.town).mesh, camera, daylight)
     light = cached(_digest(device, recording), stage.light)
 
     geometry = device.target(size, ["4f4"])
@@ -58,8 +59,8 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     data = np.frombuffer(geometry.read(components=4, dtype="f4"), dtype=np.float32).reshape(size[1], size[0], 4)
     hit = data[..., 3] > 0
     fine = device.depth_target((SCALE * size[0], SCALE * size[1]))
-    stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view)
-    sun_map = device.shadow_map(SHADOW_MAP)
+    stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
+    sun_map = device.shadow_map(sun_map_size(camera))
     clip, sun_map_from = light_projection(daylight.sun_direction, stage.focus, SHADOW_RADIUS)
     stage.draw_depth(sun_map, clip)
     ambient, sunlit = _develop(stage, light, geometry.color_attachments[0])
@@ -117,7 +118,7 @@ def _digest(device: Device, recording: Recording) -> str:
     mesh = scenery(recording.town).mesh
     camera = recording.camera
     parts = (
-        *(skope.__version__, device.name, shader_sources(), str(SAMPLES), str(SHADOW_MAP)),
+        *(skope.__version__, device.name, shader_sources(), str(lighting.SAMPLES)),
         *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
         *(str(getattr(recording.conditions, name)) for name in ("sun_elevation_deg", "sun_azimuth_deg", "clouds")),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import (
     Device,
@@ -20,12 +21,20 @@ from skope.gen.render.gl.context import (
     projection,
     put,
 )
+from skope.gen.render.materials import MATERIALS
 
 Array = NDArray[np.float64]
 
-SAMPLES: Final = 32
-SHADOW_MAP: Final = 4096
+SAMPLES: Final = 24
+SKY_MAP: Final = 2048
 SHADOW_RADIUS: Final = 140.0
+GROUPS: Final = {
+    "WALLS": ("brick", "sandstone"),
+    "GROUND": ("asphalt", "grass"),
+    "LEAVES": ("leaves", "leaves"),
+    "OTHERS": ("asphalt", "rim"),
+}
+"""Materials, from first to last of the table, that share the programs compiled for their patterns."""
 SUN_RADIUS: Final = 0.0047
 """Of the sun's disc, radians."""
 _GOLDEN: Final = (1 + 5**0.5) / 2
@@ -34,8 +43,8 @@ _GOLDEN: Final = (1 + 5**0.5) / 2
 class Stage:
     """Scenery on the device with the sun and the sky over it."""
 
-    def __init__(self, device: Device, mesh: DeviceMesh, camera: Camera, daylight: Daylight) -> None:
-        self.device, self._mesh, self._camera, self._daylight = device, mesh, camera, daylight
+    def __init__(self, device: Device, mesh: Mesh, camera: Camera, daylight: Daylight) -> None:
+        self.device, self._camera, self._daylight = device, camera, daylight
         self._size = (camera.width, camera.height)
         forward = camera.T_camera_world[2, :3]
         level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
@@ -43,6 +52,7 @@ class Stage:
         """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
         self.view = np.eye(4)
         self.view[:3, :3] = camera.T_camera_world[:3, :3]
+        self._seen, self._casting = (_parts(device, part, camera) for part in self._needed(mesh))
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
         self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
@@ -66,24 +76,48 @@ class Stage:
             "u_world_from_camera": camera.T_camera_world[:3, :3].T,
         }
 
+    def _needed(self, mesh: Mesh) -> tuple[Mesh, Mesh]:
+        """What the image may show, from near to far so that little is shaded in vain; what may throw shadows there."""
+        corners = (mesh.vertices - self._camera.position)[mesh.triangles]
+        frame = corners @ self.view[:3, :3].T
+        x, y, z = np.moveaxis(frame, -1, 0)
+        (fx, fy), (cx, cy) = self._camera.K[[0, 1], [0, 1]], self._camera.K[:2, 2]
+        width, height = self._size
+        # Outside when all three corners are beyond the same side of the view, which a pixel's jitter widens.
+        sides = (
+            x * fx + (cx + 1) * z,
+            (width + 1 - cx) * z - x * fx,
+            y * fy + (cy + 1) * z,
+            (height + 1 - cy) * z - y * fy,
+        )
+        seen = np.flatnonzero(~np.any([(side < 0).all(axis=-1) for side in (*sides, z)], axis=0))
+        away = np.linalg.norm(frame[seen], axis=-1).min(axis=-1)
+        casting = np.linalg.norm((corners - self.focus)[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS
+        return mesh.taken(seen[away.argsort(kind="stable")]), mesh.taken(casting)
+
     def draw_geometry(self, target: Any) -> None:
         """Depth, slopes and where there is something at all, at pixel centres."""
-        program = self.device.program("geometry.vert.glsl", "geometry.frag.glsl", "PARTS 1")
         target.use()
         target.clear(0, 0, 0, 0)
         self.device.context.enable_only(self.device.gl.DEPTH_TEST)
         P = projection(self._camera.K, (0, 0, *self._size))
-        put(program, {"u_model": self.view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
-        self._mesh.draw(program)
+        for mesh, options in self._seen:
+            program = self.device.program("geometry.vert.glsl", "geometry.frag.glsl", *options)
+            put(program, {"u_model": self.view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
+            mesh.draw(program)
 
-    def draw_depth(self, target: Any, clip: Array) -> None:
-        """The scenery's depth buffer where `clip` takes world axes, relative to the camera, to clip space."""
-        program = self.device.program("geometry.vert.glsl", "shadow.frag.glsl", "PARTS 1")
+    def draw_depth(self, target: Any, clip: Array, *, seen: bool = False) -> None:
+        """The depth buffer of what throws shadows, or of what the camera sees.
+
+        `clip` takes world axes, relative to the camera, to clip space.
+        """
         target.use()
         target.clear()
         self.device.context.enable_only(self.device.gl.DEPTH_TEST)
-        put(program, {"u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
-        self._mesh.draw(program)
+        for mesh, options in self._seen if seen else self._casting:
+            program = self.device.program("geometry.vert.glsl", "shadow.frag.glsl", *options)
+            put(program, {"u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
+            mesh.draw(program)
 
     def light(self) -> dict[str, NDArray[np.float16]]:
         """The mean of the samples: light from the sky ("ambient") and from the sun ("sunlit"), (H, W, 4) each."""
@@ -91,9 +125,8 @@ class Stage:
         sums = device.target(size, ["4f4", "4f4"])
         sums.use()
         sums.clear(0, 0, 0, 0)
-        sun, sky = device.shadow_map(SHADOW_MAP), device.shadow_map(SHADOW_MAP)
+        sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
         sample = device.target(size, ["4f4", "4f4"])
-        shade = device.program("geometry.vert.glsl", "static.frag.glsl", "PARTS 1")
         clear = device.program("screen.vert.glsl", "sky.frag.glsl")
         add = device.program("screen.vert.glsl", "add.frag.glsl")
         rng = np.random.default_rng(3)
@@ -112,21 +145,21 @@ class Stage:
             device.context.enable_only(device.gl.DEPTH_TEST)
             for unit, texture in enumerate((self.noise, sun.depth_attachment, sky.depth_attachment)):
                 texture.use(unit)
-            put(
-                shade,
-                {
-                    **self.uniforms,
-                    **{"u_noise": 0, "u_sun_map": 1, "u_sky_map": 2},
-                    "u_model": self.view,
-                    "u_world": np.eye(4),
-                    "u_project": projection(self._camera.K, (0, 0, *size), jitter),
-                    "u_sun_map_from": sun_from,
-                    "u_sky_map_from": sky_from,
-                    "u_sky_direction": toward_sky,
-                    "u_sky_radiance": daylight.sky(toward_sky),
-                },
-            )
-            self._mesh.draw(shade)
+            uniforms = {
+                **self.uniforms,
+                **{"u_noise": 0, "u_sun_map": 1, "u_sky_map": 2},
+                "u_model": self.view,
+                "u_world": np.eye(4),
+                "u_project": projection(self._camera.K, (0, 0, *size), jitter),
+                "u_sun_map_from": sun_from,
+                "u_sky_map_from": sky_from,
+                "u_sky_direction": toward_sky,
+                "u_sky_radiance": daylight.sky(toward_sky),
+            }
+            for mesh, options in self._seen:
+                shade = device.program("geometry.vert.glsl", "static.frag.glsl", *options)
+                put(shade, uniforms)
+                mesh.draw(shade)
             put(clear, {**self.uniforms, **self.pixels, "u_noise": 0, "u_jitter": [-jitter[0], -jitter[1]]})
             device.screen(clear)
             for unit, texture in enumerate(sample.color_attachments, start=1):
@@ -141,6 +174,28 @@ class Stage:
             pixels = np.frombuffer(texture.read(), dtype=np.float32).reshape(size[1], size[0], 4)
             out[name] = np.clip(pixels, 0, 6e4).astype(np.float16)
         return out
+
+
+def sun_map_size(camera: Camera) -> int:
+    """Texels of the sun's shadow map on each side: large images show finer shadows."""
+    return 4096 if camera.width > 1280 else 2048
+
+
+def _parts(device: Device, mesh: Mesh, camera: Camera) -> list[tuple[DeviceMesh, tuple[str, ...]]]:
+    """A mesh by groups of materials, with the options of the programs that draw each.
+
+    Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
+    """
+    order = list(MATERIALS)
+    number = np.array([order.index(name) for name in mesh.materials])[mesh.material]
+    left = np.ones(len(number), dtype=bool)
+    out: list[tuple[DeviceMesh, tuple[str, ...]]] = []
+    for group, (first, last) in GROUPS.items():
+        chosen = left & (number >= order.index(first)) & (number <= order.index(last))
+        left &= ~chosen
+        if chosen.any():
+            out.append((device.upload(mesh.taken(chosen), origin=camera.position), ("PARTS 1", group)))
+    return out
 
 
 def _in_disc(k: int) -> Array:

@@ -1,14 +1,14 @@
 // Planar depth at the pixel's centre, its exact change per pixel on the triangle shown, and the instance.
 #version 430
 #include "leaves.glsl"
-in vec3 v_world;
 in vec3 v_local;
-flat in int v_material;
 uniform float u_id;
 out vec4 out_geometry;  // depth, change to the right, change downwards, id
 
 void main() {
-    if (v_material == M_LEAVES && leaf_gap(v_local)) discard;
+#ifdef LEAVES
+    if (leaf_gap(v_local)) discard;
+#endif
     // Inverse depth (the clip space's 1 / w) is linear in the image on a plane: its differences are exact wherever they
     // are taken, and it is nearer to the truth than a depth interpolated between far corners.
     float inverse = gl_FragCoord.w, depth = 1.0 / inverse;

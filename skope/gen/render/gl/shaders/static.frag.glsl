@@ -19,9 +19,10 @@ layout(location = 1) out vec4 out_sun;
 #include "surface.glsl"
 
 void main() {
-    if (v_material == M_LEAVES && leaf_gap(v_local)) discard;
+#ifdef LEAVES
+    if (leaf_gap(v_local)) discard;
+#endif
     vec3 n = normalize(v_normal), view = normalize(-v_world);
-    bool thin = v_material == M_LEAVES;
     if (dot(n, view) < 0.0) n = -n;
     float gloss;
     vec3 color = albedo(v_world + u_eye, n, gloss);
@@ -30,7 +31,11 @@ void main() {
     float sun = texture(u_sun_map, (u_sun_map_from * vec4(lifted, 1.0)).xyz);
     float open = texture(u_sky_map, (u_sky_map_from * vec4(lifted, 1.0)).xyz);
     float facing = max(dot(n, u_sun_direction), 0.0), up = max(dot(n, u_sky_direction), 0.0);
-    if (thin) { facing = 0.35 + 0.4 * facing; up = 0.3 + 0.4 * up; }
+#ifdef LEAVES
+    // Light comes through them and from all sides.
+    facing = 0.35 + 0.4 * facing;
+    up = 0.3 + 0.4 * up;
+#endif
 
     // One direction, drawn evenly over the hemisphere, stands for all of it.
     vec3 light = 2.0 * u_sky_radiance * up * open + u_ground * 0.5 * (1.0 - n.z);

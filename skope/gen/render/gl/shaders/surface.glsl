@@ -1,4 +1,5 @@
-// Albedo of the scenery's materials with their patterns, which all come from the noise texture.
+// Albedo of the scenery's materials with their patterns, which all come from the noise texture. A program is made for
+// GROUND, WALLS, LEAVES or OTHERS: on a processor every branch that is compiled is paid for at every pixel.
 vec4 noise(vec2 at, float metres) { return texture(u_noise, at / metres); }
 
 bool between(int first, int last) { return v_material >= first && v_material <= last; }
@@ -7,6 +8,12 @@ bool between(int first, int last) { return v_material >= first && v_material <= 
 float joints(vec2 at, vec2 width) {
     vec2 edge = min(fract(at), 1.0 - fract(at));
     return 1.0 - step(width.x, edge.x) * step(width.y, edge.y);
+}
+
+void leaf_color(vec3 p, inout vec3 color) {
+    float tone = leaf_tone(v_local), clump = noise(p.xy + p.z * 0.7, 3.1).g, tree = noise(p.xy, 41.0).b;
+    color *= (0.45 + 0.75 * tone) * (0.7 + 0.6 * clump);
+    color *= mix(vec3(0.85, 1.0, 0.95), vec3(1.35, 1.12, 0.75), smoothstep(0.25, 0.75, tree));
 }
 
 // Tangent coordinates run along a wall and up it; gloss is the share of light that a pane of glass mirrors.
@@ -21,6 +28,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
     vec4 broad = noise(turn * at, 31.0), middle = noise(turn * turn * at + 3.7, 5.9), fine = noise(turn * turn * turn * at, 2.1);
     vec4 streaks = noise(vec2(at.x, at.y * 0.22) + 11.0, 2.7);
     float above = p.z - 0.12;  // the sidewalk
+#if defined(GROUND)
     if (between(M_ASPHALT, M_ASPHALT_OLD)) {
         float grit = noise(turn * at, 0.57).g * noise(turn * turn * at, 0.83).r * 2.0;
         color *= 0.84 + 0.16 * broad.r + 0.14 * middle.g + 0.22 * (fine.b - 0.5) + 0.25 * (grit - 0.5);
@@ -60,7 +68,9 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color = mix(color, color * vec3(1.25, 1.08, 0.80), smoothstep(0.40, 0.75, 0.5 * broad.b + 0.5 * middle.b));
         color = mix(color, color * vec3(0.78, 0.95, 0.80), smoothstep(0.55, 0.7, middle.r));
         color = mix(color, u_albedo[M_SOIL].rgb * (0.7 + 0.6 * fine.b), smoothstep(0.70, 0.80, 0.6 * middle.a + 0.4 * fine.a) * 0.4);
-    } else if (between(M_BRICK, M_BRICK_PAINTED)) {
+    }
+#elif defined(WALLS)
+    if (between(M_BRICK, M_BRICK_PAINTED)) {
         float row = floor(at.y / 0.075);
         vec2 cell = vec2(at.x / 0.225 + 0.5 * mod(row, 2.0), at.y / 0.075);
         float tone = texture(u_noise, floor(cell) * 0.173).g, other = texture(u_noise, floor(cell) * 0.097).b;
@@ -86,7 +96,15 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= 1.0 - 0.2 * smoothstep(0.55, 0.8, streaks.b);
     } else if (v_material == M_DRESSING) {
         color *= 0.84 + 0.2 * middle.r + 0.12 * (fine.g - 0.5);
-    } else if (between(M_TILES, M_SLATE)) {
+    }
+    if (above < 1.2) {
+        // Rain splashes dirt on walls' feet.
+        color *= mix(vec3(0.66, 0.62, 0.55), vec3(1.0), smoothstep(0.0, 0.25 + 0.7 * middle.r, above));
+    }
+#elif defined(LEAVES)
+    leaf_color(p, color);
+#else
+    if (between(M_TILES, M_SLATE)) {
         vec2 down = normalize(vec2(n.x, n.y) + 1e-6);
         float slope = p.z / max(sqrt(1.0 - n.z * n.z), 0.2), across = dot(p.xy, vec2(-down.y, down.x));
         bool slate = v_material == M_SLATE;
@@ -107,10 +125,8 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         float board = texture(u_noise, vec2(floor(at.x / 0.14) * 0.137, 0.3)).r;
         color *= (0.7 + 0.5 * board) * (0.85 + 0.3 * noise(vec2(at.x * 6.0, at.y * 0.4), 2.0).g);
         color *= 1.0 - 0.4 * mix(step(0.93, fract(at.x / 0.14)), 0.07, smoothstep(0.02, 0.06, footprint));
-    } else if (v_material == M_LEAVES || v_material == M_HEDGE) {
-        float tone = leaf_tone(v_local), clump = noise(p.xy + p.z * 0.7, 3.1).g, tree = noise(p.xy, 41.0).b;
-        color *= (0.45 + 0.75 * tone) * (0.7 + 0.6 * clump);
-        color *= mix(vec3(0.85, 1.0, 0.95), vec3(1.35, 1.12, 0.75), smoothstep(0.25, 0.75, tree));
+    } else if (v_material == M_HEDGE) {
+        leaf_color(p, color);
     } else if (v_material == M_WOODS) {
         vec2 crown = vec2(at.x, p.z) / 7.0;
         color *= 0.3 + 0.7 * texture(u_noise, turn * crown).g + 0.6 * texture(u_noise, crown * 3.7).b;
@@ -130,9 +146,6 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= 0.55 + 0.4 * mix(fold, 0.5, smoothstep(0.03, 0.1, footprint));
         gloss = 0.8;
     }
-    if (between(M_BRICK, M_SANDSTONE) && above < 1.2) {
-        // Rain splashes dirt on walls' feet.
-        color *= mix(vec3(0.66, 0.62, 0.55), vec3(1.0), smoothstep(0.0, 0.25 + 0.7 * middle.r, above));
-    }
+#endif
     return color;
 }
