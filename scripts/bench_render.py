@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from skope.gen import recording as recordings
-from skope.gen.recording import Recording
+from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.towns import site
 
 SITE = "t01_main_west"
@@ -68,7 +68,6 @@ class Skope:
 
     def __init__(self, recording: Recording, folder: Path, renderer: str) -> None:
         from skope.gen.render import make_renderer
-        from skope.gen.simulate import RecordingPlan
         from skope.gen.store import Store
 
         size = (recording.camera.width, recording.camera.height)
@@ -114,18 +113,19 @@ class Peer:
 
         bodies = []
         for material, part in mesh.by_material().items():
-            # pybullet takes 128k vertices and 32k triangles a shape at most.
-            for triangles in np.array_split(part.triangles, -(-len(part.triangles) // 30_000)):
-                used, index = np.unique(triangles, return_inverse=True)
+            # The EGL plugin draws meshes from files only.
+            with tempfile.NamedTemporaryFile("w", suffix=".obj") as file:
+                np.savetxt(file, part.vertices, "v %.5f %.5f %.5f")
+                np.savetxt(file, part.normals, "vn %.4f %.4f %.4f")
+                np.savetxt(file, (part.triangles + 1).repeat(2, axis=1), "f %d//%d %d//%d %d//%d")
+                file.flush()
                 shape = self.engine.createVisualShape(
                     self.engine.GEOM_MESH,
-                    vertices=part.vertices[used].tolist(),
-                    indices=index.ravel().tolist(),
-                    normals=part.normals[used].tolist(),
+                    fileName=file.name,
                     rgbaColor=[*MATERIALS.get(material, (0.5, 0.5, 0.5)), 1],
                     physicsClientId=self.client,
                 )
-                bodies.append(self.engine.createMultiBody(0, -1, shape, physicsClientId=self.client))
+            bodies.append(self.engine.createMultiBody(0, -1, shape, physicsClientId=self.client))
         return bodies
 
     def move(self, present: dict[int, list[np.ndarray]]) -> None:
@@ -204,9 +204,10 @@ def frames_per_second(
     workers = [context.Process(target=work, args=(make, path, start, frames, out)) for _ in range(processes)]
     for worker in workers:
         worker.start()
-    times = [out.get() for _ in workers]
     for worker in workers:
         worker.join()
+        assert worker.exitcode == 0, "a process died"
+    times = [out.get() for _ in workers]
     return processes * frames / (max(end for _, end in times) - min(begun for begun, _ in times))
 
 
@@ -260,7 +261,7 @@ def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
 
 
 def simulated(path: Path, size: tuple[int, int], frames: int) -> None:
-    from skope.gen.simulate import RecordingPlan, simulate
+    from skope.gen.simulate import simulate
 
     plan = RecordingPlan(site=site(SITE), index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
     recordings.save(path, simulate(plan))

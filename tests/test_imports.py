@@ -72,3 +72,15 @@ def test_starting_the_command_loads_no_engine() -> None:
     code = f"import sys, skope.cli; print(*(name for name in {HEAVY!r} if name in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_rendering_a_recording_needs_no_simulator() -> None:
+    """Frames are drawn and written on machines that have neither SUMO nor pybullet."""
+    code = """
+import sys
+for name in ("pybullet", "libsumo"):
+    sys.modules[name] = None
+import skope.gen.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.store
+import skope.gen.towns.scenery
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from skope.camera import Camera
-from skope.gen.recording import Recording
-from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.recording import Recording, RecordingPlan
+from skope.gen.simulate import simulate
 from skope.gen.towns import sites
 
 

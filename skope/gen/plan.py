@@ -11,8 +11,9 @@ from typing import Any
 from skope.errors import UserError, one_of
 from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
+from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
-from skope.gen.simulate import RecordingPlan, versions
+from skope.gen.simulate import versions
 from skope.gen.towns import site
 from skope.gen.traffic import STEP
 

@@ -18,9 +18,9 @@ from skope.errors import UserError
 from skope.gen import card, recording
 from skope.gen.annotate import Rules, annotate, locate
 from skope.gen.plan import Parameters
-from skope.gen.recording import Recording
+from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import Renderer, make_renderer
-from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.simulate import simulate
 from skope.gen.store import Store
 
 A = TypeVar("A")

@@ -6,7 +6,7 @@ have equal bytes.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,11 +16,32 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import replacing
-from skope.gen.conditions import Conditions
+from skope.gen.conditions import Conditions, Range
+from skope.gen.towns import Site
 
 Array = NDArray[np.float64]
 
 VERSION: Final = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingPlan:
+    """What fixes a recording, seed included."""
+
+    site: Site
+    index: int
+    frames: int
+    interval: float
+    """Seconds between frames, a multiple of the traffic's step."""
+    size: tuple[int, int]
+    fov_deg: float
+    seed: int
+    settings: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of conditions that are set; the others follow the site's weather and hour."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.index:02d}"
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Make a recording: drive a site's traffic past its camera."""
 
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Final
 
@@ -10,9 +8,9 @@ import numpy as np
 
 import skope
 from skope.camera import Camera
-from skope.gen.conditions import Conditions, Range, ranges
-from skope.gen.recording import RecordedVehicle, Recording
-from skope.gen.towns import Site, network
+from skope.gen.conditions import Conditions, ranges
+from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
+from skope.gen.towns import network
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
 from skope.gen.vehicles import Vehicle, fleet
 from skope.gen.world import Pose, World
@@ -26,26 +24,6 @@ SETTLE: Final = 1.5
 LAMPS_ON_DEG: Final = 10.0
 """Vehicles drive with their lamps lit when the sun stands lower than this."""
 TRACKS_PER_RECORDING: Final = 100_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordingPlan:
-    """What fixes a recording, seed included."""
-
-    site: Site
-    index: int
-    frames: int
-    interval: float
-    """Seconds between frames, a multiple of the traffic's step."""
-    size: tuple[int, int]
-    fov_deg: float
-    seed: int
-    settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that are set; the others follow the site's weather and hour."""
-
-    @property
-    def name(self) -> str:
-        return f"{self.index:02d}"
 
 
 def versions() -> dict[str, str]:

@@ -23,9 +23,8 @@ from skope.depth import depth_png
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_json, write_text
 from skope.gen.annotate import Tally
-from skope.gen.recording import Recording
+from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import View
-from skope.gen.simulate import RecordingPlan
 from skope.schema import Annotation, Image
 
 JPEG_QUALITY = 95

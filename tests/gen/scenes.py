@@ -6,8 +6,8 @@ import numpy as np
 
 from skope.camera import Camera
 from skope.gen.conditions import Conditions
-from skope.gen.recording import RecordedVehicle, Recording
-from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
+from skope.gen.simulate import simulate
 from skope.gen.towns import site
 from skope.gen.vehicles import fleet
 

@@ -10,9 +10,9 @@ from skope import keypoints
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.gen.annotate import Rules, _segmentation, annotate, bbox_of, behind, locate, occluded_by_others
-from skope.gen.recording import Recording
+from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import SKY, STATIC, Silhouette, View, make_renderer
-from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.simulate import simulate
 from skope.gen.towns import site
 from skope.schema import Annotation
 from tests.gen.rays import cast, vehicle_triangles

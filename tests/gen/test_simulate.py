@@ -6,7 +6,8 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen import recording as recordings
-from skope.gen.simulate import RecordingPlan, simulate
+from skope.gen.recording import RecordingPlan
+from skope.gen.simulate import simulate
 from skope.gen.towns import network, site
 from skope.gen.traffic import LAMPS, STEP, Driven, Traffic
 from skope.gen.vehicles import fleet

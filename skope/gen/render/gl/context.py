@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, Final
@@ -49,19 +48,24 @@ def _defines() -> str:
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
 
 
-@dataclass(frozen=True, eq=False)
+_INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
+
+
 class DeviceMesh:
     """Vertices on the device of a mesh's parts, drawn by any program with the inputs it needs."""
 
-    device: "Device"
-    vertices: Any
-    count: int
+    def __init__(self, context: Any, rows: NDArray[np.float32]) -> None:
+        """`rows` (V, 8) are position, normal, number of the material and of the part."""
+        self._context, self._vertices, self.count = context, context.buffer(rows.tobytes()), len(rows)
+        self._arrays: dict[int, Any] = {}
 
     def draw(self, program: Any) -> None:
-        inputs = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
-        used = [name for name in inputs if name in program]
-        layout = " ".join(inputs[name] if name in used else f"{4 * int(inputs[name][0])}x" for name in inputs)
-        self.device.array(program, self.vertices, layout, used).render(vertices=self.count)
+        if program.glo not in self._arrays:
+            used = [name for name in _INPUTS if name in program]
+            # What a program does not use is skipped, in bytes.
+            layout = " ".join(kind if name in used else f"{4 * int(kind[0])}x" for name, kind in _INPUTS.items())
+            self._arrays[program.glo] = self._context.vertex_array(program, [(self._vertices, layout, *used)])
+        self._arrays[program.glo].render(vertices=self.count)
 
 
 class Device:
@@ -80,7 +84,9 @@ class Device:
             ) from None
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
         self.context.front_face = "cw"  # rows of images run down
-        self._arrays: dict[tuple[int, int], Any] = {}
+        # What nothing refers to any more is freed on the device too.
+        self.context.gc_mode = "auto"
+        self._empty: dict[int, Any] = {}
         self._programs: dict[tuple[str, ...], Any] = {}
 
     def program(self, vertex: str, fragment: str, *options: str) -> Any:
@@ -94,18 +100,11 @@ class Device:
             self._programs[key] = self.context.program(vertex_shader=sources[0], fragment_shader=sources[1])
         return self._programs[key]
 
-    def array(self, program: Any, vertices: Any, layout: str, names: Sequence[str]) -> Any:
-        key = program.glo, vertices.glo
-        if key not in self._arrays:
-            self._arrays[key] = self.context.vertex_array(program, [(vertices, layout, *names)])
-        return self._arrays[key]
-
     def screen(self, program: Any) -> None:
         """Run a program for every pixel of the target."""
-        key = program.glo, 0
-        if key not in self._arrays:
-            self._arrays[key] = self.context.vertex_array(program, [])
-        self._arrays[key].render(mode=self.gl.TRIANGLES, vertices=3)
+        if program.glo not in self._empty:
+            self._empty[program.glo] = self.context.vertex_array(program, [])
+        self._empty[program.glo].render(mode=self.gl.TRIANGLES, vertices=3)
 
     def tiles(self, program: Any, places: Sequence[Window]) -> None:
         """Run a program for every pixel of parts of the image that the target is of."""
@@ -133,8 +132,7 @@ class Device:
             corners = mesh.triangles.ravel()
             positions = mesh.vertices[corners] - (np.zeros(3) if origin is None else origin)
             rows.append(np.column_stack([positions, mesh.normals[corners], numbers, np.full(len(corners), part)]))
-        data = np.concatenate(rows)
-        return DeviceMesh(self, self.context.buffer(data.astype("f4").tobytes()), len(data))
+        return DeviceMesh(self.context, np.concatenate(rows).astype("f4"))
 
     def texture(self, values: NDArray[Any], kind: str) -> Any:
         """A texture of values (H, W, C), looked up texel by texel; `kind` is "f1", "f2" or "f4"."""
