@@ -18,7 +18,7 @@ from skope.gen.render.gl import cache
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import device
 from skope.gen.render.windows import TILE, runs, tiles
-from tests.gen.scenes import conditions, standing
+from tests.gen.scenes import conditions, driven, standing
 
 SIZE = (640, 360)
 
@@ -145,3 +145,25 @@ def test_without_egl_the_fallback_is_taken_and_gl_is_refused(tmp_path: Path) -> 
 def test_auto_is_gl_where_egl_is_to_be_had() -> None:
     assert choose_renderer("auto")[0] == "gl"
     assert choose_renderer("pybullet")[0] == "pybullet"
+
+
+@pytest.mark.slow
+def test_memory_is_flat_over_2000_frames() -> None:
+    recording = driven("t01_mill_corner")
+    renderer = make_renderer("gl", recording)
+
+    def resident_mb() -> float:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    sizes = []
+    for k in range(2000):
+        renderer.render(k % len(recording))
+        if k % 100 == 99:
+            sizes.append(resident_mb())
+    print(sizes)
+    assert max(sizes[2:]) - sizes[1] < 10
+    # Recordings come and go.
+    for _ in range(6):
+        make_renderer("gl", recording).render(0)
+        sizes.append(resident_mb())
+    assert sizes[-1] - sizes[-4] < 20

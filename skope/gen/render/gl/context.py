@@ -1,5 +1,6 @@
 """The OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
 
+import atexit
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -84,8 +85,10 @@ class Device:
             ) from None
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
         self.context.front_face = "cw"  # rows of images run down
-        # What nothing refers to any more is freed on the device too.
+        self.context.depth_func = "<"
+        # What nothing refers to any more is freed on the device too; not while Python ends, which is half gone then.
         self.context.gc_mode = "auto"
+        atexit.register(setattr, self.context, "gc_mode", None)
         self._empty: dict[int, Any] = {}
         self._programs: dict[tuple[str, ...], Any] = {}
 

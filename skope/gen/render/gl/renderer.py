@@ -186,7 +186,7 @@ class GLRenderer:
         device.context.enable_only(device.gl.DEPTH_TEST)
         device.context.depth_func = "1"
         device.tiles(program, places)
-        device.context.depth_func = "<="
+        device.context.depth_func = "<"
 
     def _put(
         self,
