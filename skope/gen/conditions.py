@@ -46,7 +46,7 @@ class Conditions:
 OVERCAST: Final = 0.9
 """With more clouds than this nothing throws a shadow."""
 LIMITS: Final[Mapping[str, Range]] = {
-    "sun_elevation_deg": (-90.0, 90.0),
+    "sun_elevation_deg": (2.0, 90.0),
     "sun_azimuth_deg": (0.0, 360.0),
     "clouds": (0.0, 1.0),
     "visibility_m": (20.0, 1e5),

@@ -121,50 +121,23 @@ class Stage:
 
     def light(self) -> dict[str, NDArray[np.float16]]:
         """The mean of the samples: light from the sky ("ambient") and from the sun ("sunlit"), (H, W, 4) each."""
-        device, daylight, size = self.device, self._daylight, self._size
-        sums = device.target(size, ["4f4", "4f4"])
+        device, size = self.device, self._size
+        sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
+        sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
+        add = device.program("screen.vert.glsl", "add.frag.glsl")
         sums.use()
         sums.clear(0, 0, 0, 0)
-        sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
-        sample = device.target(size, ["4f4", "4f4"])
-        clear = device.program("screen.vert.glsl", "sky.frag.glsl")
-        add = device.program("screen.vert.glsl", "add.frag.glsl")
         rng = np.random.default_rng(3)
+        # Pixels are shifted in another order than the sky is gone through, or edges would take on its gradient.
+        shift = rng.permutation(SAMPLES)
         for k in range(SAMPLES):
-            jitter = ((k + 0.5) / SAMPLES - 0.5, (k * _GOLDEN + 0.5) % 1 - 0.5)
-            toward_sun = daylight.sun_direction + SUN_RADIUS * _in_disc(k) @ _across(daylight.sun_direction)
-            toward_sky = _on_hemisphere(k)
+            jitter = ((shift[k] + 0.5) / SAMPLES - 0.5, (shift[k] * _GOLDEN + 0.5) % 1 - 0.5)
             # A shift of the map by less than a texel, new in each sample, hides its grid.
-            wander = self.focus + rng.uniform(-0.2, 0.2, 3)
-            sun_clip, sun_from = light_projection(toward_sun, wander, SHADOW_RADIUS)
-            sky_clip, sky_from = light_projection(toward_sky, wander, SHADOW_RADIUS)
-            self.draw_depth(sun, sun_clip)
-            self.draw_depth(sky, sky_clip)
-            sample.use()
-            sample.clear(0, 0, 0, 0)
-            device.context.enable_only(device.gl.DEPTH_TEST)
-            for unit, texture in enumerate((self.noise, sun.depth_attachment, sky.depth_attachment)):
+            shadows = self._draw_shadows(sun, sky, k, self.focus + rng.uniform(-0.2, 0.2, 3))
+            self._draw_sample(sample, shadows, jitter)
+            for unit, texture in enumerate(sample.color_attachments):
                 texture.use(unit)
-            uniforms = {
-                **self.uniforms,
-                **{"u_noise": 0, "u_sun_map": 1, "u_sky_map": 2},
-                "u_model": self.view,
-                "u_world": np.eye(4),
-                "u_project": projection(self._camera.K, (0, 0, *size), jitter),
-                "u_sun_map_from": sun_from,
-                "u_sky_map_from": sky_from,
-                "u_sky_direction": toward_sky,
-                "u_sky_radiance": daylight.sky(toward_sky),
-            }
-            for mesh, options in self._seen:
-                shade = device.program("geometry.vert.glsl", "static.frag.glsl", *options)
-                put(shade, uniforms)
-                mesh.draw(shade)
-            put(clear, {**self.uniforms, **self.pixels, "u_noise": 0, "u_jitter": [-jitter[0], -jitter[1]]})
-            device.screen(clear)
-            for unit, texture in enumerate(sample.color_attachments, start=1):
-                texture.use(unit)
-            put(add, {**self.pixels, "u_a": 1, "u_b": 2, "u_share": 1 / SAMPLES, "u_jitter": [0.0, 0.0]})
+            put(add, {**self.pixels, "u_a": 0, "u_b": 1, "u_share": 1 / SAMPLES, "u_jitter": [0.0, 0.0]})
             sums.use()
             device.context.enable_only(device.gl.BLEND)
             device.context.blend_func = device.gl.ONE, device.gl.ONE
@@ -174,6 +147,41 @@ class Stage:
             pixels = np.frombuffer(texture.read(), dtype=np.float32).reshape(size[1], size[0], 4)
             out[name] = np.clip(pixels, 0, 6e4).astype(np.float16)
         return out
+
+    def _draw_shadows(self, sun: Any, sky: Any, k: int, middle: Array) -> dict[str, Any]:
+        """Shadow maps of the k-th point of the sun's disc and direction of the sky; returns their uniforms."""
+        direction = self._daylight.sun_direction
+        toward_sun = direction + SUN_RADIUS * _in_disc(k) @ _across(direction)
+        toward_sky = _on_hemisphere(k)
+        uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self._daylight.sky(toward_sky)}
+        for unit, (name, target, toward) in enumerate((("sun", sun, toward_sun), ("sky", sky, toward_sky)), start=1):
+            clip, texture = light_projection(toward, middle, SHADOW_RADIUS)
+            self.draw_depth(target, clip)
+            target.depth_attachment.use(unit)
+            uniforms |= {f"u_{name}_map": unit, f"u_{name}_map_from": texture}
+        return uniforms
+
+    def _draw_sample(self, target: Any, shadows: dict[str, Any], jitter: tuple[float, float]) -> None:
+        device = self.device
+        target.use()
+        target.clear(0, 0, 0, 0)
+        device.context.enable_only(device.gl.DEPTH_TEST)
+        self.noise.use(0)
+        uniforms = {
+            **self.uniforms,
+            **shadows,
+            "u_noise": 0,
+            "u_model": self.view,
+            "u_world": np.eye(4),
+            "u_project": projection(self._camera.K, (0, 0, *self._size), jitter),
+        }
+        for mesh, options in self._seen:
+            shade = device.program("geometry.vert.glsl", "static.frag.glsl", *options)
+            put(shade, uniforms)
+            mesh.draw(shade)
+        sky = device.program("screen.vert.glsl", "sky.frag.glsl")
+        put(sky, {**self.uniforms, **self.pixels, "u_noise": 0, "u_jitter": [-jitter[0], -jitter[1]]})
+        device.screen(sky)
 
 
 def sun_map_size(camera: Camera) -> int:
