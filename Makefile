@@ -15,7 +15,6 @@ STAMP   := $(VENV)/.ready
 DATA    ?= data/skope
 RUN     ?= runs/skope
 EPOCHS  ?= 10
-SOURCES := $(shell find skope -name '*.py' -o -name '*.toml' -o -name '*.xml')
 
 .PHONY: setup demo test test-slow lint data model report bench clean
 
