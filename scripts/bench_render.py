@@ -24,7 +24,7 @@ from skope.gen.towns import site
 
 SITE = "t01_main_west"
 STAGES = {
-    "place and matrices": ["GLRenderer._place"],
+    "place and matrices": ["Placer.place"],
     "depth and ids": ["GLRenderer._draw_geometry", "GLRenderer._put"],
     "whole silhouettes": ["GLRenderer._silhouette"],
     "shadow maps": ["GLRenderer._draw_shadows"],
@@ -218,7 +218,7 @@ def timed_stages() -> Iterator[dict[str, float]]:
     from skope.gen.render import sensor
     from skope.gen.render.gl import renderer as gl
 
-    owners = {"GLRenderer": gl.GLRenderer, "sensor": sensor, "annotate": annotate, "store": store}
+    owners = {"GLRenderer": gl.GLRenderer, "Placer": gl.Placer, "sensor": sensor, "annotate": annotate, "store": store}
     spent, inner = dict.fromkeys(STAGES, 0.0), [0.0]
 
     def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:

@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Moment, RecordedVehicle, Recording
+from skope.gen.recording import Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
-from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, linear, projection, put
+from skope.gen.render.gl.context import Device, light_projection, projection, put
+from skope.gen.render.gl.placer import PARTS, Placed, Placer
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import (
     CONTACT,
@@ -29,10 +30,9 @@ from skope.gen.render.windows import (
     shadow_hull_of,
     tiles,
     union,
-    window_of,
 )
 from skope.gen.towns.scenery import scenery
-from skope.gen.vehicles import PAINTS, Vehicle, build
+from skope.gen.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -41,29 +41,6 @@ SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
-PARTS: Final = "PARTS 5"
-"""Of a vehicle: its body and four wheels."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """A vehicle in a frame, ready to draw."""
-
-    index: int
-    """In the frame."""
-    vehicle: Vehicle
-    T_world_chassis: Array
-    mesh: DeviceMesh
-    matrices: dict[str, Any]
-    """Of its parts: to the camera frame, and to world axes relative to the camera."""
-    look: dict[str, Any]
-    """Paint and lamps."""
-    window: Window
-    """Pixels that it may cover, in the image and beyond."""
-
-    @property
-    def number(self) -> int:
-        return self.index + 1
 
 
 class GLRenderer:
@@ -74,7 +51,7 @@ class GLRenderer:
         self._recording, self._camera = recording, camera
         self._device = device()
         self._background = light_the_scenery(self._device, recording)
-        self._meshes: dict[tuple[Any, ...], DeviceMesh] = {}
+        self._placer = Placer(self._device, camera)
         size = (camera.width, camera.height)
         self._image: Window = (0, 0, *size)
         self._project = projection(camera.K, self._image)
@@ -109,7 +86,7 @@ class GLRenderer:
     def render(self, frame: int) -> View:
         """Draw a frame."""
         camera, moment, empty = self._camera, self._recording.moment(frame), self._background
-        placed = self._place(moment)
+        placed = self._placer.place(moment)
         depth, slope, ids = empty.depth.copy(), empty.slope.copy(), empty.ids.copy()
         silhouettes = [Silhouette(0, 0, np.zeros((0, 0), dtype=bool))] * len(moment.vehicles)
         contrast = np.zeros(len(moment.vehicles))
@@ -131,44 +108,9 @@ class GLRenderer:
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
         return View(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
-    def _place(self, moment: Moment) -> list[_Placed]:
-        """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
-        camera, out = self._camera, []
-        away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
-        for i in away.argsort(kind="stable").tolist():
-            recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
-            vehicle = build(recorded.model, recorded.shape)
-            window = window_of(vehicle, chassis, camera)
-            if window is None:
-                continue
-            parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
-            from_camera = parts.copy()
-            from_camera[:, :3, 3] -= camera.position
-            matrices = {"u_model": camera.T_camera_world @ parts, "u_world": from_camera}
-            paint = linear(np.array(PAINTS[recorded.color][1]) / 255)
-            out.append(
-                _Placed(
-                    index=i,
-                    vehicle=vehicle,
-                    T_world_chassis=chassis,
-                    mesh=self._mesh(recorded, vehicle),
-                    matrices={name: _bytes(matrix) for name, matrix in matrices.items()},
-                    look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
-                    window=window,
-                )
-            )
-        return out
-
-    def _mesh(self, recorded: RecordedVehicle, vehicle: Vehicle) -> DeviceMesh:
-        key = (recorded.model, *sorted(recorded.shape.items()))
-        if key not in self._meshes:
-            right, left = vehicle.wheel.mirrored(), vehicle.wheel
-            self._meshes[key] = self._device.upload(vehicle.mesh, right, left, right, left)
-        return self._meshes[key]
-
     # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
-    def _draw_geometry(self, placed: Sequence[_Placed]) -> None:
+    def _draw_geometry(self, placed: Sequence[Placed]) -> None:
         """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it."""
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
         self._prepare(self._geometry, [inside(vehicle.window, self._camera) for vehicle in placed])
@@ -191,7 +133,7 @@ class GLRenderer:
     def _put(
         self,
         layer: NDArray[np.float32],
-        placed: _Placed,
+        placed: Placed,
         depth: NDArray[np.float32],
         slope: NDArray[np.float32],
         ids: NDArray[np.int32],
@@ -205,7 +147,7 @@ class GLRenderer:
         ids[there][own] = placed.number
         return np.asarray(own)
 
-    def _silhouette(self, placed: _Placed, layer: NDArray[np.float32] | None) -> Silhouette:
+    def _silhouette(self, placed: Placed, layer: NDArray[np.float32] | None) -> Silhouette:
         """A vehicle's silhouette, from what was drawn of its window if nothing else was drawn there."""
         device, (x0, y0, x1, y1) = self._device, placed.window
         if layer is not None and placed.window == inside(placed.window, self._camera):
@@ -224,7 +166,7 @@ class GLRenderer:
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_color(self, placed: Sequence[_Placed], rgb: NDArray[np.uint8]) -> None:
+    def _draw_color(self, placed: Sequence[Placed], rgb: NDArray[np.uint8]) -> None:
         """Draw the vehicles and their shadows into the picture."""
         size = (self._camera.width, self._camera.height)
         sun = self._background.daylight.sun_direction
@@ -240,7 +182,7 @@ class GLRenderer:
         for x0, y0, x1, y1 in places:
             rgb[y0:y1, x0:x1] = picture[y0 - window[1] : y1 - window[1], x0 - window[0] : x1 - window[0], :3]
 
-    def _draw_shadows(self, placed: Sequence[_Placed]) -> None:
+    def _draw_shadows(self, placed: Sequence[Placed]) -> None:
         """The vehicles' shadow map, and the map of the sky that they leave the road."""
         device = self._device
         program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS)
@@ -260,7 +202,7 @@ class GLRenderer:
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
-    def _draw_vehicles(self, target: Any, placed: Sequence[_Placed], places: Sequence[Window], *options: str) -> None:
+    def _draw_vehicles(self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *options: str) -> None:
         """Draw the vehicles' picture into parts of a target, where the scenery does not hide them."""
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
@@ -297,7 +239,7 @@ class GLRenderer:
     def _read_display(self) -> NDArray[np.uint8]:
         return np.ascontiguousarray(_read(self._display, self._image, np.uint8)[..., :3])
 
-    def _draw_behind(self, placed: Sequence[_Placed]) -> list[NDArray[np.uint8]]:
+    def _draw_behind(self, placed: Sequence[Placed]) -> list[NDArray[np.uint8]]:
         """For each vehicle, what its window of the image would show without it and its shadow."""
         crowd = [v for v in placed if any(crossing(v.window, w.window) for w in placed if w is not v)]
         if crowd:
@@ -343,11 +285,6 @@ def _read(target: Any, window: Window, kind: type[np.generic]) -> NDArray[Any]:
     name = {np.float32: "f4", np.uint8: "f1"}[kind]  # type: ignore[index]
     data = target.read(viewport=viewport, components=4, dtype=name, alignment=1)
     return np.frombuffer(data, dtype=kind).reshape(viewport[3], viewport[2], 4)
-
-
-def _bytes(matrices: Array) -> bytes:
-    """Matrices (P, 4, 4) as uniforms want them."""
-    return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()
 
 
 def _footprint(vehicle: Vehicle, T_world_chassis: Array, middle: Array) -> Array:

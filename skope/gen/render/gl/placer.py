@@ -1,0 +1,86 @@
+"""The vehicles of a moment, ready to draw."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.recording import Moment, RecordedVehicle
+from skope.gen.render.gl.context import Device, DeviceMesh, linear
+from skope.gen.render.windows import Window, window_of
+from skope.gen.vehicles import PAINTS, Vehicle, build
+
+Array = NDArray[np.float64]
+
+PARTS: Final = "PARTS 5"
+"""Of a vehicle: its body and four wheels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A vehicle in a frame."""
+
+    index: int
+    """In the frame."""
+    vehicle: Vehicle
+    T_world_chassis: Array
+    mesh: DeviceMesh
+    matrices: dict[str, bytes]
+    """Of its parts: to the camera frame, and to world axes relative to the camera."""
+    look: dict[str, Any]
+    """Paint and lamps."""
+    window: Window
+    """Pixels that it may cover, in the image and beyond."""
+
+    @property
+    def number(self) -> int:
+        return self.index + 1
+
+
+class Placer:
+    """Places vehicles before a camera and keeps their meshes on the device."""
+
+    def __init__(self, device: Device, camera: Camera) -> None:
+        self._device, self._camera = device, camera
+        self._meshes: dict[tuple[Any, ...], DeviceMesh] = {}
+
+    def place(self, moment: Moment) -> list[Placed]:
+        """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
+        camera, out = self._camera, []
+        away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
+        for i in away.argsort(kind="stable").tolist():
+            recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
+            vehicle = build(recorded.model, recorded.shape)
+            window = window_of(vehicle, chassis, camera)
+            if window is None:
+                continue
+            parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
+            from_camera = parts.copy()
+            from_camera[:, :3, 3] -= camera.position
+            paint = linear(np.array(PAINTS[recorded.color][1]) / 255)
+            out.append(
+                Placed(
+                    index=i,
+                    vehicle=vehicle,
+                    T_world_chassis=chassis,
+                    mesh=self._mesh(recorded, vehicle),
+                    matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
+                    look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
+                    window=window,
+                )
+            )
+        return out
+
+    def _mesh(self, recorded: RecordedVehicle, vehicle: Vehicle) -> DeviceMesh:
+        key = (recorded.model, *sorted(recorded.shape.items()))
+        if key not in self._meshes:
+            right, left = vehicle.wheel.mirrored(), vehicle.wheel
+            self._meshes[key] = self._device.upload(vehicle.mesh, right, left, right, left)
+        return self._meshes[key]
+
+
+def _bytes(matrices: Array) -> bytes:
+    """Matrices (P, 4, 4) as uniforms want them."""
+    return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()
