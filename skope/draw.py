@@ -54,6 +54,17 @@ def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1
     return canvas.pixels
 
 
+def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
+    """Like `annotations`, with the number of each keypoint beside it and without boxes' labels."""
+    canvas = _Canvas(image, scale)
+    for vehicle in vehicles:
+        seen = vehicle.keypoints[:, 2]
+        canvas.vehicle(vehicle.bbox, vehicle.keypoints, seen > 0, seen > 1, PALETTE[0])
+        for i in np.flatnonzero(seen > 0):
+            canvas.number(vehicle.keypoints[i, :2], int(i), bold=bool(seen[i] > 1))
+    return canvas.pixels
+
+
 def results(image: Pixels, found: Iterable[Result], *, scale: int = 1) -> Pixels:
     """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
@@ -154,6 +165,14 @@ class _Canvas:
         bottom = min(max(y, height + base), self.pixels.shape[0] - 1)
         cv2.rectangle(self.pixels, (x, bottom - height - base), (x + width + 2, bottom), color, -1)
         cv2.putText(self.pixels, text, (x + 1, bottom - base // 2 - 1), _FONT, size, _DARK, self._line, cv2.LINE_AA)
+
+    def number(self, at: ArrayLike, number: int, *, bold: bool) -> None:
+        """A keypoint's number, to the upper right of it."""
+        x, y = (int(v * self._scale) for v in np.asarray(at))
+        size, color = 0.36 * self._unit, (255, 255, 255) if bold else IGNORED
+        origin = (x + round(3 * self._unit), y - round(3 * self._unit))
+        for ink, thickness in ((_DARK, 3 * self._line), (color, self._line)):
+            cv2.putText(self.pixels, str(number), origin, _FONT, size, ink, thickness, cv2.LINE_AA)
 
     def note(self, bbox: ArrayLike, text: str, color: Color) -> None:
         """Small text below a box, without a tag: what is ignored must not hide what counts."""

@@ -18,7 +18,7 @@ class Sight:
 
     def __init__(self, moment: Moment, vehicles: Sequence[Vehicle], camera: Camera) -> None:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
-        self._edges: dict[int, tuple[Array, Array, Array, Array]] = {}
+        self._fans: dict[int, Fan] = {}
 
     def first_hits(self, points: Array) -> Array:
         """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing."""
@@ -46,22 +46,12 @@ class Sight:
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
     def _hits(self, i: int, rays: Array) -> Array:
-        if i not in self._edges:
-            self._edges[i] = self._normals(i)
-        ab, bc, ca, volume = self._edges[i]
-        # A ray from the origin passes inside a triangle when it is on the same side of the planes through the origin
-        # and each edge; the three products add up to that with the triangle's own normal.
-        sides = [rays @ edge.T for edge in (ab, bc, ca)]
-        inside = ((sides[0] >= 0) & (sides[1] >= 0) & (sides[2] >= 0)) | (
-            (sides[0] <= 0) & (sides[1] <= 0) & (sides[2] <= 0)
-        )
-        facing = sides[0] + sides[1] + sides[2]
-        crosses = inside & (np.abs(facing) > 1e-12)
-        metres = np.divide(volume, facing, out=np.full(facing.shape, np.inf), where=crosses)
-        return np.asarray(np.where(metres > 0, metres, np.inf).min(axis=1))
+        if i not in self._fans:
+            self._fans[i] = Fan(self._triangles(i))
+        return self._fans[i].first_hits(rays)[0]
 
-    def _normals(self, i: int) -> tuple[Array, Array, Array, Array]:
-        """Of the planes through the camera and each edge of a vehicle's T triangles, (T, 3) each; and (T,) volumes."""
+    def _triangles(self, i: int) -> Array:
+        """(T, 3, 3) a vehicle's triangles in the camera frame."""
         vehicle, moment = self._vehicles[i], self._moment
         right, left = vehicle.wheel.mirrored(), vehicle.wheel
         parts = zip(
@@ -69,7 +59,34 @@ class Sight:
             (moment.T_world_chassis[i], *moment.T_world_wheels[i]),
             strict=True,
         )
-        placed = [self._camera.to_camera(mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles] for mesh, T in parts]
-        a, b, c = np.concatenate(placed).swapaxes(0, 1)
-        ab, bc, ca = np.cross(a, b), np.cross(b, c), np.cross(c, a)
-        return ab, bc, ca, np.asarray((a * (ab + bc + ca)).sum(axis=-1))
+        return np.concatenate(
+            [self._camera.to_camera(mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles] for mesh, T in parts]
+        )
+
+
+class Fan:
+    """Triangles (T, 3, 3) as seen from the origin."""
+
+    def __init__(self, triangles: Array) -> None:
+        a, b, c = triangles.swapaxes(0, 1)
+        self._edges = np.cross(a, b), np.cross(b, c), np.cross(c, a)
+        """Normals of the planes through the origin and each edge, (T, 3) each; their sum is the triangle's own."""
+        self._volume = (a * sum(self._edges)).sum(axis=-1)
+
+    def first_hits(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Rays (R, 3) from the origin -> how far they get, in their own lengths, and whether they meet a front there.
+
+        inf and False where they meet nothing. Fronts are counter-clockwise.
+        """
+        # A ray passes inside a triangle when it is on the same side of all three planes.
+        sides = [rays @ edge.T for edge in self._edges]
+        inside = ((sides[0] >= 0) & (sides[1] >= 0) & (sides[2] >= 0)) | (
+            (sides[0] <= 0) & (sides[1] <= 0) & (sides[2] <= 0)
+        )
+        facing = sides[0] + sides[1] + sides[2]
+        crosses = inside & (np.abs(facing) > 1e-12)
+        reach = np.divide(self._volume, facing, out=np.full(facing.shape, np.inf), where=crosses)
+        reach[reach <= 0] = np.inf
+        first = reach.argmin(axis=1)
+        row = np.arange(len(rays))
+        return reach[row, first], np.isfinite(reach[row, first]) & (facing[row, first] < 0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.ops import unary_union
 
-from skope.gen.mesh import Mesh, lathe, merged, tube
+from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.towns.furniture import furniture
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
@@ -20,6 +20,9 @@ from skope.gen.towns.trees import hills, plant, tree_meshes
 
 Array = NDArray[np.float64]
 
+STUDIO: Final = "studio"
+"""An empty place, to look at vehicles."""
+STUDIO_RADIUS: Final = 200.0
 ARM_CLEARANCE: Final = 16.0
 """Nearer than that to a camera no signal hangs over the road, metres."""
 
@@ -44,7 +47,10 @@ class Scenery:
 
 @cache
 def scenery(town: str) -> Scenery:
-    """Everything of a town that does not move."""
+    """Everything of a town that does not move; of `STUDIO` a floor."""
+    if town == STUDIO:
+        r = STUDIO_RADIUS
+        return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
     layout = Layout.of(town)
     # A generator of its own for each part, so that a change of one leaves the others as they are.
     rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.encode())).spawn(len(_PARTS)), strict=True))

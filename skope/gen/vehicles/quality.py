@@ -1,0 +1,140 @@
+"""Checks of a vehicle model: keypoints, symmetry, dimensions, wheels, surfaces, parts, sidecar."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.gen.localize import trilaterate
+from skope.gen.sight import Fan
+from skope.gen.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+Range = tuple[float, float]
+
+SURFACE_TOLERANCE: Final = 0.01
+"""Metres that a keypoint may be off the surface."""
+SYMMETRY_TOLERANCE: Final = 0.005
+GROUND_TOLERANCE: Final = 0.01
+BACK_SHARE: Final = 0.002
+"""Share of rays from outside that may meet a triangle's back first."""
+PARTS: Final = {
+    "headlight": "low-beam lamps",
+    "taillight": "tail lamps",
+    "brake_light": "brake lamps",
+    "indicator_left": "left indicators",
+    "indicator_right": "right indicators",
+    "reverse_light": "reverse lamps",
+}
+"""Materials that stand for the lamps' functions."""
+
+
+def findings(vehicle: Vehicle, ranges: Mapping[str, Range]) -> Iterator[str]:
+    """What is wrong with a model; `ranges` are its class' dimensions by name, metres."""
+    yield from _surface(vehicle)
+    yield from _symmetry(vehicle)
+    yield from _dimensions(vehicle, ranges)
+    yield from _wheels(vehicle)
+    yield from _orientation(vehicle)
+    present = set(np.array(vehicle.mesh.materials)[np.unique(vehicle.mesh.material)])
+    yield from (f"parts: no {what} (material {name})" for name, what in PARTS.items() if name not in present)
+    yield from _sidecar(vehicle)
+
+
+def _surface(vehicle: Vehicle) -> Iterator[str]:
+    triangles = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    for k, point in enumerate(vehicle.points):
+        if k in keypoints.WHEELS:
+            continue
+        away = distance_to_surface(point, triangles)
+        if away > SURFACE_TOLERANCE:
+            yield f"keypoints: {keypoints.NAMES[k]} is {100 * away:.1f} cm off the surface"
+
+
+def _symmetry(vehicle: Vehicle) -> Iterator[str]:
+    apart = np.linalg.norm(vehicle.points[list(keypoints.FLIP)] * [1, -1, 1] - vehicle.points, axis=1)
+    for k in np.flatnonzero(apart > SYMMETRY_TOLERANCE):
+        if keypoints.FLIP[k] >= k:
+            yield f"keypoints: {keypoints.NAMES[k]} is {100 * apart[k]:.1f} cm off the mirror image of its twin"
+    for k, name in enumerate(keypoints.NAMES):
+        if name.endswith("_right") and vehicle.points[k, 1] > 0:
+            yield f"keypoints: {name} is on the left"
+
+
+def _dimensions(vehicle: Vehicle, ranges: Mapping[str, Range]) -> Iterator[str]:
+    for name, (low, high) in ranges.items():
+        value = getattr(vehicle.shape, name)
+        if not low - 1e-9 <= value <= high + 1e-9:
+            yield f"shape.{name}: {value:.3f} m, expected {low:g} to {high:g} for a {vehicle.vehicle_type}"
+    low_corner, high_corner = vehicle.mesh.vertices.min(axis=0), vehicle.mesh.vertices.max(axis=0)
+    length, _, height = vehicle.size_lwh
+    for name, found, said in (
+        ("length", high_corner[0] - low_corner[0], length),
+        ("height", high_corner[2], height),
+    ):
+        if abs(found - said) > 0.03:
+            yield f"mesh: its {name} is {found:.2f} m, the shape says {said:.2f} m"
+
+
+def _wheels(vehicle: Vehicle) -> Iterator[str]:
+    radius = vehicle.shape.wheel_radius
+    around = np.linalg.norm(vehicle.wheel.vertices[:, [0, 2]], axis=1).max()
+    if abs(around - radius) > 0.01:
+        yield f"wheel: its mesh has a radius of {around:.3f} m, the shape says {radius:.3f} m"
+    centers = vehicle.shape.wheel_centers()
+    for wheel, center in zip(keypoints.WHEELS, centers, strict=True):
+        if abs(center[2] - radius) > GROUND_TOLERANCE:
+            yield f"keypoints: {keypoints.NAMES[wheel]} is {100 * (center[2] - radius):.1f} cm off its place above the road"
+        if np.linalg.norm(vehicle.points[wheel] - center) > 0.001:
+            yield f"keypoints: {keypoints.NAMES[wheel]} is not the centre of its wheel"
+
+
+def _orientation(vehicle: Vehicle) -> Iterator[str]:
+    """Rays from around the vehicle to its surface must meet fronts first."""
+    rng = np.random.default_rng(0)
+    corners = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    back = total = 0
+    for azimuth in np.radians([20, 110, 200, 290]):
+        eye = 15 * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
+        aims = corners[rng.choice(len(corners), 150, p=area / area.sum())].mean(axis=1)
+        reach, front = Fan(corners - eye).first_hits(aims - eye)
+        back += int((np.isfinite(reach) & ~front).sum())
+        total += int(np.isfinite(reach).sum())
+    if back > BACK_SHARE * total:
+        yield f"mesh: {back} of {total} rays from outside meet the back of a triangle"
+
+
+def _sidecar(vehicle: Vehicle) -> Iterator[str]:
+    wheels = vehicle.points[list(keypoints.WHEELS)]
+    found = trilaterate(wheels[None], vehicle.sidecar.distances[None], vehicle.sidecar.side[None])[0]
+    error = np.linalg.norm(found - vehicle.points, axis=1)
+    for k in np.flatnonzero(error > 1e-3):
+        yield f"sidecar: trilateration puts {keypoints.NAMES[k]} {1000 * error[k]:.1f} mm off"
+
+
+def distance_to_surface(point: Array, triangles: Array) -> float:
+    """Metres from a point (3,) to the nearest of T triangles (T, 3, 3), exact up to 0.1 m, else inf."""
+    reach = 0.1
+    near = ((triangles.min(axis=1) <= point + reach) & (triangles.max(axis=1) >= point - reach)).all(axis=1)
+    best = np.inf
+    for a, b, c in triangles[near]:
+        best = min(best, _distance_to_triangle(point, a, b, c))
+    return best if best <= reach else np.inf
+
+
+def _distance_to_triangle(p: Array, a: Array, b: Array, c: Array) -> float:
+    normal = np.cross(b - a, c - a)
+    length = float(np.linalg.norm(normal))
+    edges = ((a, b), (b, c), (c, a))
+    if length > 1e-12 and all(np.cross(v - u, p - u) @ normal >= 0 for u, v in edges):
+        return abs(float((p - a) @ normal)) / length
+    return min(_distance_to_segment(p, u, v) for u, v in edges)
+
+
+def _distance_to_segment(p: Array, u: Array, v: Array) -> float:
+    along = v - u
+    share = np.clip((p - u) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
+    return float(np.linalg.norm(p - u - share * along))
