@@ -55,7 +55,7 @@ def _surface(vehicle: Vehicle) -> Iterator[str]:
 
 def _symmetry(vehicle: Vehicle) -> Iterator[str]:
     apart = np.linalg.norm(vehicle.points[list(keypoints.FLIP)] * [1, -1, 1] - vehicle.points, axis=1)
-    for k in np.flatnonzero(apart > SYMMETRY_TOLERANCE):
+    for k in np.flatnonzero(apart > SYMMETRY_TOLERANCE).tolist():
         if keypoints.FLIP[k] >= k:
             yield f"keypoints: {keypoints.NAMES[k]} is {100 * apart[k]:.1f} cm off the mirror image of its twin"
     for k, name in enumerate(keypoints.NAMES):
@@ -86,7 +86,8 @@ def _wheels(vehicle: Vehicle) -> Iterator[str]:
     centers = vehicle.shape.wheel_centers()
     for wheel, center in zip(keypoints.WHEELS, centers, strict=True):
         if abs(center[2] - radius) > GROUND_TOLERANCE:
-            yield f"keypoints: {keypoints.NAMES[wheel]} is {100 * (center[2] - radius):.1f} cm off its place above the road"
+            off = 100 * (center[2] - radius)
+            yield f"keypoints: {keypoints.NAMES[wheel]} is {off:.1f} cm off its height above the road"
         if np.linalg.norm(vehicle.points[wheel] - center) > 0.001:
             yield f"keypoints: {keypoints.NAMES[wheel]} is not the centre of its wheel"
 
@@ -111,7 +112,7 @@ def _sidecar(vehicle: Vehicle) -> Iterator[str]:
     wheels = vehicle.points[list(keypoints.WHEELS)]
     found = trilaterate(wheels[None], vehicle.sidecar.distances[None], vehicle.sidecar.side[None])[0]
     error = np.linalg.norm(found - vehicle.points, axis=1)
-    for k in np.flatnonzero(error > 1e-3):
+    for k in np.flatnonzero(error > 1e-3).tolist():
         yield f"sidecar: trilateration puts {keypoints.NAMES[k]} {1000 * error[k]:.1f} mm off"
 
 
