@@ -199,8 +199,8 @@ class TinyRenderer:
             if stage.parts[part] == "paint":
                 red, green, blue = PAINTS[recorded.color][1]
                 stage.paint(part, (red / 255, green / 255, blue / 255))
-            if stage.parts[part] == "taillight":
-                stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["taillight"])
+            if stage.parts[part] == "brake_light":
+                stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["brake_light"])
         T_chassis_world = np.linalg.inv(chassis)
         for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
             for part in parts:

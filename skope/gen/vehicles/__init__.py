@@ -1,11 +1,11 @@
-"""The fleet: vehicle models by name, each a point in the parametric body's shape space."""
+"""The fleet: vehicle models by name, each a style and a point in its type's shape space."""
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.body import Body, Shape, wheel_mesh
+from skope.gen.vehicles.bus import BusBody
+from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.shape import Shape, Style
 from skope.gen.vehicles.sidecar import Sidecar
+from skope.gen.vehicles.truck import TruckBody
+from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 
 Array = NDArray[np.float64]
+
+_BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
 
 PAINTS: Final[dict[str, tuple[float, tuple[int, int, int]]]] = {
     "white": (0.29, (226, 227, 224)),
@@ -38,29 +44,60 @@ class Vehicle:
     model: str
     vehicle_type: str
     shape: Shape
+    style: Style
     mass: float
     """Kilograms, laden with a driver."""
     substituted: tuple[str, ...] = ()
     """Keypoints that stand for a part that this body lacks."""
 
     @cached_property
-    def _body(self) -> Body:
-        return Body(self.shape)
+    def _body(self) -> CarBody | TruckBody | BusBody:
+        body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
+        return body
 
     @property
     def mesh(self) -> Mesh:
-        """The body without wheels."""
-        return self._body.mesh
+        """The body without wheels, closed, with its glass opaque."""
+        return self._mesh
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        mesh = self._body.mesh
+        # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
+        name = "indicator_left"
+        if name not in mesh.materials:
+            return mesh
+        right = mesh.vertices[mesh.triangles][:, :, 1].mean(axis=1) < 0
+        of = mesh.materials.index(name)
+        material = np.where((mesh.material == of) & right, len(mesh.materials), mesh.material)
+        return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (*mesh.materials, "indicator_right"), material)
+
+    @cached_property
+    def interior(self) -> Mesh:
+        """What is seen through the windows; it lies inside `mesh`."""
+        return self._body.interior
 
     @cached_property
     def wheel(self) -> Mesh:
         """A left wheel about its centre; a right one is its mirror image."""
-        return wheel_mesh(self.shape.wheel_radius, self.shape.wheel_width)
+        radius, width = self.shape.wheel_radius, self.shape.wheel_width
+        if self.style.family == "car":
+            return wheel_mesh(radius, width, self.style.spokes)
+        return steel_wheel(radius, width)
 
-    @property
+    @cached_property
     def points(self) -> Array:
         """(33, 3) keypoints at rest, metres."""
-        return self._body.points
+        left = self._body.points
+        wheels = self.shape.wheel_centers()
+        out = np.empty((keypoints.K, 3))
+        for i, name in enumerate(keypoints.NAMES):
+            stem = name.removesuffix("_left").removesuffix("_right")
+            if i in keypoints.WHEELS:
+                out[i] = wheels[i - keypoints.WHEELS[0]]
+            else:
+                out[i] = left[stem] * ([1, -1, 1] if name.endswith("_right") else [1, 1, 1])
+        return out
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -83,26 +120,39 @@ class FleetEntry:
     vehicle: Vehicle
     share: float
     """How often the model drives by, relative to the others."""
+    held_out: bool = False
+    """Kept for testing."""
+
+
+def _table(name: str) -> dict[str, Any]:
+    return tomllib.loads(resources.files("skope.gen.vehicles").joinpath(name).read_text(encoding="utf-8"))
+
+
+@cache
+def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
+    """What vehicles of a type measure, metres: least and greatest by dimension."""
+    return {name: (low, high) for name, (low, high) in _table("classes.toml")[vehicle_type]["range"].items()}
 
 
 @cache
 def fleet() -> Mapping[str, FleetEntry]:
-    """All models of the package, by name."""
-    text = resources.files("skope.gen.vehicles").joinpath("fleet.toml").read_text(encoding="utf-8")
-    return {
-        name: FleetEntry(
-            Vehicle(name, row["vehicle_type"], Shape(**row["shape"]), row["mass"], tuple(row["substituted"])),
-            row["share"],
-        )
-        for name, row in tomllib.loads(text).items()
-    }
+    """All models of the package, by name; none is built yet."""
+    classes = _table("classes.toml")
+    return {name: _entry(name, row, classes[row["vehicle_type"]]) for name, row in _table("fleet.toml").items()}
+
+
+def _entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
+    shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
+    style = Style(**{key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()})
+    vehicle = Vehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
+    return FleetEntry(vehicle, row["share"], row.get("held_out", False))
 
 
 @cache
 def _build(model: str, shape: tuple[tuple[str, float], ...]) -> Vehicle:
     base = fleet()[model].vehicle
     try:
-        return Vehicle(model, base.vehicle_type, Shape(**dict(shape)), base.mass, base.substituted)
+        return Vehicle(model, base.vehicle_type, Shape(**dict(shape)), base.style, base.mass, base.substituted)
     except TypeError as error:
         raise UserError(f"shape of {model}: {error}") from None
 
@@ -113,4 +163,39 @@ def build(model: str, shape: Mapping[str, float]) -> Vehicle:
     return _build(model, tuple(sorted(shape.items())))
 
 
+_ALONG: Final = frozenset(
+    "length wheelbase front_overhang cowl_setback screen_run backlight_run deck_length cab_length".split()
+)
+_ACROSS: Final = frozenset("width track headlight_inner taillight_inner roof_inset".split())
+_UP: Final = frozenset(
+    "height bumper_height headlight_low headlight_high taillight_low taillight_high hood_height cowl_height "
+    "belt_height deck_height box_height clearance".split()
+)
+_STRETCH: Final = 0.025
+"""Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
+
+
+def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
+    """Shape parameters near a model's, within the ranges of its type: stretched along each axis, and slightly bent."""
+    one_of("model", model, tuple(fleet()))
+    vehicle = fleet()[model].vehicle
+    ranges = class_ranges(vehicle.vehicle_type)
+    whole = vehicle.shape.to_dict()
+    scales = []
+    for names, size in ((_ALONG, "length"), (_ACROSS, "width"), (_UP, "height")):
+        # The share is drawn anew into what keeps all dimensions of that axis within their ranges.
+        bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
+        low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
+        scales.append((names, float(np.clip(1 + _STRETCH * rng.standard_normal(), low, high))))
+        assert low <= 1 <= high, (model, size)
+    out = {}
+    for name, value in whole.items():
+        scale = next((scale for names, scale in scales if name in names), 1.0)
+        out[name] = float(value * scale)
+    for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
+        out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
+    return out
+
+
+assert {f.name for f in fields(Shape)} >= _ALONG | _ACROSS | _UP
 assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())

@@ -24,6 +24,17 @@ vec3 mirror(vec3 d) {
     return textureLod(u_mirror, at * 0.5 + 0.5, 0.0).rgb;
 }
 
+vec3 glow(int material, int lamps) {
+    if (material == M_BRAKE_LIGHT && (lamps & LAMP_BRAKE) != 0) return vec3(1.5, 0.05, 0.03);
+    if ((material == M_TAILLIGHT || material == M_BRAKE_LIGHT) && (lamps & LAMP_LOW_BEAM) != 0)
+        return vec3(0.32, 0.01, 0.007);
+    if (material == M_INDICATOR_LEFT && (lamps & LAMP_INDICATOR_LEFT) != 0) return vec3(1.5, 0.52, 0.03);
+    if (material == M_INDICATOR_RIGHT && (lamps & LAMP_INDICATOR_RIGHT) != 0) return vec3(1.5, 0.52, 0.03);
+    if (material == M_REVERSE_LIGHT && (lamps & LAMP_REVERSE) != 0) return vec3(1.0, 0.98, 0.94);
+    if (material == M_HEADLIGHT && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.6, 1.55, 1.45);
+    return vec3(0.0);
+}
+
 void main() {
 #ifdef PEEL
     if (texelFetch(u_front, ivec2(gl_FragCoord.xy), 0).a == u_id) discard;
@@ -42,18 +53,17 @@ void main() {
     float sun = texture(u_scenery_sun_map, v_scenery_sun_at) * texture(u_vehicle_sun_map, v_vehicle_sun_at);
     float f0 = 0.04, coat = 0.0, metal = 0.0;
     if (v_material == M_PAINT) coat = 1.0;
-    if (v_material == M_GLASS) { coat = 1.0; f0 = 0.08; }
-    if (v_material == M_HEADLIGHT || v_material == M_TAILLIGHT) { coat = 1.0; f0 = 0.06; }
+    if (v_material >= M_GLASS && v_material <= M_GLASS_MIRROR) { coat = 1.0; f0 = 0.08; }
+    if (v_material >= M_LAMP_CLEAR && v_material <= M_REVERSE_LIGHT) { coat = 1.0; f0 = 0.06; }
     if (v_material == M_CHROME || v_material == M_RIM) metal = 1.0;
-    if (v_material == M_TRIM || v_material == M_GRILLE) coat = 0.25;
+    if (v_material == M_TRIM || v_material == M_GRILLE || v_material == M_BOX) coat = 0.25;
 
     float f = coat * fresnel(dot(n, view), f0);
     vec3 mirrored = mirror(reflect(-view, n)) * open;
     vec3 color = base * (ambient + u_sun / PI * facing * sun) * (1.0 - metal * 0.8);
     color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
     color += (f + metal * base) * ggx(n, view, u_sun_direction, max(u_albedo[v_material].a, 0.12)) * u_sun * sun;
-    if (v_material == M_TAILLIGHT && (u_lamps & LAMP_BRAKE) != 0) color += vec3(1.1, 0.03, 0.02);
-    if (v_material == M_HEADLIGHT && (u_lamps & LAMP_LOW_BEAM) != 0) color += vec3(1.6, 1.55, 1.45);
+    color += glow(v_material, u_lamps);
 #endif
     out_color = vec4(display(exposed(color, metres, cosine)), 1.0);
 }
