@@ -15,7 +15,8 @@ from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
 from skope.gen.render import STATIC, View
 from skope.gen.sight import Sight
-from skope.gen.vehicles import Vehicle, build
+from skope.gen.vehicles import build
+from skope.gen.vehicles.model import Vehicle
 from skope.schema import Annotation, Box3D
 
 Array = NDArray[np.float64]

@@ -44,6 +44,8 @@ def command(parameters: Parameters) -> str:
         f" --interval {p.interval_s} --size {p.size} --fov {p.fov_deg} --renderer {p.renderer}"
         f" --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}"
         f" --min-visible {p.rules.min_visible} --min-box {p.rules.min_box}"
+        + (f" --vehicles {','.join(p.vehicles)}" if p.vehicles else "")
+        + (" --shape-jitter" if p.shape_jitter else "")
         + "".join(f" --set {name}={low}..{high}" for name, (low, high) in p.settings.items())
     )
 

@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
+from skope.gen import vehicles_cli
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
+app.add_typer(vehicles_cli.app, name="vehicles")
 
 
 @app.callback()
@@ -27,6 +29,12 @@ def gen(
         list[str] | None,
         typer.Option("--set", help="A condition as NAME=VALUE or NAME=LOW..HIGH (see the README); repeatable."),
     ] = None,
+    vehicles: Annotated[
+        str | None, typer.Option(help="Comma-separated models of `skope gen vehicles add` that drive by too.")
+    ] = None,
+    shape_jitter: Annotated[
+        bool, typer.Option(help="Give every vehicle a shape of its own, near its model's.")
+    ] = False,
     localizer: Annotated[str, typer.Option(help="rigid, or trilateration as in the paper.")] = "rigid",
     occlusion_rule: Annotated[
         str, typer.Option(help="others: ignore what something else hides; paper: remove what is half hidden.")
@@ -44,6 +52,7 @@ def gen(
     from skope.gen.plan import from_preset
     from skope.gen.produce import check_workers, default_workers, produce
     from skope.gen.render import choose_renderer
+    from skope.gen.vehicles.added import load
 
     chosen, driver, why = choose_renderer(renderer)
     rules = Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box)
@@ -59,6 +68,8 @@ def gen(
         size=size,
         fov_deg=fov,
         settings=parse_settings(settings or []),
+        vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
+        shape_jitter=shape_jitter,
     )
     console = Console(quiet)
     count = check_workers(default_workers() if workers is None else workers)

@@ -38,6 +38,9 @@ class Parameters:
     rules: Rules
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that are set; the others follow each site's weather and hour."""
+    vehicles: Mapping[str, str] = field(default_factory=dict)
+    """Models that were added and drive by too, with the digests of their files."""
+    shape_jitter: bool = False
 
     def __post_init__(self) -> None:
         self.pixels()
@@ -79,6 +82,8 @@ class Parameters:
                 fov_deg=self.fov_deg,
                 seed=self.seed,
                 settings=self.settings,
+                vehicles=tuple(self.vehicles),
+                shape_jitter=self.shape_jitter,
             )
             for name in self.sites
             for index, frames in enumerate(shares)

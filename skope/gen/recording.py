@@ -38,6 +38,10 @@ class RecordingPlan:
     seed: int
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that are set; the others follow the site's weather and hour."""
+    vehicles: tuple[str, ...] = ()
+    """Models that were added and drive by too."""
+    shape_jitter: bool = False
+    """Each vehicle has a shape of its own near its model's."""
 
     @property
     def name(self) -> str:

@@ -1,6 +1,7 @@
 """Make a recording: drive a site's traffic past its camera."""
 
 import zlib
+from collections.abc import Mapping
 from importlib import metadata
 from typing import Final
 
@@ -12,7 +13,8 @@ from skope.gen.conditions import Conditions, ranges
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
-from skope.gen.vehicles import Vehicle, fleet
+from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
+from skope.gen.vehicles.model import Vehicle
 from skope.gen.world import Pose, World
 
 REACH: Final = 170.0
@@ -21,6 +23,8 @@ WARM_UP: Final = (60.0, 100.0)
 """Range of the traffic's time before a recording starts, seconds: the first vehicles have crossed the town by then."""
 SETTLE: Final = 1.5
 """Seconds that the physics run before the first frame, so that springs have come to rest."""
+ADDED_SHARE: Final = 0.1
+"""How often an added model drives by, for each vehicle of the fleet."""
 LAMPS_ON_DEG: Final = 10.0
 """Vehicles drive with their lamps lit when the sun stands lower than this."""
 TRACKS_PER_RECORDING: Final = 100_000
@@ -40,11 +44,12 @@ def simulate(plan: RecordingPlan) -> Recording:
     conditions = Conditions.drawn(ranges(site.weather, site.time_of_day, plan.settings), rng)
     camera = site.camera(plan.size, plan.fov_deg, conditions.k1)
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
-    log = _Log(camera, night=conditions.sun_elevation_deg < LAMPS_ON_DEG)
+    models = _models(plan)
+    log = _Log(camera, plan, models, night=conditions.sun_elevation_deg < LAMPS_ON_DEG)
     duration = (warm_up + settle + plan.frames * stride) * STEP
     with (
         Traffic(
-            network(site.town), fleet(), vehicles_per_hour=site.vehicles_per_hour, duration=duration, rng=rng
+            network(site.town), models, vehicles_per_hour=site.vehicles_per_hour, duration=duration, rng=rng
         ) as traffic,
         World(STEP) as world,
     ):
@@ -59,24 +64,44 @@ def simulate(plan: RecordingPlan) -> Recording:
     return log.recording(plan, camera, conditions)
 
 
+def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
+    """What drives by: the fleet, where detectors train without what is held out, and what was added."""
+    train = plan.site.split == "train"
+    models = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
+    share = ADDED_SHARE * sum(entry.share for entry in models.values())
+    return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
+
+
 class _Log:
     """Collects frames; vehicles are numbered in the order in which they come near."""
 
-    def __init__(self, camera: Camera, night: bool) -> None:
+    def __init__(self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, night: bool) -> None:
+        self._plan, self._models = plan, models
+        self._vehicles: dict[str, Vehicle] = {}
         self._eye = camera.position[:2]
         self._always = LAMPS["low_beam"] if night else 0
         self._index: dict[str, int] = {}
-        self._entries: list[tuple[str, str]] = []
+        self._entries: list[tuple[Vehicle, str]] = []
         self._times: list[float] = []
         self._signals: list[dict[str, str]] = []
         self._rows: list[tuple[int, int, Pose, int]] = []
 
     def near(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         return {
-            name: (fleet()[traffic.trips[name].model].vehicle, driven)
+            name: (self._vehicle(name, traffic.trips[name].model), driven)
             for name, driven in sorted(snapshot.vehicles.items())
             if np.hypot(*(np.array(driven.position[:2]) - self._eye)) < REACH
         }
+
+    def _vehicle(self, name: str, model: str) -> Vehicle:
+        if name not in self._vehicles:
+            vehicle = self._models[model].vehicle
+            if self._plan.shape_jitter and model in fleet():
+                own = [self._plan.seed, zlib.crc32(self._plan.site.name.encode()), self._plan.index]
+                shape = jittered(model, np.random.default_rng([*own, zlib.crc32(name.encode())]))
+                vehicle = build(model, shape)
+            self._vehicles[name] = vehicle
+        return self._vehicles[name]
 
     def add(
         self,
@@ -92,16 +117,14 @@ class _Log:
         for name, (vehicle, driven) in near.items():
             if name not in self._index:
                 self._index[name] = len(self._entries)
-                self._entries.append((vehicle.model, traffic.trips[name].color))
+                self._entries.append((vehicle, traffic.trips[name].color))
             self._rows.append((frame, self._index[name], poses[name], driven.lamps | self._always))
 
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
         vehicles = tuple(
-            RecordedVehicle(
-                plan.index * TRACKS_PER_RECORDING + i + 1, model, fleet()[model].vehicle.shape.to_dict(), color
-            )
-            for i, (model, color) in enumerate(self._entries)
+            RecordedVehicle(plan.index * TRACKS_PER_RECORDING + i + 1, vehicle.model, vehicle.shape.to_dict(), color)
+            for i, (vehicle, color) in enumerate(self._entries)
         )
         return Recording(
             town=site.town,

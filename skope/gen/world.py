@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from skope.gen.bullet import engine
 from skope.gen.traffic import Driven
-from skope.gen.vehicles import Vehicle
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
 

@@ -150,6 +150,14 @@ GROUND: Final = tuple(MATERIALS)[: list(MATERIALS).index("grass") + 1]
 """Materials that lie on the ground: the first ones of the table."""
 
 
+def own_color(material: str) -> RGB | None:
+    """The colour of a material that is named by it, such as "#a0b4c8"."""
+    if not material.startswith("#"):
+        return None
+    red, green, blue = (int(material[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return red, green, blue
+
+
 @dataclass(frozen=True)
 class Light:
     """Sun and sky as a renderer without physics needs them."""

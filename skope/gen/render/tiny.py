@@ -20,7 +20,7 @@ from skope.gen.conditions import OVERCAST
 from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
-from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain
+from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, window_of
 from skope.gen.towns.scenery import scenery
@@ -88,7 +88,7 @@ class _Stage:
                 vertices=part.vertices.tolist(),
                 indices=part.triangles.ravel().tolist(),
                 normals=part.normals.tolist(),
-                rgbaColor=[*colors[material], 1],
+                rgbaColor=[*(own_color(material) or colors[material]), 1],
                 specularColor=[0, 0, 0],
                 physicsClientId=self._client,
             )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.vehicles import Vehicle
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from importlib import resources
 from typing import Any, Final
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.gen.mesh import Mesh
+from skope.gen.vehicles.added import load
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.model import Derived, Vehicle
 from skope.gen.vehicles.shape import Shape, Style
-from skope.gen.vehicles.sidecar import Sidecar
 from skope.gen.vehicles.truck import TruckBody
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 
@@ -38,8 +39,8 @@ PAINTS: Final[dict[str, tuple[float, tuple[int, int, int]]]] = {
 
 
 @dataclass(frozen=True)
-class Vehicle:
-    """A vehicle model: shape, surfaces and keypoints in the vehicle frame."""
+class ParametricVehicle(Derived):
+    """A model of the fleet: a style and a point in its type's shape space."""
 
     model: str
     vehicle_type: str
@@ -99,21 +100,6 @@ class Vehicle:
                 out[i] = left[stem] * ([1, -1, 1] if name.endswith("_right") else [1, 1, 1])
         return out
 
-    @property
-    def size_lwh(self) -> tuple[float, float, float]:
-        """Length, width without mirrors, height, metres."""
-        return self.shape.length, self.shape.width, self.shape.height
-
-    @cached_property
-    def sidecar(self) -> Sidecar:
-        return Sidecar.of(self.points)
-
-    @property
-    def wheel_face_offsets(self) -> Array:
-        """(4, 3) from each wheel's centre to the middle of its outer face, in the wheel's own frame."""
-        half = self.shape.wheel_width / 2
-        return np.array([[0.0, -half, 0.0], [0.0, half, 0.0]] * 2)
-
 
 @dataclass(frozen=True)
 class FleetEntry:
@@ -130,8 +116,9 @@ def _table(name: str) -> dict[str, Any]:
 
 @cache
 def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
-    """What vehicles of a type measure, metres: least and greatest by dimension."""
-    return {name: (low, high) for name, (low, high) in _table("classes.toml")[vehicle_type]["range"].items()}
+    """What vehicles of a type measure, metres: least and greatest by dimension; nothing of those of no class."""
+    ranges = _table("classes.toml").get(vehicle_type, {}).get("range", {})
+    return {name: (low, high) for name, (low, high) in ranges.items()}
 
 
 @cache
@@ -143,33 +130,65 @@ def fleet() -> Mapping[str, FleetEntry]:
 
 def _entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
     shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
-    style = Style(**{key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()})
-    vehicle = Vehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
+    choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
+    style = Style(**choices)
+    vehicle = ParametricVehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
     return FleetEntry(vehicle, row["share"], row.get("held_out", False))
 
 
+def _parametric(model: str) -> ParametricVehicle:
+    vehicle = fleet()[model].vehicle
+    assert isinstance(vehicle, ParametricVehicle)
+    return vehicle
+
+
 @cache
-def _build(model: str, shape: tuple[tuple[str, float], ...]) -> Vehicle:
-    base = fleet()[model].vehicle
+def _build(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
+    base = _parametric(model)
     try:
-        return Vehicle(model, base.vehicle_type, Shape(**dict(shape)), base.style, base.mass, base.substituted)
+        return replace(base, shape=Shape(**dict(shape)))
     except TypeError as error:
         raise UserError(f"shape of {model}: {error}") from None
 
 
 def build(model: str, shape: Mapping[str, float]) -> Vehicle:
-    """The vehicle of a model with the given shape parameters (see `Shape`); equal ones are built once."""
-    one_of("model", model, tuple(fleet()))
+    """The vehicle of a model with the given shape parameters (see `Shape`); equal ones are built once.
+
+    A model that was added has one shape only.
+    """
+    if model not in fleet():
+        return load(model)
     return _build(model, tuple(sorted(shape.items())))
 
 
 _ALONG: Final = frozenset(
-    "length wheelbase front_overhang cowl_setback screen_run backlight_run deck_length cab_length".split()
+    [
+        "length",
+        "wheelbase",
+        "front_overhang",
+        "cowl_setback",
+        "screen_run",
+        "backlight_run",
+        "deck_length",
+        "cab_length",
+    ]
 )
-_ACROSS: Final = frozenset("width track headlight_inner taillight_inner roof_inset".split())
+_ACROSS: Final = frozenset(["width", "track", "headlight_inner", "taillight_inner", "roof_inset"])
 _UP: Final = frozenset(
-    "height bumper_height headlight_low headlight_high taillight_low taillight_high hood_height cowl_height "
-    "belt_height deck_height box_height clearance".split()
+    [
+        "height",
+        "bumper_height",
+        "headlight_low",
+        "headlight_high",
+        "taillight_low",
+        "taillight_high",
+        "hood_height",
+        "cowl_height",
+        "belt_height",
+        "deck_height",
+        "box_height",
+        "clearance",
+    ]
 )
 _STRETCH: Final = 0.025
 """Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
@@ -178,7 +197,7 @@ _STRETCH: Final = 0.025
 def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
     """Shape parameters near a model's, within the ranges of its type: stretched along each axis, and slightly bent."""
     one_of("model", model, tuple(fleet()))
-    vehicle = fleet()[model].vehicle
+    vehicle = _parametric(model)
     ranges = class_ranges(vehicle.vehicle_type)
     whole = vehicle.shape.to_dict()
     scales = []

@@ -110,7 +110,9 @@ class Surface:
 
     def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
         """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
-        face = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
+        face = np.cross(
+            points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
+        )
         area = np.linalg.norm(face, axis=1)
         triangles, face = triangles[area > 1e-9], face[area > 1e-9]
         unit = face / np.linalg.norm(face, axis=1, keepdims=True)

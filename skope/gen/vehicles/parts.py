@@ -43,7 +43,11 @@ def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
     fan = [[0, i + 1, i] for i in range(1, 11)]
     glass = from_triangles(ring + center, fan, "glass_mirror")
     foot = box(np.array(base) + [-0.04, -0.06, 0.0], np.array(base) + [0.02, 0.09, 0.035], "trim")
-    lamp = box(center + [size[0] * 0.72, -0.4 * size[1], -0.012], center + [size[0] * 0.99, 0.5 * size[1], 0.008], "indicator_left")
+    lamp = box(
+        center + [size[0] * 0.72, -0.4 * size[1], -0.012],
+        center + [size[0] * 0.99, 0.5 * size[1], 0.008],
+        "indicator_left",
+    )
     tip = center + [0, size[1], 0]
     return merged([housing, glass, foot, lamp]), tip
 

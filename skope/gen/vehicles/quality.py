@@ -1,6 +1,7 @@
 """Checks of a vehicle model: keypoints, symmetry, dimensions, wheels, surfaces, parts, sidecar."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,10 +10,11 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.gen.localize import trilaterate
 from skope.gen.sight import Fan
-from skope.gen.vehicles import Vehicle
+from skope.gen.vehicles import class_ranges
+from skope.gen.vehicles.added import AddedVehicle
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
-Range = tuple[float, float]
 
 SURFACE_TOLERANCE: Final = 0.01
 """Metres that a keypoint may be off the surface."""
@@ -31,16 +33,23 @@ PARTS: Final = {
 """Materials that stand for the lamps' functions."""
 
 
-def findings(vehicle: Vehicle, ranges: Mapping[str, Range]) -> Iterator[str]:
-    """What is wrong with a model; `ranges` are its class' dimensions by name, metres."""
-    yield from _surface(vehicle)
-    yield from _symmetry(vehicle)
-    yield from _dimensions(vehicle, ranges)
-    yield from _wheels(vehicle)
-    yield from _orientation(vehicle)
-    present = set(np.array(vehicle.mesh.materials)[np.unique(vehicle.mesh.material)])
-    yield from (f"parts: no {what} (material {name})" for name, what in PARTS.items() if name not in present)
-    yield from _sidecar(vehicle)
+@dataclass(frozen=True)
+class Finding:
+    text: str
+    harmless: bool = False
+    """Of a model that was added: what its maker may have wanted."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def findings(vehicle: Vehicle) -> Iterator[Finding]:
+    """What is wrong with a model."""
+    added = isinstance(vehicle, AddedVehicle)
+    for part in (_surface, _symmetry, _size, _wheels, _orientation, _sidecar):
+        yield from map(Finding, part(vehicle))
+    for part in (_class, _lamps):
+        yield from (Finding(text, harmless=added) for text in part(vehicle))
 
 
 def _surface(vehicle: Vehicle) -> Iterator[str]:
@@ -63,11 +72,19 @@ def _symmetry(vehicle: Vehicle) -> Iterator[str]:
             yield f"keypoints: {name} is on the left"
 
 
-def _dimensions(vehicle: Vehicle, ranges: Mapping[str, Range]) -> Iterator[str]:
-    for name, (low, high) in ranges.items():
+def _lamps(vehicle: Vehicle) -> Iterator[str]:
+    present = set(np.array(vehicle.mesh.materials)[np.unique(vehicle.mesh.material)])
+    yield from (f"parts: no {what} (material {name})" for name, what in PARTS.items() if name not in present)
+
+
+def _class(vehicle: Vehicle) -> Iterator[str]:
+    for name, (low, high) in class_ranges(vehicle.vehicle_type).items():
         value = getattr(vehicle.shape, name)
         if not low - 1e-9 <= value <= high + 1e-9:
             yield f"shape.{name}: {value:.3f} m, expected {low:g} to {high:g} for a {vehicle.vehicle_type}"
+
+
+def _size(vehicle: Vehicle) -> Iterator[str]:
     low_corner, high_corner = vehicle.mesh.vertices.min(axis=0), vehicle.mesh.vertices.max(axis=0)
     length, _, height = vehicle.size_lwh
     for name, found, said in (

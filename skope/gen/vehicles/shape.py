@@ -9,9 +9,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape:
-    """Dimensions in metres; heights above the road, positions along the vehicle from its own parts, so that a shape
-    stays whole when it is stretched."""
+class Dimensions:
+    """What every vehicle measures, metres."""
 
     length: float
     width: float
@@ -24,6 +23,34 @@ class Shape:
     wheel_width: float
     front_overhang: float
     clearance: float
+
+    @property
+    def front_axle_x(self) -> float:
+        return self.length / 2 - self.front_overhang
+
+    @property
+    def rear_axle_x(self) -> float:
+        return self.front_axle_x - self.wheelbase
+
+    def wheel_centers(self) -> Array:
+        """(4, 3) front right, front left, rear right, rear left, as keypoints 16-19."""
+        return np.array(
+            [
+                [x, y, self.wheel_radius]
+                for x in (self.front_axle_x, self.rear_axle_x)
+                for y in (-self.track / 2, self.track / 2)
+            ]
+        )
+
+    def to_dict(self) -> dict[str, float]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Dimensions):
+    """A point in the shape space: heights above the road, positions along the vehicle from its own parts, so that a
+    shape stays whole when it is stretched."""
+
     bumper_height: float
     """Top of the dark lower trim."""
     headlight_low: float
@@ -72,14 +99,6 @@ class Shape:
     """A truck's floor above the road."""
 
     @property
-    def front_axle_x(self) -> float:
-        return self.length / 2 - self.front_overhang
-
-    @property
-    def rear_axle_x(self) -> float:
-        return self.front_axle_x - self.wheelbase
-
-    @property
     def cowl_x(self) -> float:
         """The windscreen's base in the middle."""
         return self.front_axle_x - self.cowl_setback
@@ -88,19 +107,6 @@ class Shape:
     def backlight_x(self) -> float:
         """The rear window's base in the middle."""
         return -self.length / 2 + self.deck_length
-
-    def wheel_centers(self) -> Array:
-        """(4, 3) front right, front left, rear right, rear left, as keypoints 16-19."""
-        return np.array(
-            [
-                [x, y, self.wheel_radius]
-                for x in (self.front_axle_x, self.rear_axle_x)
-                for y in (-self.track / 2, self.track / 2)
-            ]
-        )
-
-    def to_dict(self) -> dict[str, float]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from skope.gen.conditions import Conditions
 from skope.gen.recording import RecordedVehicle, Recording
 from skope.gen.render import make_renderer
 from skope.gen.towns.scenery import STUDIO
-from skope.gen.vehicles import Vehicle
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
 

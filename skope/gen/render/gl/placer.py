@@ -7,15 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.mesh import merged
 from skope.gen.recording import Moment, RecordedVehicle
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, window_of
-from skope.gen.vehicles import PAINTS, Vehicle, build
+from skope.gen.vehicles import PAINTS, build
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
 
 PARTS: Final = "PARTS 5"
 """Of a vehicle: its body and four wheels."""
+PANES: Final = ("glass", "glass_tinted")
+"""Materials that one can look through."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,10 @@ class Placed:
     vehicle: Vehicle
     T_world_chassis: Array
     mesh: DeviceMesh
+    """The vehicle from outside, with panes one cannot look through."""
+    solid: DeviceMesh
+    """Everything but the panes, with what is inside."""
+    panes: DeviceMesh | None
     matrices: dict[str, bytes]
     """Of its parts: to the camera frame, and to world axes relative to the camera."""
     look: dict[str, Any]
@@ -44,7 +52,7 @@ class Placer:
 
     def __init__(self, device: Device, camera: Camera) -> None:
         self._device, self._camera = device, camera
-        self._meshes: dict[tuple[Any, ...], DeviceMesh] = {}
+        self._meshes: dict[tuple[Any, ...], dict[str, Any]] = {}
 
     def place(self, moment: Moment) -> list[Placed]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
@@ -65,7 +73,7 @@ class Placer:
                     index=i,
                     vehicle=vehicle,
                     T_world_chassis=chassis,
-                    mesh=self._mesh(recorded, vehicle),
+                    **self._upload(recorded, vehicle),
                     matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
                     look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
                     window=window,
@@ -73,11 +81,18 @@ class Placer:
             )
         return out
 
-    def _mesh(self, recorded: RecordedVehicle, vehicle: Vehicle) -> DeviceMesh:
+    def _upload(self, recorded: RecordedVehicle, vehicle: Vehicle) -> dict[str, Any]:
         key = (recorded.model, *sorted(recorded.shape.items()))
         if key not in self._meshes:
-            right, left = vehicle.wheel.mirrored(), vehicle.wheel
-            self._meshes[key] = self._device.upload(vehicle.mesh, right, left, right, left)
+            body, wheels = vehicle.mesh, (vehicle.wheel.mirrored(), vehicle.wheel) * 2
+            glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
+            inside = [vehicle.interior] if vehicle.interior else []
+            solid = merged([body.taken(~glass), *inside])
+            self._meshes[key] = {
+                "mesh": self._device.upload(body, *wheels),
+                "solid": self._device.upload(solid, *wheels),
+                "panes": self._device.upload(body.taken(glass)) if glass.any() else None,
+            }
         return self._meshes[key]
 
 

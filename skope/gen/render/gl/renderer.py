@@ -5,7 +5,7 @@ they and their shadows may touch: once for depth, slope and ids at pixel centres
 silhouette, and in colour over the scenery.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from skope.gen.recording import Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
-from skope.gen.render.gl.context import Device, light_projection, projection, put
+from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, projection, put
 from skope.gen.render.gl.placer import PARTS, Placed, Placer
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import (
@@ -32,7 +32,7 @@ from skope.gen.render.windows import (
     union,
 )
 from skope.gen.towns.scenery import scenery
-from skope.gen.vehicles import Vehicle
+from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ class GLRenderer:
         covered = tiles([hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in placed], size)
         shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, self._camera, sun) for v in placed], size)
         self._draw_shadows(placed)
-        self._draw_vehicles(self._color, placed, runs(covered, size), f"SCALE {SCALE}")
+        self._draw_vehicles(self._color, placed, runs(covered, size))
         self._compose(runs(shaded & ~covered, size), "SHADOWS")
         self._compose(runs(covered, size), "SHADOWS", "VEHICLES")
         places = runs(covered | shaded, size)
@@ -202,18 +202,36 @@ class GLRenderer:
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
-    def _draw_vehicles(self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *options: str) -> None:
-        """Draw the vehicles' picture into parts of a target, where the scenery does not hide them."""
+    def _draw_vehicles(
+        self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *, peel: bool = False
+    ) -> None:
+        """Draw the vehicles' picture into parts of a target, where the scenery does not hide them.
+
+        With `peel` it is a plain one of what stands behind the vehicles shown.
+        """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
         self._prepare(target, places, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
-        device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, *options)
+        device.context.enable_only(gl.DEPTH_TEST)
         units = {"u_vehicle_sun_map": self._sun_map.depth_attachment, "u_front": self._geometry.color_attachments[0]}
-        put(program, {**uniforms, **self._bind(units), "u_project": self._project})
-        for vehicle in placed:
-            put(program, {**vehicle.matrices, **vehicle.look, "u_id": float(vehicle.number)})
-            vehicle.mesh.draw(program)
+        uniforms |= {**self._bind(units), "u_project": self._project}
+
+        def draw(option: str, meshes: Iterable[tuple[Placed, DeviceMesh | None]]) -> None:
+            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option)
+            put(program, uniforms)
+            for vehicle, mesh in meshes:
+                if mesh:
+                    put(program, {**vehicle.matrices, **vehicle.look, "u_id": float(vehicle.number)})
+                    mesh.draw(program)
+
+        if peel:
+            draw("PEEL", ((vehicle, vehicle.mesh) for vehicle in placed))
+            return
+        draw("SOLID", ((vehicle, vehicle.solid) for vehicle in placed))
+        # Panes last, from far to near, over what is seen through them.
+        device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE | gl.BLEND)
+        device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
+        draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(placed)))
 
     def _compose(self, places: Sequence[Window], *options: str) -> None:
         """Put parts of the picture together."""
@@ -245,7 +263,7 @@ class GLRenderer:
         if crowd:
             hulls = [hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in crowd]
             size = (self._camera.width, self._camera.height)
-            self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), "PEEL")
+            self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), peel=True)
             window = union([inside(v.window, self._camera) for v in crowd])
             layer = _Layer(window, _read(self._behind, window, np.uint8))
         out = []

@@ -1,5 +1,6 @@
 // A vehicle's picture: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
-// With PEEL it is a plain one of what stands behind the vehicle shown.
+// SOLID is everything but the panes, PANES those alone, over what is seen through them; PEEL a plain picture of what
+// stands behind the vehicle shown.
 #version 430
 #include "common.glsl"
 #include "display.glsl"
@@ -35,6 +36,13 @@ vec3 glow(int material, int lamps) {
     return vec3(0.0);
 }
 
+// Linear colour and roughness; colours of a model's own are numbers with four bits a channel (see context.py).
+vec4 albedo_of(int material) {
+    if (material < MATERIAL_COUNT) return u_albedo[material];
+    int own = material - MATERIAL_COUNT;
+    return vec4(pow(vec3((own >> 8) & 15, (own >> 4) & 15, own & 15) / 15.0, vec3(2.2)), 0.35);
+}
+
 void main() {
 #ifdef PEEL
     if (texelFetch(u_front, ivec2(gl_FragCoord.xy), 0).a == u_id) discard;
@@ -42,7 +50,10 @@ void main() {
     float metres = length(v_world), cosine = 1.0 / (gl_FragCoord.w * metres);
     vec3 n = normalize(v_normal), view = -v_world / metres;
     if (dot(n, view) < 0.0) n = -n;
-    vec3 base = v_material == M_PAINT ? u_paint : u_albedo[v_material].rgb;
+    vec4 albedo = albedo_of(v_material);
+    vec3 base = v_material == M_PAINT ? u_paint : albedo.rgb;
+    // The inside of the body, seen through its windows.
+    if (!gl_FrontFacing) base = vec3(0.03);
     float facing = max(dot(n, u_sun_direction), 0.0);
     float open = v_open * (0.55 + 0.45 * clamp(n.z * 0.5 + 0.5, 0.0, 1.0));
     vec3 ambient = open * mix(u_ground, 0.65 * u_zenith + 0.35 * u_horizon, clamp(0.5 + 0.5 * n.z, 0.0, 1.0));
@@ -53,17 +64,27 @@ void main() {
     float sun = texture(u_scenery_sun_map, v_scenery_sun_at) * texture(u_vehicle_sun_map, v_vehicle_sun_at);
     float f0 = 0.04, coat = 0.0, metal = 0.0;
     if (v_material == M_PAINT) coat = 1.0;
+    if (v_material >= MATERIAL_COUNT) coat = 0.4;
     if (v_material >= M_GLASS && v_material <= M_GLASS_MIRROR) { coat = 1.0; f0 = 0.08; }
     if (v_material >= M_LAMP_CLEAR && v_material <= M_REVERSE_LIGHT) { coat = 1.0; f0 = 0.06; }
     if (v_material == M_CHROME || v_material == M_RIM) metal = 1.0;
     if (v_material == M_TRIM || v_material == M_GRILLE || v_material == M_BOX) coat = 0.25;
 
+    if (!gl_FrontFacing) coat = metal = 0.0;
+
     float f = coat * fresnel(dot(n, view), f0);
     vec3 mirrored = mirror(reflect(-view, n)) * open;
     vec3 color = base * (ambient + u_sun / PI * facing * sun) * (1.0 - metal * 0.8);
     color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
-    color += (f + metal * base) * ggx(n, view, u_sun_direction, max(u_albedo[v_material].a, 0.12)) * u_sun * sun;
+    color += (f + metal * base) * ggx(n, view, u_sun_direction, max(albedo.a, 0.12)) * u_sun * sun;
     color += glow(v_material, u_lamps);
 #endif
+#ifdef PANES
+    // What a pane mirrors is screened over what it lets through.
+    vec3 seen = display(exposed(mirrored * f + (color - mirrored * f) * 0.4, metres, cosine));
+    float through = (v_material == M_GLASS_TINTED ? 0.35 : 0.72) * (1.0 - dot(seen, vec3(0.3, 0.5, 0.2)));
+    out_color = vec4(seen, 1.0 - through);
+#else
     out_color = vec4(display(exposed(color, metres, cosine)), 1.0);
+#endif
 }

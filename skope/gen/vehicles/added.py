@@ -1,0 +1,142 @@
+"""Vehicle models that users add: kept in a folder of their own, one subfolder each."""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.files import read_json, replacing, write_json
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles.markers import Marked
+from skope.gen.vehicles.model import Derived
+from skope.gen.vehicles.shape import Dimensions
+from skope.gen.vehicles.sidecar import Sidecar
+
+Array = NDArray[np.float64]
+
+DENSITY: Final = 115.0
+"""Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
+_VERSION: Final = 1
+_MESHES: Final = ("mesh", "wheel")
+_FIELDS: Final = ("vertices", "normals", "triangles", "material")
+
+
+@dataclass(frozen=True, eq=False)
+class AddedVehicle(Derived):
+    """A model from a file; its windows are opaque."""
+
+    model: str
+    vehicle_type: str
+    shape: Dimensions
+    mass: float
+    mesh: Mesh
+    wheel: Mesh
+    points: Array
+    digest: str = ""
+    """Of the model's files."""
+    substituted: tuple[str, ...] = ()
+
+    @property
+    def interior(self) -> None:
+        return None
+
+
+def folder() -> Path:
+    """$SKOPE_VEHICLES, or skope's folder in the user's data."""
+    own = os.environ.get("SKOPE_VEHICLES")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_DATA_HOME", Path.home() / ".local/share")) / "skope" / "vehicles"
+
+
+def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None) -> AddedVehicle:
+    """A vehicle from a model with markers."""
+    points = marked.points
+    right_front, left_front, right_rear, _ = (points[k] for k in (16, 17, 18, 19))
+    length, width, height = marked.size_lwh
+    shape = Dimensions(
+        length=length,
+        width=width,
+        height=height,
+        wheelbase=float(right_front[0] - right_rear[0]),
+        track=float(left_front[1] - right_front[1]),
+        wheel_radius=marked.wheel_radius,
+        wheel_width=marked.wheel_width,
+        front_overhang=float(length / 2 - right_front[0]),
+        clearance=float(max(marked.mesh.vertices[:, 2].min(), 0.0)),
+    )
+    kilograms = DENSITY * length * width * height if mass is None else mass
+    return AddedVehicle(name, vehicle_type, shape, kilograms, marked.mesh, marked.wheel, points)
+
+
+def save(vehicle: AddedVehicle) -> Path:
+    """Write a model's files; returns their folder."""
+    path = folder() / vehicle.model
+    arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in _MESHES for field in _FIELDS}
+    with replacing(path / "mesh.npz") as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+    write_json(
+        path / "vehicle.json",
+        {
+            "version": _VERSION,
+            "vehicle_type": vehicle.vehicle_type,
+            "shape": asdict(vehicle.shape),
+            "mass": vehicle.mass,
+            "keypoints": vehicle.points.tolist(),
+            "materials": {name: getattr(vehicle, name).materials for name in _MESHES},
+            "sidecar": vehicle.sidecar.to_dict(),
+        },
+    )
+    return path
+
+
+@cache
+def load(name: str) -> AddedVehicle:
+    """A model that was added under that name."""
+    path = folder() / name
+    if not (path / "vehicle.json").is_file():
+        there = ", ".join(names()) or "none yet: skope gen vehicles add"
+        raise UserError(f"--vehicles: no model {name!r} was added; there are: {there}")
+    row: Mapping[str, Any] = read_json(path / "vehicle.json")
+    try:
+        with np.load(path / "mesh.npz", allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        mesh, wheel = (_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
+        vehicle = AddedVehicle(
+            model=name,
+            vehicle_type=row["vehicle_type"],
+            shape=Dimensions(**row["shape"]),
+            mass=float(row["mass"]),
+            points=np.array(row["keypoints"], dtype=np.float64),
+            digest=_digest(path),
+            mesh=mesh,
+            wheel=wheel,
+        )
+        Sidecar.from_dict(row["sidecar"])
+    except Exception as error:  # damaged archives and fields come in a dozen types
+        raise UserError(f"{path}: not a readable vehicle: {error}") from None
+    return vehicle
+
+
+def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
+    vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in _FIELDS)
+    return Mesh(vertices, normals, triangles, tuple(materials), material)
+
+
+def names() -> list[str]:
+    """Of all models that were added."""
+    return sorted(path.parent.name for path in folder().glob("*/vehicle.json"))
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    for name in ("mesh.npz", "vehicle.json"):
+        digest.update((path / name).read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,80 @@
+"""What every vehicle model has, wherever its surfaces come from."""
+
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles.shape import Dimensions
+from skope.gen.vehicles.sidecar import Sidecar
+
+Array = NDArray[np.float64]
+
+
+class Vehicle(Protocol):
+    """A vehicle model: dimensions, surfaces and keypoints in the vehicle frame."""
+
+    def __hash__(self) -> int: ...
+
+    @property
+    def model(self) -> str: ...
+
+    @property
+    def vehicle_type(self) -> str: ...
+
+    @property
+    def shape(self) -> Dimensions: ...
+
+    @property
+    def mass(self) -> float:
+        """Kilograms, laden with a driver."""
+
+    @property
+    def substituted(self) -> tuple[str, ...]:
+        """Keypoints that stand for a part that this body lacks."""
+
+    @property
+    def mesh(self) -> Mesh:
+        """The body without wheels, closed, with its glass opaque."""
+
+    @property
+    def interior(self) -> Mesh | None:
+        """What is seen through the windows, inside `mesh`."""
+
+    @property
+    def wheel(self) -> Mesh:
+        """A left wheel about its centre; a right one is its mirror image."""
+
+    @property
+    def points(self) -> Array:
+        """(33, 3) keypoints at rest, metres."""
+
+    @property
+    def size_lwh(self) -> tuple[float, float, float]:
+        """Length, width without mirrors, height, metres."""
+
+    @property
+    def sidecar(self) -> Sidecar: ...
+
+    @property
+    def wheel_face_offsets(self) -> Array:
+        """(4, 3) from each wheel's centre to the middle of its outer face, in the wheel's own frame."""
+
+
+class Derived:
+    """What follows from a vehicle's dimensions and keypoints."""
+
+    @property
+    def size_lwh(self: Vehicle) -> tuple[float, float, float]:
+        return self.shape.length, self.shape.width, self.shape.height
+
+    @cached_property
+    def sidecar(self: Vehicle) -> Sidecar:
+        return Sidecar.of(self.points)
+
+    @property
+    def wheel_face_offsets(self: Vehicle) -> Array:
+        half = self.shape.wheel_width / 2
+        return np.array([[0.0, -half, 0.0], [0.0, half, 0.0]] * 2)
