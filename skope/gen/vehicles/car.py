@@ -139,10 +139,11 @@ class CarBody:
     def _pits(self) -> list[tuple[float, float, float]]:
         """x from, to, and floor height of what is hollow in the deck: the cabin, a bed."""
         s = self.shape
-        cabin = (s.backlight_x + 0.14, s.cowl_x - 0.28, self._pit_floor)
+        well = ARCH * s.wheel_radius + 0.04
+        cabin = (max(s.backlight_x + 0.14, s.rear_axle_x + well), s.cowl_x - 0.28, self._pit_floor)
         if not self.style.bed:
             return [cabin]
-        return [cabin, (self.end + 0.13, s.backlight_x - 0.08, s.deck_height - 0.5)]
+        return [cabin, (self.end + 0.13, s.backlight_x - 0.08, max(s.deck_height - 0.5, s.wheel_radius + well))]
 
     def _lower_shell(self) -> Surface:
         s = self.shape
@@ -192,9 +193,10 @@ class CarBody:
         ahead, behind = self.w_of(s.front_axle_x), self.w_of(s.rear_axle_x)
         for start, end in ((-1.0, ahead), (behind, 99.0)):
             lower.paint([(start, 0), (end, 0), (end, trim + 0.05), (start, trim + 0.05)], WRAP, "trim")
-        for start, end, _ in self._pits():
-            box = [(start - 0.02, -9), (end + 0.02, -9), (end + 0.02, 9), (start - 0.02, 9)]
-            lower.paint(box, TOP, "trim" if start < s.backlight_x - 0.2 else "dashboard", levels=(_RIM, CENTER))
+        hollows = [(s.backlight_x + 0.1, s.cowl_x - 0.2, "dashboard")]
+        hollows += [(start - 0.02, end + 0.02, "bed") for start, end, _ in self._pits()[1:]]
+        for start, end, material in hollows:
+            lower.paint([(start, -9), (end, -9), (end, 9), (start, 9)], TOP, material, levels=(_RIM, CENTER))
         self._draw_doors()
         self._draw_hood()
         lamps.draw_front(lower, self.w, s, style, self.points)
@@ -213,12 +215,12 @@ class CarBody:
     def _carve(self, axle: float) -> None:
         s = self.shape
         radius = ARCH * s.wheel_radius
-        angle = np.linspace(0, np.pi, 19)
+        angle = np.linspace(0, np.pi, 15)
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
         if self.style.cladding:
             wide = radius + 0.065
-            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)
+            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)[::2]
             self._lower.paint([(axle + wide, -0.2), *ring, (axle - wide, -0.2)], SIDE, "trim")
         lining, rim = self._lower.carve_well(polygon, self.well)
         material = "trim" if self.style.cladding else "paint"

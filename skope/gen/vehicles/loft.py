@@ -148,7 +148,7 @@ class Surface:
     ) -> Array:
         """Give what lies in a convex polygon of a projection a material; returns the (N, 8) vertices that it has now.
 
-        Only triangles between two rows `levels`, and turned towards `facing` if that is given, are taken.
+        Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
         """
         chosen = self._cut(polygon, projection, levels, facing)
         if material not in self._names:
@@ -174,7 +174,7 @@ class Surface:
         level = self._vertices[:, T][self._triangles]
         active &= (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
         if facing is not None:
-            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.1
+            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.7
         if not active.any():
             return np.zeros(0, dtype=np.int64)
         touched = np.zeros(len(self._vertices), dtype=bool)
