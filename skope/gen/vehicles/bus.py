@@ -1,6 +1,7 @@
 """City buses: one upright shell with large windows, doors on the right, a destination sign."""
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,32 +75,79 @@ class BusBody:
         end = float(w[-1])
         trim = s.clearance + 0.14
         shell.paint([(-1, 0), (end + 1, 0), (end + 1, trim), (-1, trim)], WRAP, "trim")
-        shell.paint([(0, s.belt_height - 0.22), (end, s.belt_height - 0.22), (end, s.belt_height - 0.14), (0, s.belt_height - 0.14)], WRAP, "box", facing=(0, 1, 0))
+        shell.paint(
+            [
+                (0, s.belt_height - 0.22),
+                (end, s.belt_height - 0.22),
+                (end, s.belt_height - 0.14),
+                (0, s.belt_height - 0.14),
+            ],
+            WRAP,
+            "box",
+            facing=(0, 1, 0),
+        )
         screen = corner - 0.02
         band = s.height - 0.3
-        shell.paint([(-0.1, low - 0.13), (screen + 0.06, low - 0.13), (screen + 0.06, band), (-0.1, band)], WRAP, "trim")
-        shell.paint([(-0.1, low - 0.08), (screen, low - 0.08), (screen, high - 0.02), (-0.1, high - 0.02)], WRAP, "glass")
-        shell.paint([(-0.1, high + 0.04), (0.75, high + 0.04), (0.75, band - 0.04), (-0.1, band - 0.04)], WRAP, "grille")
+        shell.paint(
+            [(-0.1, low - 0.13), (screen + 0.06, low - 0.13), (screen + 0.06, band), (-0.1, band)], WRAP, "trim"
+        )
+        shell.paint(
+            [(-0.1, low - 0.08), (screen, low - 0.08), (screen, high - 0.02), (-0.1, high - 0.02)], WRAP, "glass"
+        )
+        shell.paint(
+            [(-0.1, high + 0.04), (0.75, high + 0.04), (0.75, band - 0.04), (-0.1, band - 0.04)], WRAP, "grille"
+        )
         for at in (0.05, 0.2, 0.29, 0.42, 0.55):
-            shell.paint([(at, high + 0.075), (at + 0.075, high + 0.075), (at + 0.075, band - 0.075), (at, band - 0.075)], WRAP, "display")
+            shell.paint(
+                [(at, high + 0.075), (at + 0.075, high + 0.075), (at + 0.075, band - 0.075), (at, band - 0.075)],
+                WRAP,
+                "display",
+            )
         start, stop = self.front - 0.62, self.end + 0.5
-        shell.paint([(stop - 0.06, low - 0.05), (start + 0.06, low - 0.05), (start + 0.06, high + 0.05), (stop - 0.06, high + 0.05)], SIDE, "trim", facing=(0, 1, 0))
+        shell.paint(
+            [
+                (stop - 0.06, low - 0.05),
+                (start + 0.06, low - 0.05),
+                (start + 0.06, high + 0.05),
+                (stop - 0.06, high + 0.05),
+            ],
+            SIDE,
+            "trim",
+            facing=(0, 1, 0),
+        )
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
-        for a, b in zip(posts, posts[1:], strict=False):
+        for a, b in pairwise(posts):
             pane = [(a + 0.03, low), (b - 0.03, low), (b - 0.03, high), (a + 0.03, high)]
             shell.paint(pane, SIDE, "glass", facing=(0, 1, 0))
         if doors:
             middle = (s.front_axle_x + s.rear_axle_x) / 2
-            for at in (s.front_axle_x + s.wheel_radius * _ARCH + 0.85, middle, *([s.rear_axle_x - 1.6] if s.length > 11 else [])):
+            for at in (
+                s.front_axle_x + s.wheel_radius * _ARCH + 0.85,
+                middle,
+                *([s.rear_axle_x - 1.6] if s.length > 11 else []),
+            ):
                 self._door(shell, at, 1.15)
         lamps.draw_front(shell, w, s, self.style, self.points)
         lamps.draw_rear(shell, w, s, self.style, self.points)
         glass = end - rear + (-0.12)
-        shell.paint([(end - glass - 0.05, low + 0.45), (end + 0.1, low + 0.45), (end + 0.1, high + 0.06), (end - glass - 0.05, high + 0.06)], WRAP, "trim")
-        shell.paint([(end - glass, low + 0.5), (end + 0.1, low + 0.5), (end + 0.1, high), (end - glass, high)], WRAP, "glass")
+        shell.paint(
+            [
+                (end - glass - 0.05, low + 0.45),
+                (end + 0.1, low + 0.45),
+                (end + 0.1, high + 0.06),
+                (end - glass - 0.05, high + 0.06),
+            ],
+            WRAP,
+            "trim",
+        )
+        shell.paint(
+            [(end - glass, low + 0.5), (end + 0.1, low + 0.5), (end + 0.1, high), (end - glass, high)], WRAP, "glass"
+        )
         for k in range(5):
             z = s.clearance + 0.42 + 0.075 * k
-            shell.paint([(end - 0.75, z), (end - 0.32, z), (end - 0.32, z + 0.035), (end - 0.75, z + 0.035)], WRAP, "grille")
+            shell.paint(
+                [(end - 0.75, z), (end - 0.32, z), (end - 0.32, z + 0.035), (end - 0.75, z + 0.035)], WRAP, "grille"
+            )
         self.points |= {
             "roof_front": shell.nearest((screen + 0.06, band), WRAP),
             "windscreen_base": shell.nearest((screen, low - 0.08), WRAP),
@@ -120,7 +168,9 @@ class BusBody:
         facing = (0.0, 1.0, 0.0)
         shell.paint([(x - half, low), (x + half, low), (x + half, high), (x - half, high)], SIDE, "trim", facing=facing)
         for a, b in ((x - half + 0.05, x - 0.03), (x + 0.03, x + half - 0.05)):
-            shell.paint([(a, low + 0.1), (b, low + 0.1), (b, high - 0.08), (a, high - 0.08)], SIDE, "glass", facing=facing)
+            shell.paint(
+                [(a, low + 0.1), (b, low + 0.1), (b, high - 0.08), (a, high - 0.08)], SIDE, "glass", facing=facing
+            )
 
 
 def _arch(axle: float, s: Shape) -> Array:

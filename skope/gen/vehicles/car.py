@@ -13,7 +13,6 @@ from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.loft import (
     BOTTOM,
     CENTER,
-    DECK,
     FLOOR,
     FRONT_END,
     INNER,
@@ -29,7 +28,6 @@ from skope.gen.vehicles.loft import (
     W,
     Z,
     along,
-    rounded,
 )
 from skope.gen.vehicles.shape import Shape, Style
 
@@ -327,22 +325,30 @@ class CarBody:
         s, style, glass, w = self.shape, self.style, self._greenhouse, self._glass_w
         last = len(w) - 1
         screen = float(w[FRONT_END + 2]) + 0.02
-        self._pane(-0.2, screen, _GLASS_LOW - 0.02, _SCREEN_HIGH, "glass")
+        # Under a high roof the panes end where they would end under a low one.
+        room = s.height - s.belt_height
+        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.08 / room)
+        self._pane(-0.2, screen, _GLASS_LOW - 0.02, screen_high, "glass")
         start, end = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START + 2]) - 0.03
         if s.deck_length < 0.3:
             end = float(w[last - SIDE_START]) + 0.03
         span = end - start
         glazed = start + span * style.glazed
         lift = 0.0 if style.glazed < 1 else 0.035
-        band = [(start, _GLASS_LOW - 0.03), (glazed, _GLASS_LOW - 0.03 + lift), (glazed, 0.95), (start, 0.95)]
+        band = [
+            (start, _GLASS_LOW - 0.03),
+            (glazed, _GLASS_LOW - 0.03 + lift),
+            (glazed, side_high + 0.02),
+            (start, side_high + 0.02),
+        ]
         glass.paint(band, ROWS, "trim")
         edges = sorted([*style.panes, s.pillar, s.pillar])
         for first, second in zip(edges[::2], edges[1::2], strict=True):
             a, b = start + span * first + 0.028, start + span * second - 0.028
             if second <= style.glazed + 1e-6:
                 dark = style.tinted and first >= s.pillar - 1e-6
-                low = _GLASS_LOW + 0.03 * np.array([first, second])
-                corners = [(a, low[0]), (b, low[1]), (b, _GLASS_HIGH), (a, _GLASS_HIGH)]
+                base = _GLASS_LOW + 0.03 * np.array([first, second])
+                corners = [(a, base[0]), (b, base[1]), (b, side_high), (a, side_high)]
                 glass.paint(corners, ROWS, "glass_tinted" if dark else "glass")
         total = float(w[-1])
         rear = total - float(w[last - FRONT_END - 1]) - (0.0 if s.deck_length > 0.3 else 0.02)
@@ -352,7 +358,7 @@ class CarBody:
             low, high, rear = 0.3, 0.84, rear - 0.08
         self._pane(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
         self.points |= {
-            "roof_front": glass.nearest((screen, _SCREEN_HIGH), ROWS),
+            "roof_front": glass.nearest((screen, screen_high), ROWS),
             "windscreen_base": glass.nearest((screen, _GLASS_LOW - 0.02), ROWS),
             "roof_rear": glass.nearest((total - rear, high), ROWS),
             "rear_window_base": glass.nearest((total - rear, low), ROWS),

@@ -3,7 +3,6 @@
 import numpy as np
 
 from skope.gen.mesh import Mesh, lathe, merged
-from skope.gen.vehicles.parts import block
 
 
 def interior(
@@ -43,7 +42,11 @@ def _driver(x: float, y: float, floor: float, top: float) -> list[Mesh]:
     shoulders = top - 0.26
     torso = _box((x - 0.02, y - 0.19, floor + 0.1), (x + 0.2, y + 0.19, shoulders), "driver_clothes")
     arms = [
-        _box((x + 0.12, y + side * 0.2 - 0.05, shoulders - 0.28), (x + 0.4, y + side * 0.2 + 0.05, shoulders - 0.18), "driver_clothes")
+        _box(
+            (x + 0.12, y + side * 0.2 - 0.05, shoulders - 0.28),
+            (x + 0.4, y + side * 0.2 + 0.05, shoulders - 0.18),
+            "driver_clothes",
+        )
         for side in (-1, 1)
     ]
     return [head.moved((x + 0.08, y, top - 0.12)), torso, *arms]
@@ -64,5 +67,3 @@ def _wheel(x: float, y: float, z: float) -> Mesh:
         axis=-1,
     )
     return grid(points, [["dashboard"] * 4] * 12)
-
-

@@ -25,9 +25,7 @@ def _between(quad: Array, start: float, end: float, low: float = 0.0, high: floa
     bottom, top = quad[[0, 1]], quad[[3, 2]]
 
     def at(u: float, v: float) -> Array:
-        return np.asarray(
-            (1 - v) * (bottom[0] + u * (bottom[1] - bottom[0])) + v * (top[0] + u * (top[1] - top[0]))
-        )
+        return np.asarray((1 - v) * (bottom[0] + u * (bottom[1] - bottom[0])) + v * (top[0] + u * (top[1] - top[0])))
 
     return np.array([at(start, low), at(end, low), at(end, high), at(start, high)])
 
@@ -42,7 +40,14 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points)
     wide = w[SIDE_START - 6]
     shell.paint(_quad(-0.1, wide - 0.02, (intake[0],) * 2, (intake[1], intake[1] - 0.03)), WRAP, "trim")
     shell.paint(_quad(-0.1, wide - 0.1, (intake[0] + 0.03,) * 2, (intake[1] - 0.02, intake[1] - 0.05)), WRAP, "grille")
-    fog = np.array([(wide - 0.02, intake[0] + 0.03), (wide + 0.13, intake[0] + 0.05), (wide + 0.1, intake[1]), (wide - 0.02, intake[1])])
+    fog = np.array(
+        [
+            (wide - 0.02, intake[0] + 0.03),
+            (wide + 0.13, intake[0] + 0.05),
+            (wide + 0.1, intake[1]),
+            (wide - 0.02, intake[1]),
+        ]
+    )
     shell.paint(fog, WRAP, "trim")
     shell.paint(_grown(fog, -0.035), WRAP, "lamp_clear")
     _grille(shell, s, style, inner, intake[1])
@@ -86,7 +91,14 @@ def _grille(shell: Surface, s: Shape, style: Style, inner: float, low: float) ->
     edge = inner - 0.035
     outlines = {
         "wide": [(-edge, top - 0.02), (edge, top - 0.02), (edge - 0.03, bottom - 0.01), (-edge + 0.03, bottom - 0.01)],
-        "shield": [(-edge, top), (edge, top), (edge, bottom), (edge * 0.62, low + 0.03), (-edge * 0.62, low + 0.03), (-edge, bottom)],
+        "shield": [
+            (-edge, top),
+            (edge, top),
+            (edge, bottom),
+            (edge * 0.62, low + 0.03),
+            (-edge * 0.62, low + 0.03),
+            (-edge, bottom),
+        ],
         "slim": [(-edge, top - 0.03), (edge, top - 0.03), (edge, top - 0.08), (-edge, top - 0.08)],
         "split": [(0.03, top - 0.01), (edge, top - 0.01), (edge - 0.05, bottom - 0.04), (0.03, bottom - 0.04)],
     }
@@ -100,7 +112,11 @@ def _grille(shell: Surface, s: Shape, style: Style, inner: float, low: float) ->
         return
     for z in np.arange(floor + 0.05, ceiling - 0.02, 0.055):
         reach = edge * (0.93 if z > bottom else 0.6)
-        shell.paint([(-reach, z), (reach, z), (reach, z + 0.012), (-reach, z + 0.012)], WRAP, "trim" if style.grille == "shield" else "chrome")
+        shell.paint(
+            [(-reach, z), (reach, z), (reach, z + 0.012), (-reach, z + 0.012)],
+            WRAP,
+            "trim" if style.grille == "shield" else "chrome",
+        )
 
 
 def draw_rear(shell: Surface, w: Array, s: Shape, style: Style, points: Points) -> None:
@@ -125,10 +141,18 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: Style, points: Points) 
         shell.paint(_grown(lamp, 0.01), WRAP, edge)
         shell.paint(lamp, WRAP, "taillight")
         panes = {
-            "tall": {"brake_light": (0.1, 0.9, 0.62, 0.95), "indicator_left": (0.1, 0.9, 0.36, 0.56), "reverse_light": (0.1, 0.9, 0.12, 0.3)},
+            "tall": {
+                "brake_light": (0.1, 0.9, 0.62, 0.95),
+                "indicator_left": (0.1, 0.9, 0.36, 0.56),
+                "reverse_light": (0.1, 0.9, 0.12, 0.3),
+            },
         }.get(
             style.taillight,
-            {"brake_light": (0.3, 0.95, 0.52, 0.9), "indicator_left": (0.3, 0.62, 0.12, 0.42), "reverse_light": (0.66, 0.95, 0.12, 0.42)},
+            {
+                "brake_light": (0.3, 0.95, 0.52, 0.9),
+                "indicator_left": (0.3, 0.62, 0.12, 0.42),
+                "reverse_light": (0.66, 0.95, 0.12, 0.42),
+            },
         )
         for name, pane in panes.items():
             shell.paint(_between(lamp, *pane), WRAP, name)

@@ -8,6 +8,7 @@ split along their edges and take their material, so that the shell stays closed 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ SIDE: Final = (X, Z)
 TOP: Final = (X, Y)
 
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
-"""Rows (T) of a shell: the floor's middle and inner edge, the wall from BOTTOM to SHOULDER, the rim, the top's middle."""
+"""Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
 _FRONT, _CORNER = 5, 5
 """Intervals between columns over half the front or rear, and around a corner."""
@@ -110,7 +111,9 @@ class Surface:
 
     def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
         """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
-        face = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
+        face = np.cross(
+            points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
+        )
         area = np.linalg.norm(face, axis=1)
         triangles, face = triangles[area > 1e-9], face[area > 1e-9]
         unit = face / np.linalg.norm(face, axis=1, keepdims=True)
@@ -250,7 +253,7 @@ class Surface:
     ) -> None:
         """Draw a thin line through points (N, 2) of a projection."""
         p = np.asarray(points, dtype=np.float64)
-        for start, end in zip(p, p[1:], strict=False):
+        for start, end in pairwise(p):
             along = (end - start) / np.hypot(*(end - start))
             across = np.array([-along[1], along[0]]) * width / 2
             reach = along * width / 2

@@ -26,7 +26,8 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
 def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
     """A door mirror on its foot beside the windscreen's corner, and its outer tip."""
     size = np.array([0.09, 0.11, 0.16]) if tall else np.array([0.085, 0.115, 0.075])
-    center = np.array(base) + [-0.02, 0.115, 0.06 if not tall else 0.1]
+    x, y, z = base
+    center = np.array([x - 0.02, y + 0.115, z + (0.1 if tall else 0.06)])
     angle = np.linspace(-np.pi / 2, np.pi / 2, 9)
     profile = np.stack([np.sin(angle), np.abs(np.cos(angle)) ** 0.62], axis=-1)
     shell = lathe(profile, ["paint" if not tall else "trim"] * 8, 12, "y")
@@ -37,13 +38,13 @@ def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     housing = Mesh(vertices + center, normals, shell.triangles, shell.materials, shell.material)
     pane = 0.74 * size
-    x = -0.55 * size[0] - 0.002
+    behind = -0.55 * size[0] - 0.002
     turn = np.linspace(0, 2 * np.pi, 13)[:-1]
-    ring = np.stack([0 * turn + x, pane[1] * np.cos(turn), pane[2] * np.sin(turn)], axis=-1)
+    ring = np.stack([0 * turn + behind, pane[1] * np.cos(turn), pane[2] * np.sin(turn)], axis=-1)
     fan = [[0, i + 1, i] for i in range(1, 11)]
     glass = from_triangles(ring + center, fan, "glass_mirror")
-    foot = box(np.array(base) + [-0.04, -0.06, 0.0], np.array(base) + [0.02, 0.09, 0.035], "trim")
-    tip = center + [0, size[1], 0]
+    foot = box((x - 0.04, y - 0.06, z), (x + 0.02, y + 0.09, z + 0.035), "trim")
+    tip = center + np.array([0, size[1], 0])
     return merged([housing, glass, foot]), tip
 
 
@@ -55,7 +56,7 @@ def handle(at: tuple[float, float, float]) -> Mesh:
 
 def rail(path: Array) -> Mesh:
     """A roof rail along points (N, 3), with feet at its ends."""
-    low, high = path + [0, 0, 0.022], path + [0, 0, 0.046]
+    low, high = path + np.array([0, 0, 0.022]), path + np.array([0, 0, 0.046])
     a, b = np.array([0, 0.018, 0]), np.array([0, -0.018, 0])
     # Around the bar, counter-clockwise seen from the rear.
     ring = np.stack([low + b, high + b, high + a, low + a, low + b])
@@ -74,7 +75,7 @@ def arch_lip(edges: Array, center: tuple[float, float], material: str) -> Mesh:
     outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
     outer = edges + 0.034 * outward + [0, -0.004, 0]
     crest = edges + 0.012 * outward + [0, 0.011, 0]
-    inner = edges + [0, -0.05, 0]
+    inner = edges + np.array([0, -0.05, 0])
     corners = []
     for near, far, out in ((outer, crest, outward * 0.2 + [0, 1, 0]), (crest, inner, -outward)):
         quad = np.stack([near[:, 0], near[:, 1], far[:, 1], far[:, 0]], axis=1)

@@ -44,7 +44,10 @@ class Tower:
         walls = [self._at(*values) for values in zip(*inset, strict=True)]
         outlines = [plan.outline(stations) for plan in walls]
         bottom = outlines[0]
-        rows = [np.column_stack([bottom[:, 0], y, 0 * y + self.low]) for y in (0 * bottom[:, 1], np.minimum(bottom[:, 1], self.well))]
+        rows = [
+            np.column_stack([bottom[:, 0], y, 0 * y + self.low])
+            for y in (0 * bottom[:, 1], np.minimum(bottom[:, 1], self.well))
+        ]
         rows += [
             np.column_stack([outline, np.full(len(outline), self.low + (top - self.low) * share)])
             for outline, share in zip(outlines, shares, strict=True)

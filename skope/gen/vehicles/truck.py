@@ -74,11 +74,20 @@ class TruckBody:
         screen = corner - 0.05
         top = self.cab_height - 0.24
         base = s.belt_height - 0.02
-        cab.paint([(-0.2, base - 0.05), (screen + 0.05, base - 0.05), (screen + 0.05, top + 0.06), (-0.2, top + 0.06)], WRAP, "trim")
+        cab.paint(
+            [(-0.2, base - 0.05), (screen + 0.05, base - 0.05), (screen + 0.05, top + 0.06), (-0.2, top + 0.06)],
+            WRAP,
+            "trim",
+        )
         pane = cab.paint([(-0.2, base), (screen, base), (screen, top), (-0.2, top)], WRAP, "glass")
         assert len(pane)
         door = self.front - 0.2, self.front - min(1.35, s.cab_length - 0.32)
-        window = [(door[0] - 0.12, base + 0.02), (door[1] + 0.06, base + 0.02), (door[1] + 0.06, top - 0.02), (door[0] - 0.24, top - 0.02)]
+        window = [
+            (door[0] - 0.12, base + 0.02),
+            (door[1] + 0.06, base + 0.02),
+            (door[1] + 0.06, top - 0.02),
+            (door[0] - 0.24, top - 0.02),
+        ]
         cab.paint(_grown(window, 0.035), SIDE, "trim", facing=(0, 1, 0))
         cab.paint(window, SIDE, "glass", facing=(0, 1, 0))
         sill = s.wheel_radius * (1 + _ARCH) + 0.04
@@ -109,7 +118,7 @@ class TruckBody:
         }
 
     def _frame(self) -> None:
-        """Rails, tank, guards, axles with what wheels are not the four outer ones, and the rear bumper with its lamps."""
+        """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
         low, high = s.box_height - 0.3, s.box_height + 0.01
         add = self._parts.append
@@ -124,7 +133,13 @@ class TruckBody:
             if style.dual:
                 add(wheel.moved((x, y - s.wheel_width * 1.06, s.wheel_radius)))
             if s.box_height - 2 * s.wheel_radius > 0.1:
-                add(box((x - s.wheel_radius * 0.95, y - 0.36, 2 * s.wheel_radius + 0.04), (x + s.wheel_radius * 0.95, y + 0.14, 2 * s.wheel_radius + 0.075), "trim"))
+                add(
+                    box(
+                        (x - s.wheel_radius * 0.95, y - 0.36, 2 * s.wheel_radius + 0.04),
+                        (x + s.wheel_radius * 0.95, y + 0.14, 2 * s.wheel_radius + 0.075),
+                        "trim",
+                    )
+                )
         ahead = max(axles) + s.wheel_radius + 0.12
         start = s.front_axle_x - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
@@ -136,7 +151,9 @@ class TruckBody:
         for x in np.linspace(ahead + 0.1, start - tank - 0.2, 3):
             add(box((x - 0.03, side - 0.07, s.clearance + 0.12), (x + 0.03, side - 0.041, s.box_height), "under"))
         bar = Plan(s.width / 2 - 0.02, self.end + 0.16, self.end, 0.0, 0.0, 0.02, 0.02)
-        shell, w, _ = Tower(bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3).surface("trim")
+        shell, w, _ = Tower(
+            bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
+        ).surface("trim")
         lamps.draw_rear(shell, w, s, style, self.points)
         add(shell.half)
         corner = corner_w(w, rear=True)
@@ -172,7 +189,16 @@ class TruckBody:
         if body in ("box", "curtain"):
             shell.line([(end, low), (end, top)], WRAP, width=0.016)
             for share in (0.28, 0.6):
-                shell.paint([(end - share - 0.012, low + 0.05), (end - share + 0.012, low + 0.05), (end - share + 0.012, top - 0.05), (end - share - 0.012, top - 0.05)], WRAP, "rail")
+                shell.paint(
+                    [
+                        (end - share - 0.012, low + 0.05),
+                        (end - share + 0.012, low + 0.05),
+                        (end - share + 0.012, top - 0.05),
+                        (end - share - 0.012, top - 0.05),
+                    ],
+                    WRAP,
+                    "rail",
+                )
             for z in np.linspace(low + 0.3, top - 0.3, 4):
                 shell.paint([(edge, z), (edge + 0.1, z), (edge + 0.1, z + 0.05), (edge, z + 0.05)], WRAP, "rail")
             shell.paint([(-1, high - 0.12), (99, high - 0.12), (99, high - 0.06), (-1, high - 0.06)], WRAP, frame)
@@ -180,16 +206,21 @@ class TruckBody:
         ribs = np.linspace(front - 0.25, self.end + 0.25, count)
         wide = {"box": 0.014, "curtain": 0.03, "flatbed": 0.05, "tipper": 0.09}[body]
         for x in ribs:
-            shell.paint([(x - wide / 2, sill), (x + wide / 2, sill), (x + wide / 2, top + 0.04), (x - wide / 2, top + 0.04)], SIDE, "rail" if body != "tipper" else "trim", facing=(0, 1, 0))
-        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], (0, 1), "bed" if body in open_top else material, levels=(2.1, 3.0))
+            shell.paint(
+                [(x - wide / 2, sill), (x + wide / 2, sill), (x + wide / 2, top + 0.04), (x - wide / 2, top + 0.04)],
+                SIDE,
+                "rail" if body != "tipper" else "trim",
+                facing=(0, 1, 0),
+            )
+        shell.paint(
+            [(-99, -9), (99, -9), (99, 9), (-99, 9)], (0, 1), "bed" if body in open_top else material, levels=(2.1, 3.0)
+        )
         self._parts.append(shell.half)
         self.points |= {
             "roof_rear": shell.nearest((corner, high - tower.edge - (0 if body in open_top else tower.crown)), WRAP),
             "rear_window_base": shell.nearest((edge, top), WRAP),
             "trunk_rear": shell.nearest((corner, BOTTOM), ROWS),
         }
-
-
 
 
 def _arch(axle: float, s: Shape) -> Array:

@@ -68,13 +68,29 @@ def steel_wheel(radius: float, width: float) -> Mesh:
     """A commercial vehicle's wheel: a dished disc with holes and nuts around a hub."""
     half, rim = width / 2, radius * 0.58
     tyre = lathe(
-        [(-half, 0.0), (-half, radius * 0.92), (-half * 0.8, radius), (half * 0.8, radius), (half, radius * 0.92), (half * 0.96, rim)],
+        [
+            (-half, 0.0),
+            (-half, radius * 0.92),
+            (-half * 0.8, radius),
+            (half * 0.8, radius),
+            (half, radius * 0.92),
+            (half * 0.96, rim),
+        ],
         ["under", *["tyre"] * 4],
         _SIDES,
         "y",
     )
     dish = lathe(
-        [(half * 0.96, rim), (half * 0.8, rim * 0.93), (half * 0.5, rim * 0.86), (half * 0.62, rim * 0.5), (half * 0.62, rim * 0.34), (half * 0.98, rim * 0.28), (half, rim * 0.1), (half, 0.0)],
+        [
+            (half * 0.96, rim),
+            (half * 0.8, rim * 0.93),
+            (half * 0.5, rim * 0.86),
+            (half * 0.62, rim * 0.5),
+            (half * 0.62, rim * 0.34),
+            (half * 0.98, rim * 0.28),
+            (half, rim * 0.1),
+            (half, 0.0),
+        ],
         ["rim", "under", "rim", "rim", "disc", "rim", "rim"],
         _SIDES,
         "y",
@@ -97,5 +113,3 @@ def _facing(mesh: Mesh) -> Mesh:
     triangles = np.where((normal[:, 1] < 0)[:, None], mesh.triangles[:, ::-1], mesh.triangles)
     normals = mesh.normals * np.sign(mesh.normals[:, 1:2])
     return Mesh(mesh.vertices, normals, triangles, mesh.materials, mesh.material)
-
-
