@@ -91,9 +91,9 @@ class TruckBody:
         cab.paint(_grown(window, 0.035), SIDE, "trim", facing=(0, 1, 0))
         cab.paint(window, SIDE, "glass", facing=(0, 1, 0))
         sill = s.wheel_radius * (1 + _ARCH) + 0.04
-        cab.line([(door[0] - 0.02, sill), (door[0] - 0.02, top + 0.06)], SIDE, width=0.014)
-        cab.line([(door[1], sill), (door[1], top + 0.06)], SIDE, width=0.014)
-        cab.line([(door[0], sill), (door[1], sill)], SIDE, width=0.014)
+        cab.line([(door[0] - 0.02, sill), (door[0] - 0.02, top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
+        cab.line([(door[1], sill), (door[1], top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
+        cab.line([(door[0], sill), (door[1], sill)], SIDE, width=0.014, facing=(0, 1, 0))
         low = s.bumper_height
         cab.paint([(-1, 0), (99, 0), (99, low - 0.06), (-1, low - 0.06)], WRAP, "trim")
         lamps.draw_front(cab, w, s, self.style, self.points)
