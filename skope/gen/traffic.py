@@ -23,6 +23,11 @@ STEP: Final = 0.025
 LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 _SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
 
+_HEAVY: Final = 3500.0
+"""Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
+_HEAVY_SPEED: Final = 25.0
+"""What their speed limiters allow, m/s."""
+
 
 @dataclass(frozen=True)
 class Driven:
@@ -104,8 +109,11 @@ class Traffic:
             types.setHeight(name, height)
             types.setMinGap(name, 2.0)
             types.setParameter(name, "carFollowModel", "IDM")
-            types.setAccel(name, 2.0)
-            types.setDecel(name, 3.5)
+            heavy = entry.vehicle.mass > _HEAVY
+            types.setAccel(name, 1.2 if heavy else 2.0)
+            types.setDecel(name, 3.0 if heavy else 3.5)
+            if heavy:
+                types.setMaxSpeed(name, _HEAVY_SPEED)
 
     def _plan(self) -> Iterator[Trip]:
         """Poisson arrivals over all ways in, each to a random way out that is not the way back."""

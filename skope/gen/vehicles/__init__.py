@@ -162,33 +162,17 @@ def build(model: str, shape: Mapping[str, float]) -> Vehicle:
 
 
 _ALONG: Final = frozenset(
-    [
-        "length",
-        "wheelbase",
-        "front_overhang",
-        "cowl_setback",
-        "screen_run",
-        "backlight_run",
-        "deck_length",
+    (
+        *("length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length"),
         "cab_length",
-    ]
+    )
 )
-_ACROSS: Final = frozenset(["width", "track", "headlight_inner", "taillight_inner", "roof_inset"])
+_ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
 _UP: Final = frozenset(
-    [
-        "height",
-        "bumper_height",
-        "headlight_low",
-        "headlight_high",
-        "taillight_low",
-        "taillight_high",
-        "hood_height",
-        "cowl_height",
-        "belt_height",
-        "deck_height",
-        "box_height",
-        "clearance",
-    ]
+    (
+        *("height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high"),
+        *("hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance"),
+    )
 )
 _STRETCH: Final = 0.025
 """Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
@@ -201,12 +185,11 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
     ranges = class_ranges(vehicle.vehicle_type)
     whole = vehicle.shape.to_dict()
     scales = []
-    for names, size in ((_ALONG, "length"), (_ACROSS, "width"), (_UP, "height")):
-        # The share is drawn anew into what keeps all dimensions of that axis within their ranges.
+    for names in (_ALONG, _ACROSS, _UP):
+        # One share for an axis, within what keeps all its dimensions in their ranges.
         bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
         low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
         scales.append((names, float(np.clip(1 + _STRETCH * rng.standard_normal(), low, high))))
-        assert low <= 1 <= high, (model, size)
     out = {}
     for name, value in whole.items():
         scale = next((scale for names, scale in scales if name in names), 1.0)

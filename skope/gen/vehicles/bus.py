@@ -1,6 +1,7 @@
 """City buses: one upright shell with large windows, doors on the right, a destination sign."""
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import lamps, parts
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import SIDE, WRAP, Plan, Surface, rounded
+from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.shape import Shape, Style
 from skope.gen.vehicles.tower import Tower, corner_w
 
@@ -115,10 +116,9 @@ class BusBody:
             facing=(0, 1, 0),
         )
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
-        for a, b in zip(posts, posts[1:], strict=False):
-            pane = rounded([(a + 0.03, low), (b - 0.03, low), (b - 0.03, high), (a + 0.03, high)], 0.06)
+        for a, b in pairwise(posts):
+            pane = [(a + 0.03, low), (b - 0.03, low), (b - 0.03, high), (a + 0.03, high)]
             shell.paint(pane, SIDE, "glass", facing=(0, 1, 0))
-            shell.line([(a + 0.05, high - 0.34), (b - 0.05, high - 0.34)], SIDE, "trim", width=0.025, facing=(0, 1, 0))
         if doors:
             middle = (s.front_axle_x + s.rear_axle_x) / 2
             for at in (
@@ -149,14 +149,14 @@ class BusBody:
                 [(end - 0.75, z), (end - 0.32, z), (end - 0.32, z + 0.035), (end - 0.75, z + 0.035)], WRAP, "grille"
             )
         self.points |= {
-            "roof_front": shell.nearest((screen, high - 0.02), WRAP),
+            "roof_front": shell.nearest((screen + 0.06, band), WRAP),
             "windscreen_base": shell.nearest((screen, low - 0.08), WRAP),
             "roof_rear": shell.nearest((end - glass, high), WRAP),
             "rear_window_base": shell.nearest((end - glass, low + 0.5), WRAP),
             "hood_front": shell.nearest((screen - 0.12, low - 0.13), WRAP),
             "trunk_rear": shell.nearest((rear, low - 0.05), WRAP),
-            "bumper_front": shell.nearest((corner, s.clearance), WRAP),
-            "bumper_rear": shell.nearest((rear, s.clearance), WRAP),
+            "bumper_front": shell.nearest((corner, BOTTOM), ROWS),
+            "bumper_rear": shell.nearest((rear, BOTTOM), ROWS),
             "beltline": shell.nearest((posts[np.abs(posts - (start + stop) / 2).argmin()] + 0.03, low - 0.05), SIDE),
         }
 
@@ -169,15 +169,12 @@ class BusBody:
         shell.paint([(x - half, low), (x + half, low), (x + half, high), (x - half, high)], SIDE, "trim", facing=facing)
         for a, b in ((x - half + 0.05, x - 0.03), (x + 0.03, x + half - 0.05)):
             shell.paint(
-                rounded([(a, low + 0.1), (b, low + 0.1), (b, high - 0.08), (a, high - 0.08)], 0.05),
-                SIDE,
-                "glass",
-                facing=facing,
+                [(a, low + 0.1), (b, low + 0.1), (b, high - 0.08), (a, high - 0.08)], SIDE, "glass", facing=facing
             )
 
 
 def _arch(axle: float, s: Shape) -> Array:
-    angle = np.linspace(0, np.pi, 17)
+    angle = np.linspace(0, np.pi, 13)
     radius = _ARCH * s.wheel_radius
     arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
     return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])

@@ -13,7 +13,6 @@ from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.loft import (
     BOTTOM,
     CENTER,
-    DECK,
     FLOOR,
     FRONT_END,
     INNER,
@@ -29,7 +28,6 @@ from skope.gen.vehicles.loft import (
     W,
     Z,
     along,
-    rounded,
 )
 from skope.gen.vehicles.shape import Shape, Style
 
@@ -139,10 +137,11 @@ class CarBody:
     def _pits(self) -> list[tuple[float, float, float]]:
         """x from, to, and floor height of what is hollow in the deck: the cabin, a bed."""
         s = self.shape
-        cabin = (s.backlight_x + 0.14, s.cowl_x - 0.28, self._pit_floor)
+        well = ARCH * s.wheel_radius + 0.04
+        cabin = (max(s.backlight_x + 0.14, s.rear_axle_x + well), s.cowl_x - 0.28, self._pit_floor)
         if not self.style.bed:
             return [cabin]
-        return [cabin, (self.end + 0.13, s.backlight_x - 0.08, s.deck_height - 0.5)]
+        return [cabin, (self.end + 0.13, s.backlight_x - 0.08, max(s.deck_height - 0.5, s.wheel_radius + well))]
 
     def _lower_shell(self) -> Surface:
         s = self.shape
@@ -192,9 +191,10 @@ class CarBody:
         ahead, behind = self.w_of(s.front_axle_x), self.w_of(s.rear_axle_x)
         for start, end in ((-1.0, ahead), (behind, 99.0)):
             lower.paint([(start, 0), (end, 0), (end, trim + 0.05), (start, trim + 0.05)], WRAP, "trim")
-        for start, end, _ in self._pits():
-            box = [(start - 0.02, -9), (end + 0.02, -9), (end + 0.02, 9), (start - 0.02, 9)]
-            lower.paint(box, TOP, "trim" if start < s.backlight_x - 0.2 else "dashboard", levels=(_RIM, CENTER))
+        hollows = [(s.backlight_x + 0.1, s.cowl_x - 0.2, "dashboard")]
+        hollows += [(start - 0.02, end + 0.02, "bed") for start, end, _ in self._pits()[1:]]
+        for start, end, material in hollows:
+            lower.paint([(start, -9), (end, -9), (end, 9), (start, 9)], TOP, material, levels=(_RIM, CENTER))
         self._draw_doors()
         self._draw_hood()
         lamps.draw_front(lower, self.w, s, style, self.points)
@@ -213,12 +213,12 @@ class CarBody:
     def _carve(self, axle: float) -> None:
         s = self.shape
         radius = ARCH * s.wheel_radius
-        angle = np.linspace(0, np.pi, 19)
+        angle = np.linspace(0, np.pi, 15)
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
         if self.style.cladding:
             wide = radius + 0.065
-            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)
+            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)[::2]
             self._lower.paint([(axle + wide, -0.2), *ring, (axle - wide, -0.2)], SIDE, "trim")
         lining, rim = self._lower.carve_well(polygon, self.well)
         material = "trim" if self.style.cladding else "paint"
@@ -325,22 +325,30 @@ class CarBody:
         s, style, glass, w = self.shape, self.style, self._greenhouse, self._glass_w
         last = len(w) - 1
         screen = float(w[FRONT_END + 2]) + 0.02
-        self._pane(-0.2, screen, _GLASS_LOW - 0.02, _SCREEN_HIGH, "glass")
+        # Under a high roof the panes end where they would end under a low one.
+        room = s.height - s.belt_height
+        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.08 / room)
+        self._pane(-0.2, screen, _GLASS_LOW - 0.02, screen_high, "glass")
         start, end = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START + 2]) - 0.03
         if s.deck_length < 0.3:
             end = float(w[last - SIDE_START]) + 0.03
         span = end - start
         glazed = start + span * style.glazed
         lift = 0.0 if style.glazed < 1 else 0.035
-        band = [(start, _GLASS_LOW - 0.03), (glazed, _GLASS_LOW - 0.03 + lift), (glazed, 0.95), (start, 0.95)]
+        band = [
+            (start, _GLASS_LOW - 0.03),
+            (glazed, _GLASS_LOW - 0.03 + lift),
+            (glazed, side_high + 0.02),
+            (start, side_high + 0.02),
+        ]
         glass.paint(band, ROWS, "trim")
         edges = sorted([*style.panes, s.pillar, s.pillar])
         for first, second in zip(edges[::2], edges[1::2], strict=True):
             a, b = start + span * first + 0.028, start + span * second - 0.028
             if second <= style.glazed + 1e-6:
                 dark = style.tinted and first >= s.pillar - 1e-6
-                low = _GLASS_LOW + 0.03 * np.array([first, second])
-                corners = [(a, low[0]), (b, low[1]), (b, _GLASS_HIGH), (a, _GLASS_HIGH)]
+                base = _GLASS_LOW + 0.03 * np.array([first, second])
+                corners = [(a, base[0]), (b, base[1]), (b, side_high), (a, side_high)]
                 glass.paint(corners, ROWS, "glass_tinted" if dark else "glass")
         total = float(w[-1])
         rear = total - float(w[last - FRONT_END - 1]) - (0.0 if s.deck_length > 0.3 else 0.02)
@@ -350,7 +358,7 @@ class CarBody:
             low, high, rear = 0.3, 0.84, rear - 0.08
         self._pane(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
         self.points |= {
-            "roof_front": glass.nearest((screen, _SCREEN_HIGH), ROWS),
+            "roof_front": glass.nearest((screen, screen_high), ROWS),
             "windscreen_base": glass.nearest((screen, _GLASS_LOW - 0.02), ROWS),
             "roof_rear": glass.nearest((total - rear, high), ROWS),
             "rear_window_base": glass.nearest((total - rear, low), ROWS),

@@ -3,7 +3,6 @@
 import numpy as np
 
 from skope.gen.mesh import Mesh, lathe, merged
-from skope.gen.vehicles.parts import block
 
 
 def interior(
@@ -12,7 +11,7 @@ def interior(
     """A cabin between the heights `floor` and `roof`; `cowl` and `driver` are the x of dashboard and driver's back."""
     out: list[Mesh] = []
     y = half_width * 0.52
-    top = min(roof - 0.1, floor + 0.86)
+    top = min(roof - 0.19, floor + 0.84)
     out.append(_box((cowl - 0.3, -half_width, floor), (cowl, half_width, belt - 0.02), "dashboard"))
     for row in range(rows):
         x = driver - 0.85 * row

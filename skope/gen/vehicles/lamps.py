@@ -36,7 +36,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points)
     outer = float(w[SIDE_START - 3]) + s.headlight_wrap
     low, high = s.headlight_low, s.headlight_high
     tall = high - low
-    intake = (s.clearance + 0.09, s.clearance + 0.09 + 0.45 * (low - s.clearance - 0.09))
+    intake = (s.clearance + 0.09, s.clearance + 0.09 + 0.58 * (low - s.clearance - 0.09))
     wide = w[SIDE_START - 6]
     shell.paint(_quad(-0.1, wide - 0.02, (intake[0],) * 2, (intake[1], intake[1] - 0.03)), WRAP, "trim")
     shell.paint(_quad(-0.1, wide - 0.1, (intake[0] + 0.03,) * 2, (intake[1] - 0.02, intake[1] - 0.05)), WRAP, "grille")
@@ -48,8 +48,8 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points)
             (wide - 0.02, intake[1]),
         ]
     )
-    shell.paint(rounded(fog, 0.04), WRAP, "trim")
-    shell.paint(rounded(_grown(fog, -0.035), 0.03), WRAP, "lamp_clear")
+    shell.paint(fog, WRAP, "trim")
+    shell.paint(_grown(fog, -0.035), WRAP, "lamp_clear")
     _grille(shell, s, style, inner, intake[1])
     rise = {"swept": 0.05, "slim": 0.025}.get(style.headlight, 0.0)
     lamp = _quad(inner, outer, (low, low + rise), (high - rise * 0.8, high + rise * 0.3))
@@ -66,11 +66,11 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points)
         shell.paint(rounded(side, 0.02), WRAP, "indicator_left")
         lamp = np.array([(inner, center[1]), (outer, center[1])])
     else:
-        shape = rounded(lamp, 0.02)
+        shape = lamp
         shell.paint(_grown(lamp, 0.012), WRAP, "trim")
         shell.paint(shape, WRAP, "lamp_clear")
         for start, end in ((0.08, 0.34), (0.4, 0.66)) if style.headlight != "slim" else ((0.05, 0.62),):
-            shell.paint(rounded(_between(lamp, start, end, 0.16, 0.84), tall * 0.3), WRAP, "headlight")
+            shell.paint(_between(lamp, start, end, 0.16, 0.84), WRAP, "headlight")
         strip = (0.74, 0.97, 0.12, 0.88) if style.headlight != "slim" else (0.68, 0.97, 0.2, 0.8)
         shell.paint(_between(lamp, *strip), WRAP, "indicator_left")
         lamp = np.array([(lamp[0] + lamp[3]) / 2, (lamp[1] + lamp[2]) / 2])
@@ -162,6 +162,7 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: Style, points: Points) 
     plate = s.taillight_low - 0.03 if hatch or s.taillight_inner < 0.45 else (low + high) / 2 - 0.06
     if style.taillight in ("tall", "round") or hatch:
         plate = max(s.clearance + 0.32, min(plate, s.taillight_low + 0.02))
+    plate = min(plate, s.deck_height - 0.31)
     shell.paint(_quad(end - 0.3, end + 0.1, (plate - 0.03,) * 2, (plate + 0.15,) * 2), WRAP, "trim")
     shell.paint(_quad(end - 0.26, end + 0.1, (plate,) * 2, (plate + 0.11,) * 2), WRAP, "plate")
     angle = np.linspace(0, 2 * np.pi, 9)[:-1]

@@ -8,6 +8,7 @@ split along their edges and take their material, so that the shell stays closed 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ SIDE: Final = (X, Z)
 TOP: Final = (X, Y)
 
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
-"""Rows (T) of a shell: the floor's middle and inner edge, the wall from BOTTOM to SHOULDER, the rim, the top's middle."""
+"""Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
 _FRONT, _CORNER = 5, 5
 """Intervals between columns over half the front or rear, and around a corner."""
@@ -150,7 +151,7 @@ class Surface:
     ) -> Array:
         """Give what lies in a convex polygon of a projection a material; returns the (N, 8) vertices that it has now.
 
-        Only triangles between two rows `levels`, and turned towards `facing` if that is given, are taken.
+        Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
         """
         chosen = self._cut(polygon, projection, levels, facing)
         if material not in self._names:
@@ -176,7 +177,7 @@ class Surface:
         level = self._vertices[:, T][self._triangles]
         active &= (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
         if facing is not None:
-            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.1
+            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.7
         if not active.any():
             return np.zeros(0, dtype=np.int64)
         touched = np.zeros(len(self._vertices), dtype=bool)
@@ -252,7 +253,7 @@ class Surface:
     ) -> None:
         """Draw a thin line through points (N, 2) of a projection."""
         p = np.asarray(points, dtype=np.float64)
-        for start, end in zip(p, p[1:], strict=False):
+        for start, end in pairwise(p):
             along = (end - start) / np.hypot(*(end - start))
             across = np.array([-along[1], along[0]]) * width / 2
             reach = along * width / 2

@@ -26,7 +26,8 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
 def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
     """A door mirror on its foot beside the windscreen's corner, and its outer tip."""
     size = np.array([0.09, 0.11, 0.16]) if tall else np.array([0.085, 0.115, 0.075])
-    center = np.array(base) + [-0.02, 0.17, 0.06 if not tall else 0.1]
+    x, y, z = base
+    center = np.array([x - 0.02, y + 0.115, z + (0.1 if tall else 0.06)])
     angle = np.linspace(-np.pi / 2, np.pi / 2, 9)
     profile = np.stack([np.sin(angle), np.abs(np.cos(angle)) ** 0.62], axis=-1)
     shell = lathe(profile, ["paint" if not tall else "trim"] * 8, 12, "y")
@@ -37,19 +38,14 @@ def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     housing = Mesh(vertices + center, normals, shell.triangles, shell.materials, shell.material)
     pane = 0.74 * size
-    x = -0.55 * size[0] - 0.002
+    behind = -0.55 * size[0] - 0.002
     turn = np.linspace(0, 2 * np.pi, 13)[:-1]
-    ring = np.stack([0 * turn + x, pane[1] * np.cos(turn), pane[2] * np.sin(turn)], axis=-1)
+    ring = np.stack([0 * turn + behind, pane[1] * np.cos(turn), pane[2] * np.sin(turn)], axis=-1)
     fan = [[0, i + 1, i] for i in range(1, 11)]
     glass = from_triangles(ring + center, fan, "glass_mirror")
-    foot = box(np.array(base) + [-0.04, -0.06, 0.0], np.array(base) + [0.02, 0.09, 0.035], "trim")
-    lamp = box(
-        center + [size[0] * 0.72, -0.4 * size[1], -0.012],
-        center + [size[0] * 0.99, 0.5 * size[1], 0.008],
-        "indicator_left",
-    )
-    tip = center + [0, size[1], 0]
-    return merged([housing, glass, foot, lamp]), tip
+    foot = box((x - 0.04, y - 0.06, z), (x + 0.02, y + 0.09, z + 0.035), "trim")
+    tip = center + np.array([0, size[1], 0])
+    return merged([housing, glass, foot]), tip
 
 
 def handle(at: tuple[float, float, float]) -> Mesh:
@@ -60,13 +56,13 @@ def handle(at: tuple[float, float, float]) -> Mesh:
 
 def rail(path: Array) -> Mesh:
     """A roof rail along points (N, 3), with feet at its ends."""
-    low, high = path + [0, 0, 0.045], path + [0, 0, 0.075]
+    low, high = path + np.array([0, 0, 0.022]), path + np.array([0, 0, 0.046])
     a, b = np.array([0, 0.018, 0]), np.array([0, -0.018, 0])
     # Around the bar, counter-clockwise seen from the rear.
     ring = np.stack([low + b, high + b, high + a, low + a, low + b])
     bar = grid(ring, [["rail"] * (len(path) - 1)] * 4)
     feet = [
-        box(path[i] + [-0.05, -0.017, -0.05], path[i] + [0.05, 0.017, 0.074], "rail") for i in (0, len(path) // 2, -1)
+        box(path[i] + [-0.05, -0.017, -0.05], path[i] + [0.05, 0.017, 0.045], "rail") for i in (0, len(path) // 2, -1)
     ]
     return merged([bar, *feet])
 
@@ -79,15 +75,14 @@ def arch_lip(edges: Array, center: tuple[float, float], material: str) -> Mesh:
     outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
     outer = edges + 0.034 * outward + [0, -0.004, 0]
     crest = edges + 0.012 * outward + [0, 0.011, 0]
-    inner = edges + [0, -0.05, 0]
-    quads = [(outer, crest), (crest, inner)]
-    corners = [np.stack([q[:, 0], q[:, 1], p[:, 1], p[:, 0]], axis=1) for q, p in quads]
+    inner = edges + np.array([0, -0.05, 0])
+    corners = []
+    for near, far, out in ((outer, crest, outward * 0.2 + [0, 1, 0]), (crest, inner, -outward)):
+        quad = np.stack([near[:, 0], near[:, 1], far[:, 1], far[:, 0]], axis=1)
+        normal = np.cross(quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1])
+        wrong = (normal * out.mean(axis=1)).sum(axis=1) < 0
+        corners.append(np.where(wrong[:, None, None], quad[:, ::-1], quad))
     c = np.concatenate(corners)
-    normal = np.cross(c[:, 2] - c[:, 0], c[:, 3] - c[:, 1])
-    flip = normal[:, 1] + 1e-9 * normal[:, 2] < 0
-    wrong = flip & (np.arange(len(c)) < len(edges))
-    if wrong.any():
-        c = c[:, ::-1]
     t = np.concatenate([c[:, [0, 1, 2]], c[:, [0, 2, 3]]]).reshape(-1, 3)
     unique, index = np.unique(np.round(t, 6), axis=0, return_inverse=True)
     return from_triangles(unique, index.reshape(-1, 3), material)

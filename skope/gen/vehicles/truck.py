@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles import lamps, parts
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import SIDE, WRAP, Plan, rounded
+from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, WRAP, Plan, rounded
 from skope.gen.vehicles.shape import Shape, Style
 from skope.gen.vehicles.tower import Tower, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
@@ -91,9 +91,9 @@ class TruckBody:
         cab.paint(_grown(window, 0.035), SIDE, "trim", facing=(0, 1, 0))
         cab.paint(window, SIDE, "glass", facing=(0, 1, 0))
         sill = s.wheel_radius * (1 + _ARCH) + 0.04
-        cab.line([(door[0] - 0.02, sill), (door[0] - 0.02, top + 0.06)], SIDE, width=0.014)
-        cab.line([(door[1], sill), (door[1], top + 0.06)], SIDE, width=0.014)
-        cab.line([(door[0], sill), (door[1], sill)], SIDE, width=0.014)
+        cab.line([(door[0] - 0.02, sill), (door[0] - 0.02, top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
+        cab.line([(door[1], sill), (door[1], top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
+        cab.line([(door[0], sill), (door[1], sill)], SIDE, width=0.014, facing=(0, 1, 0))
         low = s.bumper_height
         cab.paint([(-1, 0), (99, 0), (99, low - 0.06), (-1, low - 0.06)], WRAP, "trim")
         lamps.draw_front(cab, w, s, self.style, self.points)
@@ -113,12 +113,12 @@ class TruckBody:
             "roof_front": cab.nearest((screen, top), WRAP),
             "windscreen_base": cab.nearest((screen, base), WRAP),
             "hood_front": cab.nearest((screen - 0.1, s.hood_height - 0.1), WRAP),
-            "bumper_front": cab.nearest((corner, s.clearance), WRAP),
+            "bumper_front": cab.nearest((corner, BOTTOM), ROWS),
             "beltline": cab.nearest((door[1] + 0.06, base + 0.02), SIDE),
         }
 
     def _frame(self) -> None:
-        """Rails, tank, guards, axles with what wheels are not the four outer ones, and the rear bumper with its lamps."""
+        """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
         low, high = s.box_height - 0.3, s.box_height + 0.01
         add = self._parts.append
@@ -157,7 +157,7 @@ class TruckBody:
         lamps.draw_rear(shell, w, s, style, self.points)
         add(shell.half)
         corner = corner_w(w, rear=True)
-        self.points["bumper_rear"] = shell.nearest((corner, s.taillight_low - 0.06), WRAP)
+        self.points["bumper_rear"] = shell.nearest((corner, BOTTOM), ROWS)
 
     def _cargo(self) -> None:
         s, body = self.shape, self.style.body
@@ -219,12 +219,12 @@ class TruckBody:
         self.points |= {
             "roof_rear": shell.nearest((corner, high - tower.edge - (0 if body in open_top else tower.crown)), WRAP),
             "rear_window_base": shell.nearest((edge, top), WRAP),
-            "trunk_rear": shell.nearest((corner, s.box_height), WRAP),
+            "trunk_rear": shell.nearest((corner, BOTTOM), ROWS),
         }
 
 
 def _arch(axle: float, s: Shape) -> Array:
-    angle = np.linspace(0, np.pi, 17)
+    angle = np.linspace(0, np.pi, 13)
     radius = _ARCH * s.wheel_radius
     arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
     return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])

@@ -50,6 +50,7 @@ def _spokes(rim: float, half: float, count: int) -> Mesh:
         front = [_at(r, middle + a, edge if r > inner else face) for r, a in ring]
         behind = [p - [0, depth, 0] for p in front]
         corners.append([front[0], front[1], front[2], front[3]])
+        corners.append(behind[::-1])
         for i in (0, 2):
             j = i + 1
             corners.append([front[i], behind[i], behind[j], front[j]])
