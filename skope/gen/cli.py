@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
+from skope.gen import vehicles_cli
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
+app.add_typer(vehicles_cli.app, name="vehicles")
 
 
 @app.callback()

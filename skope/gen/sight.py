@@ -1,12 +1,13 @@
 """The camera's own rays to points, against the triangles of a moment's vehicles. Pure numpy."""
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment
 from skope.gen.vehicles import Vehicle
 
@@ -18,7 +19,7 @@ class Sight:
 
     def __init__(self, moment: Moment, vehicles: Sequence[Vehicle], camera: Camera) -> None:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
-        self._fans: dict[int, Fan] = {}
+        self._placed: dict[int, Array] = {}
 
     def first_hits(self, points: Array) -> Array:
         """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing."""
@@ -46,22 +47,45 @@ class Sight:
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
     def _hits(self, i: int, rays: Array) -> Array:
-        if i not in self._fans:
-            self._fans[i] = Fan(self._triangles(i))
-        return self._fans[i].first_hits(rays)[0]
+        triangles = _triangles(self._vehicles[i])
+        if i not in self._placed:
+            self._placed[i] = self._place(i)
+        vertices = self._placed[i]
+        if vertices[:, 2].min() > 1e-3:
+            triangles = triangles[_around(vertices, triangles, rays)]
+        return Fan(vertices[triangles]).first_hits(rays)[0] if len(triangles) else np.full(len(rays), np.inf)
 
-    def _triangles(self, i: int) -> Array:
-        """(T, 3, 3) a vehicle's triangles in the camera frame."""
-        vehicle, moment = self._vehicles[i], self._moment
-        right, left = vehicle.wheel.mirrored(), vehicle.wheel
-        parts = zip(
-            (vehicle.mesh, right, left, right, left),
-            (moment.T_world_chassis[i], *moment.T_world_wheels[i]),
-            strict=True,
-        )
-        return np.concatenate(
-            [self._camera.to_camera(mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles] for mesh, T in parts]
-        )
+    def _place(self, i: int) -> Array:
+        """(V, 3) a vehicle's vertices in the camera frame, body first."""
+        vehicle, moment, camera = self._vehicles[i], self._moment, self._camera
+        poses = camera.T_camera_world @ np.concatenate([moment.T_world_chassis[i][None], moment.T_world_wheels[i]])
+        parts = zip(_parts(vehicle), poses, strict=True)
+        return np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in parts])
+
+
+def _parts(vehicle: Vehicle) -> tuple[Mesh, ...]:
+    right, left = vehicle.wheel.mirrored(), vehicle.wheel
+    return vehicle.mesh, right, left, right, left
+
+
+@lru_cache(maxsize=256)
+def _triangles(vehicle: Vehicle) -> NDArray[np.int64]:
+    """(T, 3) of a vehicle's parts, into the vertices of all of them."""
+    parts = _parts(vehicle)
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)])
+
+
+def _around(vertices: Array, triangles: NDArray[np.int64], rays: Array) -> NDArray[np.bool_]:
+    """(T,) which triangles, all before the camera, have any of the rays (R, 3) in the box around them."""
+    places = (vertices[:, :2] / vertices[:, 2:]).astype(np.float32)
+    a, b, c = (places[triangles[:, k]] for k in range(3))
+    # Single precision is enough for boxes that are a little too large.
+    low, high = np.minimum(np.minimum(a, b), c) - 1e-6, np.maximum(np.maximum(a, b), c) + 1e-6
+    out = np.zeros(len(triangles), dtype=bool)
+    for u, v in (rays[:, :2] / rays[:, 2:]).astype(np.float32):
+        out |= (low[:, 0] <= u) & (high[:, 0] >= u) & (low[:, 1] <= v) & (high[:, 1] >= v)
+    return out
 
 
 class Fan:

@@ -55,9 +55,10 @@ _INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "
 class DeviceMesh:
     """Vertices on the device of a mesh's parts, drawn by any program with the inputs it needs."""
 
-    def __init__(self, context: Any, rows: NDArray[np.float32]) -> None:
-        """`rows` (V, 8) are position, normal, number of the material and of the part."""
-        self._context, self._vertices, self.count = context, context.buffer(rows.tobytes()), len(rows)
+    def __init__(self, context: Any, rows: NDArray[np.float32], triangles: NDArray[np.int32]) -> None:
+        """`rows` (V, 8) are position, normal, number of the material and of the part; triangles (T, 3) index them."""
+        self._context, self._vertices = context, context.buffer(rows.tobytes())
+        self._triangles = context.buffer(triangles.tobytes())
         self._arrays: dict[int, Any] = {}
 
     def draw(self, program: Any) -> None:
@@ -65,8 +66,9 @@ class DeviceMesh:
             used = [name for name in _INPUTS if name in program]
             # What a program does not use is skipped, in bytes.
             layout = " ".join(kind if name in used else f"{4 * int(kind[0])}x" for name, kind in _INPUTS.items())
-            self._arrays[program.glo] = self._context.vertex_array(program, [(self._vertices, layout, *used)])
-        self._arrays[program.glo].render(vertices=self.count)
+            content = [(self._vertices, layout, *used)]
+            self._arrays[program.glo] = self._context.vertex_array(program, content, self._triangles)
+        self._arrays[program.glo].render()
 
 
 class Device:
@@ -129,13 +131,18 @@ class Device:
 
         Their positions are relative to `origin`, so that float32 keeps tenths of millimetres.
         """
-        rows = []
+        rows, triangles, count = [], [], 0
         for part, mesh in enumerate(parts):
-            numbers = np.array([_NUMBERS[name] for name in mesh.materials])[mesh.material].repeat(3)
-            corners = mesh.triangles.ravel()
-            positions = mesh.vertices[corners] - (np.zeros(3) if origin is None else origin)
-            rows.append(np.column_stack([positions, mesh.normals[corners], numbers, np.full(len(corners), part)]))
-        return DeviceMesh(self.context, np.concatenate(rows).astype("f4"))
+            # A vertex stands once for each material around it.
+            kinds = len(mesh.materials)
+            keys, index = np.unique(mesh.triangles * kinds + mesh.material[:, None], return_inverse=True)
+            vertex, material = np.divmod(keys, kinds)
+            positions = mesh.vertices[vertex] - (np.zeros(3) if origin is None else origin)
+            numbers = np.array([_NUMBERS[name] for name in mesh.materials])[material]
+            rows.append(np.column_stack([positions, mesh.normals[vertex], numbers, np.full(len(keys), part)]))
+            triangles.append(index.reshape(-1, 3) + count)
+            count += len(keys)
+        return DeviceMesh(self.context, np.concatenate(rows).astype("f4"), np.concatenate(triangles).astype("i4"))
 
     def texture(self, values: NDArray[Any], kind: str) -> Any:
         """A texture of values (H, W, C), looked up texel by texel; `kind` is "f1", "f2" or "f4"."""
