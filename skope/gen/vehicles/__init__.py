@@ -56,13 +56,9 @@ class ParametricVehicle(Derived):
         body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
         return body
 
-    @property
+    @cached_property
     def mesh(self) -> Mesh:
         """The body without wheels, closed, with its glass opaque."""
-        return self._mesh
-
-    @cached_property
-    def _mesh(self) -> Mesh:
         mesh = self._body.mesh
         # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
         name = "indicator_left"

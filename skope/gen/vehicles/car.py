@@ -185,6 +185,9 @@ class CarBody:
     def _draw_lower(self) -> None:
         s, lower, style = self.shape, self._lower, self.style
         everything = (FLOOR, BOTTOM)
+        # Wells first: cut through panels, their rims would have many more edges.
+        for axle in (s.front_axle_x, s.rear_axle_x):
+            self._carve(axle)
         lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP, "under", levels=everything)
         trim = s.bumper_height - 0.02 if style.cladding else s.clearance + 0.1
         lower.paint([(-1, 0), (99, 0), (99, trim), (-1, trim)], WRAP, "trim")
@@ -195,12 +198,12 @@ class CarBody:
         hollows += [(start - 0.02, end + 0.02, "bed") for start, end, _ in self._pits()[1:]]
         for start, end, material in hollows:
             lower.paint([(start, -9), (end, -9), (end, 9), (start, 9)], TOP, material, levels=(_RIM, CENTER))
+        if style.cladding:
+            self._clad()
         self._draw_doors()
         self._draw_hood()
         lamps.draw_front(lower, self.w, s, style, self.points)
         lamps.draw_rear(lower, self.w, s, style, self.points)
-        for axle in (s.front_axle_x, s.rear_axle_x):
-            self._carve(axle)
         corner, last = SIDE_START - 4, len(self.w) - 1
         self.points |= {
             "bumper_front": lower.nearest((self.w[corner], BOTTOM), (W, T)),
@@ -216,13 +219,18 @@ class CarBody:
         angle = np.linspace(0, np.pi, 15)
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
-        if self.style.cladding:
-            wide = radius + 0.065
-            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)[::2]
-            self._lower.paint([(axle + wide, -0.2), *ring, (axle - wide, -0.2)], SIDE, "trim")
         lining, rim = self._lower.carve_well(polygon, self.well)
         material = "trim" if self.style.cladding else "paint"
         self._parts += [lining, parts.arch_lip(rim, (axle, s.wheel_radius), material)]
+
+    def _clad(self) -> None:
+        """Dark rings around the wheel arches."""
+        s = self.shape
+        wide = ARCH * s.wheel_radius + 0.065
+        angle = np.linspace(0, np.pi, 8)
+        for axle in (s.front_axle_x, s.rear_axle_x):
+            ring = np.stack([axle + wide * np.cos(angle), s.wheel_radius + wide * np.sin(angle)], axis=-1)
+            self._lower.paint([(axle + wide, -0.2), *ring, (axle - wide, -0.2)], SIDE, "trim")
 
     def _draw_doors(self) -> None:
         """Gaps around the doors, a crease's shadow along the sill, handles."""
@@ -327,7 +335,7 @@ class CarBody:
         screen = float(w[FRONT_END + 2]) + 0.02
         # Under a high roof the panes end where they would end under a low one.
         room = s.height - s.belt_height
-        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.08 / room)
+        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
         self._pane(-0.2, screen, _GLASS_LOW - 0.02, screen_high, "glass")
         start, end = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START + 2]) - 0.03
         if s.deck_length < 0.3:

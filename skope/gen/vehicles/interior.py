@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, lathe, merged
+from skope.gen.mesh import Mesh, box, grid, lathe, merged
 
 
 def interior(
@@ -12,7 +12,7 @@ def interior(
     out: list[Mesh] = []
     y = half_width * 0.52
     top = min(roof - 0.19, floor + 0.84)
-    out.append(_box((cowl - 0.3, -half_width, floor), (cowl, half_width, belt - 0.02), "dashboard"))
+    out.append(box((cowl - 0.3, -half_width, floor), (cowl, half_width, belt - 0.02), "dashboard"))
     for row in range(rows):
         x = driver - 0.85 * row
         for side in (-1, 1):
@@ -22,17 +22,11 @@ def interior(
     return merged(out)
 
 
-def _box(low: tuple[float, float, float], high: tuple[float, float, float], material: str) -> Mesh:
-    from skope.gen.mesh import box
-
-    return box(low, high, material)
-
-
 def _seat(x: float, y: float, floor: float, top: float) -> list[Mesh]:
     return [
-        _box((x - 0.16, y - 0.22, floor), (x - 0.02, y + 0.22, top - 0.16), "seat"),
-        _box((x - 0.13, y - 0.12, top - 0.16), (x - 0.05, y + 0.12, top), "seat"),
-        _box((x - 0.1, y - 0.22, floor), (x + 0.38, y + 0.22, floor + 0.12), "seat"),
+        box((x - 0.16, y - 0.22, floor), (x - 0.02, y + 0.22, top - 0.16), "seat"),
+        box((x - 0.13, y - 0.12, top - 0.16), (x - 0.05, y + 0.12, top), "seat"),
+        box((x - 0.1, y - 0.22, floor), (x + 0.38, y + 0.22, floor + 0.12), "seat"),
     ]
 
 
@@ -40,9 +34,9 @@ def _driver(x: float, y: float, floor: float, top: float) -> list[Mesh]:
     angle = np.linspace(-np.pi / 2, np.pi / 2, 6)
     head = lathe(np.stack([0.12 * np.sin(angle), 0.088 * np.cos(angle)], -1), ["driver_skin"] * 5, 8, "z")
     shoulders = top - 0.26
-    torso = _box((x - 0.02, y - 0.19, floor + 0.1), (x + 0.2, y + 0.19, shoulders), "driver_clothes")
+    torso = box((x - 0.02, y - 0.19, floor + 0.1), (x + 0.2, y + 0.19, shoulders), "driver_clothes")
     arms = [
-        _box(
+        box(
             (x + 0.12, y + side * 0.2 - 0.05, shoulders - 0.28),
             (x + 0.4, y + side * 0.2 + 0.05, shoulders - 0.18),
             "driver_clothes",
@@ -55,8 +49,6 @@ def _driver(x: float, y: float, floor: float, top: float) -> list[Mesh]:
 def _wheel(x: float, y: float, z: float) -> Mesh:
     turn = np.linspace(0, 2 * np.pi, 13)
     around = np.linspace(0, 2 * np.pi, 5)
-    from skope.gen.mesh import grid
-
     radius = 0.18 + 0.016 * np.cos(around)[None, :]
     points = np.stack(
         [
