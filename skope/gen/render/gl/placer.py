@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.mesh import merged
+from skope.gen.mesh import merged, simplified
 from skope.gen.recording import Moment, RecordedVehicle
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, window_of
@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 PARTS: Final = "PARTS 5"
 """Of a vehicle: its body and four wheels."""
+COARSE: Final = 0.1
+"""Share of the triangles that are left of a vehicle far away."""
 PANES: Final = ("glass", "glass_tinted")
 """Materials that one can look through."""
 
@@ -35,8 +37,12 @@ class Placed:
     solid: DeviceMesh
     """Everything but the panes, with what is inside."""
     panes: DeviceMesh | None
+    coarse: DeviceMesh
+    """All of it with a tenth of the triangles, for its picture from afar."""
     matrices: dict[str, bytes]
     """Of its parts: to the camera frame, and to world axes relative to the camera."""
+    distance: float
+    """From the camera, metres."""
     look: dict[str, Any]
     """Paint and lamps."""
     window: Window
@@ -75,6 +81,7 @@ class Placer:
                     T_world_chassis=chassis,
                     **self._upload(recorded, vehicle),
                     matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
+                    distance=float(away[i]),
                     look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
                     window=window,
                 )
@@ -91,6 +98,7 @@ class Placer:
             self._meshes[key] = {
                 "mesh": self._device.upload(body, *wheels),
                 "solid": self._device.upload(solid, *wheels),
+                "coarse": self._device.upload(*(simplified(part, COARSE) for part in (body, *wheels))),
                 "panes": self._device.upload(body.taken(glass)) if glass.any() else None,
             }
         return self._meshes[key]

@@ -37,6 +37,8 @@ from skope.gen.vehicles.model import Vehicle
 Array = NDArray[np.float64]
 
 SHADOW_MAP: Final = 2048
+FAR: Final = 30.0
+"""Vehicles farther from the camera than this are drawn coarsely in colour, and nobody sees through their windows."""
 SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
 CONTACT_MAP: Final = 1024
@@ -114,6 +116,7 @@ class GLRenderer:
         """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it."""
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
         self._prepare(self._geometry, [inside(vehicle.window, self._camera) for vehicle in placed])
+        self._device.context.enable_only(self._device.gl.DEPTH_TEST | self._device.gl.CULL_FACE)
         put(program, {"u_project": self._project})
         for vehicle in placed:
             put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
@@ -158,7 +161,7 @@ class GLRenderer:
         target.viewport = (0, 0, *size)
         target.use()
         target.clear(0, 0, 0, 0, viewport=(0, 0, *size))
-        device.context.enable_only(device.gl.NOTHING)
+        device.context.enable_only(device.gl.CULL_FACE)
         put(program, {**placed.matrices, "u_project": projection(self._camera.K, placed.window)})
         placed.mesh.draw(program)
         data = target.read(viewport=(0, 0, *size), components=1, dtype="f1", alignment=1)
@@ -190,14 +193,16 @@ class GLRenderer:
         self._sun_map.clear()
         device.context.enable_only(device.gl.DEPTH_TEST)
         put(program, {"u_project": self._sun_clip})
+        middle = self._camera.position + self._background.focus
         for vehicle in placed:
+            if np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10:
+                continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
-            vehicle.mesh.draw(program)
+            (vehicle.mesh if vehicle.distance < FAR else vehicle.coarse).draw(program)
         self._open.use()
         self._open.clear(1, 1, 1, 1)
         device.context.enable_only(device.gl.BLEND)
         device.context.blend_func = device.gl.ZERO, device.gl.SRC_COLOR
-        middle = self._camera.position + self._background.focus
         corners = np.concatenate([_footprint(v.vehicle, v.T_world_chassis, middle) for v in placed])
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
@@ -212,7 +217,7 @@ class GLRenderer:
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
         self._prepare(target, places, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
-        device.context.enable_only(gl.DEPTH_TEST)
+        device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
         units = {"u_vehicle_sun_map": self._sun_map.depth_attachment, "u_front": self._geometry.color_attachments[0]}
         uniforms |= {**self._bind(units), "u_project": self._project}
 
@@ -227,11 +232,16 @@ class GLRenderer:
         if peel:
             draw("PEEL", ((vehicle, vehicle.mesh) for vehicle in placed))
             return
-        draw("SOLID", ((vehicle, vehicle.solid) for vehicle in placed))
+        near = [vehicle for vehicle in placed if vehicle.distance < FAR]
+        draw("SOLID", ((vehicle, vehicle.solid if vehicle.distance < FAR else vehicle.coarse) for vehicle in placed))
+        # Through the windows the insides of the far walls are seen.
+        device.context.cull_face = "front"
+        draw("SOLID", ((vehicle, vehicle.coarse) for vehicle in near))
+        device.context.cull_face = "back"
         # Panes last, from far to near, over what is seen through them.
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE | gl.BLEND)
         device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(placed)))
+        draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(near)))
 
     def _compose(self, places: Sequence[Window], *options: str) -> None:
         """Put parts of the picture together."""
