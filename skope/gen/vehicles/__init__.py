@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from importlib import resources
 from typing import Any, Final
 
@@ -138,7 +138,7 @@ def _parametric(model: str) -> ParametricVehicle:
     return vehicle
 
 
-@cache
+@lru_cache(maxsize=256)
 def _build(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
     base = _parametric(model)
     try:
