@@ -1,13 +1,14 @@
 """The vehicles of a moment, ready to draw."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.mesh import merged, simplified
+from skope.gen.mesh import Mesh, merged, simplified
 from skope.gen.recording import Moment, RecordedVehicle
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, window_of
@@ -98,10 +99,17 @@ class Placer:
             self._meshes[key] = {
                 "mesh": self._device.upload(body, *wheels),
                 "solid": self._device.upload(solid, *wheels),
-                "coarse": self._device.upload(*(simplified(part, COARSE) for part in (body, *wheels))),
+                "coarse": self._device.upload(*_coarse(vehicle)),
                 "panes": self._device.upload(body.taken(glass)) if glass.any() else None,
             }
         return self._meshes[key]
+
+
+@lru_cache(maxsize=256)
+def _coarse(vehicle: Vehicle) -> tuple[Mesh, ...]:
+    """A vehicle's body and wheels for its picture from afar; kept, as each recording uploads them anew."""
+    left = simplified(vehicle.wheel, COARSE)
+    return simplified(vehicle.mesh, COARSE), left.mirrored(), left, left.mirrored(), left
 
 
 def _bytes(matrices: Array) -> bytes:
