@@ -83,4 +83,5 @@ for name in ("pybullet", "libsumo"):
 import skope.gen.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.store
 import skope.gen.towns.scenery
 """
-    subprocess.run([sys.executable, "-c", code], check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

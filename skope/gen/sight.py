@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment
 from skope.gen.vehicles.model import Vehicle
 
@@ -59,21 +58,15 @@ class Sight:
         """(V, 3) a vehicle's vertices in the camera frame, body first."""
         vehicle, moment, camera = self._vehicles[i], self._moment, self._camera
         poses = camera.T_camera_world @ np.concatenate([moment.T_world_chassis[i][None], moment.T_world_wheels[i]])
-        parts = zip(_parts(vehicle), poses, strict=True)
+        parts = zip(vehicle.parts, poses, strict=True)
         return np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in parts])
-
-
-def _parts(vehicle: Vehicle) -> tuple[Mesh, ...]:
-    right, left = vehicle.wheel.mirrored(), vehicle.wheel
-    return vehicle.mesh, right, left, right, left
 
 
 @lru_cache(maxsize=256)
 def _triangles(vehicle: Vehicle) -> NDArray[np.int64]:
     """(T, 3) of a vehicle's parts, into the vertices of all of them."""
-    parts = _parts(vehicle)
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)])
+    starts = np.cumsum([0, *(len(part.vertices) for part in vehicle.parts)])
+    return np.concatenate([part.triangles + start for part, start in zip(vehicle.parts, starts, strict=False)])
 
 
 def _around(vertices: Array, triangles: NDArray[np.int64], rays: Array) -> NDArray[np.bool_]:

@@ -48,6 +48,10 @@ class Vehicle(Protocol):
         """A left wheel about its centre; a right one is its mirror image."""
 
     @property
+    def parts(self) -> tuple[Mesh, ...]:
+        """Body, then the wheels front right, front left, rear right, rear left, each about its own origin."""
+
+    @property
     def points(self) -> Array:
         """(33, 3) keypoints at rest, metres."""
 
@@ -69,6 +73,11 @@ class Derived:
     @property
     def size_lwh(self: Vehicle) -> tuple[float, float, float]:
         return self.shape.length, self.shape.width, self.shape.height
+
+    @cached_property
+    def parts(self: Vehicle) -> tuple[Mesh, ...]:
+        right = self.wheel.mirrored()
+        return self.mesh, right, self.wheel, right, self.wheel
 
     @cached_property
     def sidecar(self: Vehicle) -> Sidecar:

@@ -92,7 +92,7 @@ class Placer:
     def _upload(self, recorded: RecordedVehicle, vehicle: Vehicle) -> dict[str, Any]:
         key = (recorded.model, *sorted(recorded.shape.items()))
         if key not in self._meshes:
-            body, wheels = vehicle.mesh, (vehicle.wheel.mirrored(), vehicle.wheel) * 2
+            body, *wheels = vehicle.parts
             glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
             inside = [vehicle.interior] if vehicle.interior else []
             solid = merged([body.taken(~glass), *inside])
