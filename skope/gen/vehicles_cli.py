@@ -25,13 +25,14 @@ def list_models(quiet: QuietOption = False, version: VersionOption = False) -> N
     console = Console(quiet)
     console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
     total = sum(entry.share for entry in fleet().values())
-    for name, entry in fleet().items():
-        vehicle = entry.vehicle
+    for name, vehicle in _chosen(None).items():
+        entry = fleet().get(name)
         size = " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh)
         triangles = len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles)
+        share = f"{entry.share / total:6.1%}" if entry else f"{'added':>6}"
         console.result(
             f"{name:<20} {vehicle.vehicle_type:<10} {size:<19} {vehicle.shape.wheelbase:9.2f} {triangles:9d} "
-            f"{entry.share / total:6.1%}{'  held out for test sites' if entry.held_out else ''}"
+            f"{share}{'  held out for test sites' if entry and entry.held_out else ''}"
         )
 
 

@@ -1,5 +1,7 @@
 """Models broken on purpose, one way at a time: the check must name each."""
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +10,7 @@ import pytest
 
 from skope import keypoints
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles import build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.quality import distance_to_surface, findings
 from skope.gen.vehicles.sidecar import Sidecar
@@ -86,3 +88,19 @@ def test_distances_to_surfaces_agree_with_another_way_of_working_them_out() -> N
     for _ in range(40):
         point = triangles[rng.integers(len(triangles))].mean(axis=0) + rng.normal(0, 0.02, 3)
         assert distance_to_surface(point, triangles) == pytest.approx(distance_to_triangles(point, triangles), abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("vehicle_type", sorted({entry.vehicle.vehicle_type for entry in fleet().values()}))
+def test_200_shapes_of_each_type_are_without_findings(vehicle_type: str) -> None:
+    models = [name for name, entry in fleet().items() if entry.vehicle.vehicle_type == vehicle_type]
+    drawn = [(models[i % len(models)], i) for i in range(200)]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(mp_context=context) as pool:
+        found = dict(zip(drawn, pool.map(_findings_of_a_shape, drawn, chunksize=10), strict=True))
+    assert {which: texts for which, texts in found.items() if texts} == {}
+
+
+def _findings_of_a_shape(drawn: tuple[str, int]) -> list[str]:
+    model, seed = drawn
+    return [str(finding) for finding in findings(build(model, jittered(model, np.random.default_rng(seed))))]

@@ -137,22 +137,16 @@ def distance_to_surface(point: Array, triangles: Array) -> float:
     """Metres from a point (3,) to the nearest of T triangles (T, 3, 3), exact up to 0.1 m, else inf."""
     reach = 0.1
     near = ((triangles.min(axis=1) <= point + reach) & (triangles.max(axis=1) >= point - reach)).all(axis=1)
-    best = np.inf
-    for a, b, c in triangles[near]:
-        best = min(best, _distance_to_triangle(point, a, b, c))
+    if not near.any():
+        return np.inf
+    start = triangles[near]
+    side = np.roll(start, -1, axis=1) - start
+    to_point = point - start
+    normal = np.cross(side[:, 0], side[:, 1])
+    length = np.linalg.norm(normal, axis=1)
+    over = (np.einsum("tec,tc->te", np.cross(side, to_point), normal) >= 0).all(axis=1) & (length > 1e-12)
+    height = np.abs(np.einsum("tc,tc->t", to_point[:, 0], normal))[over] / length[over]
+    share = (to_point * side).sum(axis=-1) / np.maximum((side * side).sum(axis=-1), 1e-18)
+    beside = np.linalg.norm(to_point - np.clip(share, 0.0, 1.0)[..., None] * side, axis=-1)
+    best = min(float(beside.min()), float(height.min(initial=np.inf)))
     return best if best <= reach else np.inf
-
-
-def _distance_to_triangle(p: Array, a: Array, b: Array, c: Array) -> float:
-    normal = np.cross(b - a, c - a)
-    length = float(np.linalg.norm(normal))
-    edges = ((a, b), (b, c), (c, a))
-    if length > 1e-12 and all(np.cross(v - u, p - u) @ normal >= 0 for u, v in edges):
-        return abs(float((p - a) @ normal)) / length
-    return min(_distance_to_segment(p, u, v) for u, v in edges)
-
-
-def _distance_to_segment(p: Array, u: Array, v: Array) -> float:
-    along = v - u
-    share = np.clip((p - u) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
-    return float(np.linalg.norm(p - u - share * along))

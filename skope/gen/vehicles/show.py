@@ -74,7 +74,9 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
         return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_FOV)
 
     distance = 60.0
-    corners = vehicle.mesh.vertices
+    body, *wheels = vehicle.parts
+    placed = zip(wheels, vehicle.shape.wheel_centers(), strict=True)
+    corners = np.concatenate([body.vertices, *(wheel.vertices + center for wheel, center in placed)])
     for _ in range(4):
         camera = at(distance)
         pixels, _, _ = camera.project(corners)

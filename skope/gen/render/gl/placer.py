@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 PARTS: Final = "PARTS 5"
 """Of a vehicle: its body and four wheels."""
-COARSE: Final = 0.1
-"""Share of the triangles that are left of a vehicle far away."""
+COARSE: Final = 0.25
+"""About the share of its triangles that a vehicle far away is drawn with."""
 PANES: Final = ("glass", "glass_tinted")
 """Materials that one can look through."""
 
@@ -39,7 +39,7 @@ class Placed:
     """Everything but the panes, with what is inside."""
     panes: DeviceMesh | None
     coarse: DeviceMesh
-    """All of it with a tenth of the triangles, for its picture from afar."""
+    """All of it with a quarter of the triangles, for its picture from afar."""
     matrices: dict[str, bytes]
     """Of its parts: to the camera frame, and to world axes relative to the camera."""
     distance: float
