@@ -10,6 +10,7 @@ import numpy as np
 import skope
 from skope.camera import Camera
 from skope.gen.conditions import Conditions, ranges
+from skope.gen.demand import in_town
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
@@ -67,7 +68,7 @@ def simulate(plan: RecordingPlan) -> Recording:
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     """What drives by: the fleet, where detectors train without what is held out, and what was added."""
     train = plan.site.split == "train"
-    models = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
+    models = in_town({name: entry for name, entry in fleet().items() if not (train and entry.held_out)}, plan.site.town)
     share = ADDED_SHARE * sum(entry.share for entry in models.values())
     return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
 

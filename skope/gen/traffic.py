@@ -1,21 +1,20 @@
-"""Traffic by SUMO (libsumo): random trips through a network, and where every vehicle is at each step.
+"""Traffic by SUMO (libsumo): where every road user is at each step.
 
 The only module that imports libsumo. SUMO places a vehicle by the middle of its front bumper and measures angles as
 compass degrees; both are converted here, once.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skope.gen.vehicles import PAINTS, FleetEntry
-
-Array = NDArray[np.float64]
+from skope.gen.demand import RIDERS, Trip, trips, write_types
+from skope.gen.vehicles import FleetEntry
 
 STEP: Final = 0.025
 """Seconds a step. SUMO counts whole milliseconds, so 30 Hz itself cannot be had; 40 Hz divides the frame interval."""
@@ -23,10 +22,14 @@ STEP: Final = 0.025
 LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 _SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
 
-_HEAVY: Final = 3500.0
-"""Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
-_HEAVY_SPEED: Final = 25.0
-"""What their speed limiters allow, m/s."""
+_OPTIONS: Final = {
+    **{"step-length": STEP, "no-step-log": "", "no-warnings": "", "time-to-teleport": -1, "collision.action": "none"},
+    **{"lateral-resolution": 0.6, "default.action-step-length": 0.1},
+}
+_TRAIL_STEP: Final = 0.05
+"""Metres between the heights that are kept of the road that a vehicle has passed."""
+_TRAIL: Final = 25.0
+"""How far back they are kept, metres."""
 
 
 @dataclass(frozen=True)
@@ -34,32 +37,52 @@ class Driven:
     """One vehicle at one step."""
 
     position: tuple[float, float, float]
-    """World: on the road under the middle of the vehicle, metres."""
+    """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
-    """Slope of the road under the vehicle, uphill positive, radians."""
+    """Slope of the road from axle to axle, uphill positive, radians."""
     speed: float
     lamps: int
 
 
 @dataclass(frozen=True)
-class Trip:
-    """A vehicle that will enter the network."""
+class Ridden:
+    """Somebody on two wheels at one step."""
 
-    name: str
-    model: str
-    color: str
-    depart: float
-    edges: tuple[str, ...]
+    position: tuple[float, float, float]
+    """World: on the road under the middle, metres."""
+    yaw: float
+    pitch: float
+    speed: float
 
 
 @dataclass(frozen=True)
 class Snapshot:
     time: float
     vehicles: Mapping[str, Driven]
+    riders: Mapping[str, Ridden]
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
+
+
+class _Trail:
+    """Heights of the road that a vehicle's front bumper has passed, by the distance driven."""
+
+    def __init__(self, height: float, slope: float) -> None:
+        self._driven = [-_TRAIL, 0.0]
+        self._height = [height - _TRAIL * math.sin(slope), height]
+
+    def add(self, driven: float, height: float) -> None:
+        if driven - self._driven[-1] >= _TRAIL_STEP:
+            self._driven.append(driven)
+            self._height.append(height)
+            if driven - self._driven[0] > 2 * _TRAIL:
+                first = next(i for i, at in enumerate(self._driven) if at > driven - _TRAIL) - 1
+                del self._driven[:first], self._height[:first]
+
+    def heights(self, driven: list[float]) -> list[float]:
+        return list(np.interp(driven, self._driven, self._height))
 
 
 class Traffic:
@@ -74,97 +97,78 @@ class Traffic:
         duration: float,
         rng: np.random.Generator,
     ) -> None:
-        self._network, self._fleet = network, fleet
-        self._rate, self._duration, self._rng = vehicles_per_hour / 3600, duration, rng
-        self.trips: dict[str, Trip] = {}
+        self._network, self._fleet, self._rng = network, fleet, rng
+        planned = trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng)
+        self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
+        self._trails: dict[str, _Trail] = {}
 
     def __enter__(self) -> "Traffic":
         import libsumo
 
         self._sumo = libsumo
-        seed = int(self._rng.integers(1, 2**30))
-        options = f"--step-length {STEP} --seed {seed} --no-step-log --no-warnings --time-to-teleport -1"
-        options += " --collision.action none --lanechange.duration 3 --default.speeddev 0.08"
-        libsumo.start(["sumo", "-n", str(self._network), *options.split()])
-        self._add_types()
-        self.trips = {trip.name: trip for trip in self._plan()}
+        options = {**_OPTIONS, "net-file": self._network, "seed": int(self._rng.integers(1, 2**30))}
+        with tempfile.TemporaryDirectory() as folder:
+            types = Path(folder) / "types.add.xml"
+            write_types(types, self._fleet)
+            options["additional-files"] = types
+            pairs = ((f"--{name}", *([str(value)] if value != "" else [])) for name, value in options.items())
+            libsumo.start(["sumo", *(word for pair in pairs for word in pair)])
         for trip in self.trips.values():
             route = f"route_{trip.name}"
             libsumo.route.add(route, trip.edges)
             libsumo.vehicle.add(
-                trip.name, route, typeID=trip.model, depart=f"{trip.depart:.3f}", departLane="best", departSpeed="max"
+                trip.name, route, typeID=trip.type_id, depart=f"{trip.depart:.3f}", departLane="best", departSpeed="max"
             )
         return self
 
     def __exit__(self, *_: object) -> None:
         self._sumo.close()
 
-    def _add_types(self) -> None:
-        types = self._sumo.vehicletype
-        for name, entry in self._fleet.items():
-            length, width, height = entry.vehicle.size_lwh
-            types.copy("DEFAULT_VEHTYPE", name)
-            types.setLength(name, length)
-            types.setWidth(name, width)
-            types.setHeight(name, height)
-            types.setMinGap(name, 2.0)
-            types.setParameter(name, "carFollowModel", "IDM")
-            heavy = entry.vehicle.mass > _HEAVY
-            types.setAccel(name, 1.2 if heavy else 2.0)
-            types.setDecel(name, 3.0 if heavy else 3.5)
-            if heavy:
-                types.setMaxSpeed(name, _HEAVY_SPEED)
-
-    def _plan(self) -> Iterator[Trip]:
-        """Poisson arrivals over all ways in, each to a random way out that is not the way back."""
-        routes = self._routes()
-        weights = np.array([weight for _, weight in routes])
-        models, shares = list(self._fleet), np.array([entry.share for entry in self._fleet.values()])
-        paints, popularity = list(PAINTS), np.array([share for share, _ in PAINTS.values()])
-        rng, time = self._rng, 0.0
-        for i in range(100_000):
-            time += rng.exponential(1 / self._rate)
-            if time > self._duration:
-                return
-            route = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
-            model = models[rng.choice(len(models), p=shares / shares.sum())]
-            color = paints[rng.choice(len(paints), p=popularity / popularity.sum())]
-            yield Trip(f"v{i:05d}", model, color, time, route)
-
-    def _routes(self) -> list[tuple[tuple[str, ...], float]]:
-        """Every route from the network's rim to its rim, weighted by the lanes it starts and ends with."""
-        import sumolib
-
-        net = sumolib.net.readNet(str(self._network))
-        ways_in = [edge for edge in net.getEdges() if not edge.getIncoming()]
-        ways_out = [edge for edge in net.getEdges() if not edge.getOutgoing()]
-        out = []
-        for start in ways_in:
-            for end in ways_out:
-                path, _ = net.getShortestPath(start, end)
-                if path is not None and start.getFromNode() is not end.getToNode():
-                    edges = tuple(edge.getID() for edge in path)
-                    out.append((edges, float(start.getLaneNumber() ** 2 * end.getLaneNumber())))
-        return out
-
     def step(self) -> Snapshot:
         """Go on by `STEP` seconds and say where everyone is."""
         sumo = self._sumo
         sumo.simulationStep()
-        vehicles = {name: self._driven(name) for name in sumo.vehicle.getIDList()}
-        signals = {name: sumo.trafficlight.getRedYellowGreenState(name) for name in sumo.trafficlight.getIDList()}
-        return Snapshot(sumo.simulation.getTime(), vehicles, signals)
+        present = sumo.vehicle.getIDList()
+        for gone in self._trails.keys() - set(present):
+            del self._trails[gone]
+        riders = {name for name in present if self.trips[name].model in RIDERS}
+        return Snapshot(
+            sumo.simulation.getTime(),
+            {name: self._driven(name) for name in present if name not in riders},
+            {name: self._ridden(name) for name in riders},
+            {name: sumo.trafficlight.getRedYellowGreenState(name) for name in sumo.trafficlight.getIDList()},
+        )
 
     def _driven(self, name: str) -> Driven:
         vehicle = self._sumo.vehicle
         x, y, z = vehicle.getPosition3D(name)
         yaw = math.radians(90.0 - vehicle.getAngle(name))
-        pitch = math.radians(vehicle.getSlope(name))
-        back = self._fleet[self.trips[name].model].vehicle.shape.length / 2
-        position = (
-            x - back * math.cos(yaw) * math.cos(pitch),
-            y - back * math.sin(yaw) * math.cos(pitch),
-            z - back * math.sin(pitch),
-        )
+        shape = self._fleet[self.trips[name].model].vehicle.shape
+        front, rear = (shape.length / 2 - axle for axle in (shape.front_axle_x, shape.rear_axle_x))
+        ahead, behind = self._heights(name, z, (front, rear))
+        pitch = math.atan2(ahead - behind, rear - front)
+        back = shape.length / 2 * math.cos(pitch)
+        middle = behind + (rear - shape.length / 2) / (rear - front) * (ahead - behind)
+        position = (x - back * math.cos(yaw), y - back * math.sin(yaw), middle)
         lamps = sum(ours for theirs, ours in _SUMO_LAMPS.items() if vehicle.getSignals(name) & theirs)
         return Driven(position, yaw, pitch, vehicle.getSpeed(name), lamps)
+
+    def _ridden(self, name: str) -> Ridden:
+        vehicle = self._sumo.vehicle
+        x, y, z = vehicle.getPosition3D(name)
+        yaw = math.radians(90.0 - vehicle.getAngle(name))
+        length = vehicle.getLength(name)
+        ahead, behind = self._heights(name, z, (0.2 * length, 0.8 * length))
+        back, pitch = length / 2, math.atan2(ahead - behind, 0.6 * length)
+        position = (x - back * math.cos(yaw), y - back * math.sin(yaw), (ahead + behind) / 2)
+        return Ridden(position, yaw, pitch, vehicle.getSpeed(name))
+
+    def _heights(self, name: str, height: float, behind: tuple[float, ...]) -> list[float]:
+        """Heights of the road at some distances behind a front bumper at `height`, where it has been before."""
+        vehicle = self._sumo.vehicle
+        driven = vehicle.getDistance(name)
+        if name not in self._trails:
+            self._trails[name] = _Trail(height, math.radians(vehicle.getSlope(name)))
+        trail = self._trails[name]
+        trail.add(driven, height)
+        return trail.heights([driven - back for back in behind])
