@@ -42,13 +42,16 @@ STAGES = {
 
 
 def with_vehicles(recording: Recording, count: int) -> Recording:
-    """The recording with `count` of the vehicles in each image, spread evenly from the nearest to the farthest."""
+    """The recording with `count` of the vehicles in each image, spread evenly from the nearest to the farthest.
+
+    Nobody else is on the road.
+    """
     from skope.gen.render.windows import window_of
     from skope.gen.vehicles import build
 
     keep: list[int] = []
     for frame in range(len(recording)):
-        moment = recording.moment(frame)
+        moment = recording.moment(frame).labelled()
         first = int(np.searchsorted(recording.frame, frame))
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - recording.camera.position, axis=1)
         models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]

@@ -11,6 +11,7 @@ from pycocotools import mask as coco_mask
 from skope import keypoints
 from skope.camera import Camera
 from skope.errors import UserError, one_of
+from skope.gen.bodies import body_of
 from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
 from skope.gen.render import STATIC, View
@@ -66,7 +67,8 @@ class Located:
 
 
 def locate(moment: Moment, localizer: str) -> Located:
-    """Localise the keypoints of all vehicles of a moment at once."""
+    """Localise the keypoints of all labelled vehicles of a moment at once."""
+    moment = moment.labelled()
     vehicles = tuple(build(recorded.model, recorded.shape) for recorded in moment.vehicles)
     if not vehicles:
         return Located((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
@@ -139,7 +141,7 @@ def _hidden(moment: Moment, located: Located, camera: Camera, gap: Array, shown:
     if doubtful.any():
         points = located.tested[doubtful]
         away = np.linalg.norm(points - camera.position, axis=-1)
-        hits = Sight(moment, located.vehicles, camera).first_hits(points)
+        hits = Sight(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
         hidden[doubtful] = away - hits > POINT_TOLERANCE
     return hidden
 

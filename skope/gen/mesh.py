@@ -2,11 +2,15 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+FEW: Final = 500
+"""Triangles that are not worth simplifying."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +62,13 @@ class Mesh:
 def simplified(mesh: Mesh, share: float) -> Mesh:
     """About a `share` of the triangles, for pictures of what is far away; what was closed stays closed.
 
+    Meshes of fewer than `FEW` triangles stay as they are.
+
     Quadric error decimation (Garland and Heckbert 1997). A fin stands on every edge where materials meet or the surface
     ends, so that these edges hold against being moved; each triangle that is left keeps its material and normals.
     """
+    if len(mesh.triangles) < FEW:
+        return mesh
     from fast_simplification import replay_simplification, simplify
 
     points, index = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)

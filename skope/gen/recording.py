@@ -50,18 +50,20 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class RecordedVehicle:
-    """What stays the same about a vehicle."""
+    """What stays the same about a vehicle, or about somebody else on the road."""
 
     track_id: int
     model: str
     shape: Mapping[str, float]
     color: str
     parked: bool = False
+    labelled: bool = True
+    """False for people on foot and on two wheels; these come after the vehicles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One frame: the state of the N vehicles that are near the camera."""
+    """One frame: the state of the N vehicles that are near the camera, and of others on the road after them."""
 
     time_s: float
     vehicles: tuple[RecordedVehicle, ...]
@@ -75,6 +77,12 @@ class Moment:
     """(N,) bits of `skope.gen.traffic.LAMPS`."""
     signals: Mapping[str, str]
     """State string of each signal program."""
+
+    def labelled(self) -> "Moment":
+        """The vehicles alone."""
+        n = sum(vehicle.labelled for vehicle in self.vehicles)
+        poses = (self.T_world_chassis[:n], self.T_world_wheels[:n], self.velocity[:n], self.lamps[:n])
+        return Moment(self.time_s, self.vehicles[:n], *poses, self.signals)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

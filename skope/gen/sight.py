@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.recording import Moment
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class Sight:
     """What of a moment's N vehicles a ray from the camera meets first."""
 
-    def __init__(self, moment: Moment, vehicles: Sequence[Vehicle], camera: Camera) -> None:
+    def __init__(self, moment: Moment, vehicles: Sequence[Body], camera: Camera) -> None:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
         self._placed: dict[int, Array] = {}
 
@@ -41,7 +41,7 @@ class Sight:
     @cached_property
     def _centers(self) -> Array:
         """(N, 3) their centres in the camera frame."""
-        up = np.array([[0, 0, vehicle.shape.height / 2] for vehicle in self._vehicles]).reshape(-1, 3)
+        up = np.array([[0, 0, vehicle.size_lwh[2] / 2] for vehicle in self._vehicles]).reshape(-1, 3)
         T = self._moment.T_world_chassis
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
@@ -63,7 +63,7 @@ class Sight:
 
 
 @lru_cache(maxsize=256)
-def _triangles(vehicle: Vehicle) -> NDArray[np.int64]:
+def _triangles(vehicle: Body) -> NDArray[np.int64]:
     """(T, 3) of a vehicle's parts, into the vertices of all of them."""
     starts = np.cumsum([0, *(len(part.vertices) for part in vehicle.parts)])
     return np.concatenate([part.triangles + start for part, start in zip(vehicle.parts, starts, strict=False)])

@@ -10,22 +10,30 @@ import numpy as np
 import skope
 from skope.camera import Camera
 from skope.gen.conditions import Conditions, ranges
+from skope.gen.crowd import Present, Riders, Walkers
 from skope.gen.demand import in_town
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
+from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
 from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.world import Pose, World
 
-REACH: Final = 170.0
+REACH: Final = 150.0
 """Vehicles nearer to the camera than this are simulated physically and recorded, metres."""
+BEHIND: Final = 40.0
+"""Of those behind the camera only the ones nearer than this are: they may throw shadows into the view."""
+CROWD_REACH: Final = 90.0
+"""People on sidewalks nearer to the camera than this are recorded, metres."""
 WARM_UP: Final = (60.0, 100.0)
 """Range of the traffic's time before a recording starts, seconds: the first vehicles have crossed the town by then."""
 SETTLE: Final = 1.5
 """Seconds that the physics run before the first frame, so that springs have come to rest."""
 ADDED_SHARE: Final = 0.1
 """How often an added model drives by, for each vehicle of the fleet."""
+FLASH: Final = 0.667
+"""Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
 LAMPS_ON_DEG: Final = 10.0
 """Vehicles drive with their lamps lit when the sun stands lower than this."""
 TRACKS_PER_RECORDING: Final = 100_000
@@ -47,6 +55,9 @@ def simulate(plan: RecordingPlan) -> Recording:
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
     models = _models(plan)
     log = _Log(camera, plan, models, night=conditions.sun_elevation_deg < LAMPS_ON_DEG)
+    own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
+    paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
+    walkers = Walkers(paths, np.random.default_rng([*own, 1]))
     duration = (warm_up + settle + plan.frames * stride) * STEP
     with (
         Traffic(
@@ -54,14 +65,18 @@ def simulate(plan: RecordingPlan) -> Recording:
         ) as traffic,
         World(STEP) as world,
     ):
+        riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, own)
         for _ in range(warm_up):
             traffic.step()
         for k in range(settle + (plan.frames - 1) * stride + 1):
             snapshot = traffic.step()
             near = log.near(snapshot, traffic)
             world.advance(near)
+            riding = riders.follow(snapshot.riders, STEP)
             if k >= settle and (k - settle) % stride == 0:
-                log.add((k - settle) * STEP, near, world.poses(), snapshot, traffic)
+                time = (k - settle) * STEP
+                log.add(time, near, world.poses(), snapshot, traffic)
+                log.add_others({**riding, **walkers.at(time)})
     return log.recording(plan, camera, conditions)
 
 
@@ -73,26 +88,38 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
 
 
+def flashed(lamps: int, time: float, name: str) -> int:
+    """The lamps that are lit at a time: indicators flash, each vehicle's in its own time."""
+    indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
+    phase = zlib.crc32(name.encode()) / 2**32
+    return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
+
+
 class _Log:
     """Collects frames; vehicles are numbered in the order in which they come near."""
 
     def __init__(self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, night: bool) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
-        self._eye = camera.position[:2]
+        self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]
         self._always = LAMPS["low_beam"] if night else 0
         self._index: dict[str, int] = {}
-        self._entries: list[tuple[Vehicle, str]] = []
+        self._entries: list[RecordedVehicle] = []
         self._times: list[float] = []
         self._signals: list[dict[str, str]] = []
         self._rows: list[tuple[int, int, Pose, int]] = []
+        self._first_track = plan.index * TRACKS_PER_RECORDING + 1
 
     def near(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         return {
             name: (self._vehicle(name, traffic.trips[name].model), driven)
             for name, driven in sorted(snapshot.vehicles.items())
-            if np.hypot(*(np.array(driven.position[:2]) - self._eye)) < REACH
+            if self._is_near(driven.position)
         }
+
+    def _is_near(self, position: tuple[float, float, float]) -> bool:
+        offset = np.array(position[:2]) - self._eye
+        return bool(np.hypot(*offset) < (REACH if offset @ self._ahead > 0 else BEHIND))
 
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
@@ -116,17 +143,41 @@ class _Log:
         self._times.append(round(time, 6))
         self._signals.append(dict(snapshot.signals))
         for name, (vehicle, driven) in near.items():
-            if name not in self._index:
-                self._index[name] = len(self._entries)
-                self._entries.append((vehicle, traffic.trips[name].color))
-            self._rows.append((frame, self._index[name], poses[name], driven.lamps | self._always))
+            lamps = flashed(driven.lamps, time, name) | self._always
+            self._note(
+                frame, name, vehicle.model, vehicle.shape.to_dict(), traffic.trips[name].color, poses[name], lamps
+            )
+
+    def add_others(self, others: Mapping[str, Present]) -> None:
+        """Those who are not labelled, into the last frame."""
+        for name, other in others.items():
+            if self._is_near(tuple(other.T_world_body[:3, 3])):
+                pose = Pose(other.T_world_body, other.part_poses, other.velocity)
+                look = other.body.look.to_dict()
+                self._note(
+                    len(self._times) - 1, name, other.body.kind, look, "black", pose, self._always, labelled=False
+                )
+
+    def _note(
+        self,
+        frame: int,
+        name: str,
+        model: str,
+        shape: Mapping[str, float],
+        color: str,
+        pose: Pose,
+        lamps: int,
+        *,
+        labelled: bool = True,
+    ) -> None:
+        if name not in self._index:
+            self._index[name] = len(self._entries)
+            track = self._first_track + len(self._entries)
+            self._entries.append(RecordedVehicle(track, model, shape, color, labelled=labelled))
+        self._rows.append((frame, self._index[name], pose, lamps))
 
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
-        vehicles = tuple(
-            RecordedVehicle(plan.index * TRACKS_PER_RECORDING + i + 1, vehicle.model, vehicle.shape.to_dict(), color)
-            for i, (vehicle, color) in enumerate(self._entries)
-        )
         return Recording(
             town=site.town,
             site=site.name,
@@ -138,7 +189,7 @@ class _Log:
             conditions=conditions,
             seed=plan.seed,
             versions=versions(),
-            vehicles=vehicles,
+            vehicles=tuple(self._entries),
             times_s=np.array(self._times),
             signals=tuple(self._signals),
             frame=np.array([row[0] for row in self._rows], dtype=np.int32),

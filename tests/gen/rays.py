@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.bodies import body_of
 from skope.gen.recording import Moment
-from skope.gen.vehicles import build
 
 Array = NDArray[np.float64]
 
@@ -35,11 +35,8 @@ def cast(origins: Array, directions: Array, triangles: Array) -> tuple[Array, ND
 
 def vehicle_triangles(moment: Moment, i: int) -> Array:
     """(T, 3, 3) world triangles of the i-th vehicle with its wheels."""
-    recorded = moment.vehicles[i]
-    vehicle = build(recorded.model, recorded.shape)
-    parts = [(vehicle.mesh, moment.T_world_chassis[i])]
-    wheels = (vehicle.wheel.mirrored(), vehicle.wheel) * 2
-    parts += list(zip(wheels, moment.T_world_wheels[i], strict=True))
+    body = body_of(moment.vehicles[i])
+    parts = zip(body.parts, [moment.T_world_chassis[i], *moment.T_world_wheels[i]], strict=True)
     return np.concatenate([(m.vertices @ T[:3, :3].T + T[:3, 3])[m.triangles] for m, T in parts])
 
 

@@ -1,10 +1,13 @@
 """Small recordings made by hand or by a short simulation, for tests."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from skope.camera import Camera
+from skope.gen import bystanders
+from skope.gen.bystanders import Look
 from skope.gen.conditions import Conditions
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulate import simulate
@@ -55,6 +58,26 @@ def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], we
         T_world_wheels=wheels,
         velocity=np.zeros((count, 3)),
         lamps=np.zeros(count, dtype=np.uint8),
+    )
+
+
+def with_people(recording: Recording, places: list[tuple[float, float, float]]) -> Recording:
+    """The frame with large people who stand at places (x, y, yaw)."""
+    body, count = bystanders.build("pedestrian", Look(height=1.95, girth=1.3).to_dict()), len(places)
+    chassis = np.array([pose(*place) for place in places])
+    people = (
+        RecordedVehicle(100 + i, "pedestrian", body.look.to_dict(), "black", labelled=False) for i in range(count)
+    )
+    before = len(recording.vehicles)
+    return replace(
+        recording,
+        vehicles=(*recording.vehicles, *people),
+        frame=np.zeros(before + count, dtype=np.int32),
+        vehicle=np.arange(before + count, dtype=np.int32),
+        T_world_chassis=np.concatenate([recording.T_world_chassis, chassis]),
+        T_world_wheels=np.concatenate([recording.T_world_wheels, chassis[:, None] @ body.pose(0.0)]),
+        velocity=np.zeros((before + count, 3)),
+        lamps=np.zeros(before + count, dtype=np.uint8),
     )
 
 

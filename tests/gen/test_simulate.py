@@ -76,7 +76,7 @@ def test_a_left_turn_leans_the_body_to_the_right_and_steers_left() -> None:
 def test_the_body_follows_its_path() -> None:
     recording = driven()
     for frame in range(len(recording)):
-        moment = recording.moment(frame)
+        moment = recording.moment(frame).labelled()
         assert np.abs(moment.T_world_chassis[:, 2, 3]).max() < 0.05  # heave
         tilt = np.degrees(np.arccos(np.clip(moment.T_world_chassis[:, 2, 2], -1, 1)))
         assert tilt.max() < 8

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.bodies import body_of
 from skope.gen.bullet import engine
 from skope.gen.conditions import OVERCAST
 from skope.gen.mesh import Mesh
@@ -25,7 +26,7 @@ from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, window_of
 from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import LAMPS
-from skope.gen.vehicles import PAINTS, build
+from skope.gen.vehicles import PAINTS
 
 Array = NDArray[np.float64]
 
@@ -180,18 +181,17 @@ class TinyRenderer:
         """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
         key = (recorded.model, tuple(sorted(recorded.shape.items())))
         if key not in self._models:
-            vehicle = build(recorded.model, recorded.shape)
+            vehicle = body_of(recorded)
             stage = _Stage(self._light)
             colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
             body = stage.add(vehicle.mesh, colors)
-            right, left = vehicle.wheel.mirrored(), vehicle.wheel
-            self._models[key] = stage, body, [stage.add(mesh, colors) for mesh in (right, left, right, left)]
+            self._models[key] = stage, body, [stage.add(mesh, colors) for mesh in vehicle.parts[1:]]
         return self._models[key]
 
     def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
         """A vehicle by itself; None when it lies outside the image."""
         T_camera_chassis = self._camera.T_camera_world @ chassis
-        window = window_of(build(recorded.model, recorded.shape), chassis, self._camera)
+        window = window_of(body_of(recorded), chassis, self._camera)
         if window is None:
             return None
         stage, body, wheel_parts = self._model(recorded)
@@ -212,7 +212,7 @@ class TinyRenderer:
         mask = np.zeros(self._ground.shape, dtype=np.uint8)
         contact = np.zeros_like(mask)
         for recorded, chassis in zip(moment.vehicles, moment.T_world_chassis, strict=True):
-            vehicle = build(recorded.model, recorded.shape)
+            vehicle = body_of(recorded)
             points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
             height = points[:, 2:] - chassis[2, 3]
             flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]
@@ -24,17 +24,17 @@ CONTACT: Final = 1.8
 """How far around itself a vehicle takes sky from the road, metres."""
 
 
-def window_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera) -> Window | None:
+def window_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Window | None:
     """Pixels that a vehicle may cover, within the canvas; None when none of them is in the image."""
     return _bounds(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera, canvas=1)
 
 
-def hull_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera) -> Array:
+def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
     return _hull(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
-def shadow_hull_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
+def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
 
     Shadows are followed for 25 m at most.
@@ -42,7 +42,7 @@ def shadow_hull_of(vehicle: Vehicle, T_world_chassis: Array, camera: Camera, sun
     corners = _corners(vehicle)
     around = corners * [1, 1, 0] + np.sign(corners) * [CONTACT, CONTACT, 0]
     world = np.concatenate([corners, around]) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
-    length = min(vehicle.shape.height / max(sun_direction[2], 1e-3), 25.0)
+    length = min(vehicle.size_lwh[2] / max(sun_direction[2], 1e-3), 25.0)
     return _hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
 
 
@@ -110,10 +110,9 @@ def _project(points_world: Array, camera: Camera) -> Array:
 
 
 @cache
-def _corners(vehicle: Vehicle) -> Array:
-    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels, a hand's breadth wider."""
-    points = np.concatenate([vehicle.mesh.vertices, vehicle.shape.wheel_centers()])
-    low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
+def _corners(vehicle: Body) -> Array:
+    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
+    low, high = vehicle.extent.copy()
     low[2] = -0.1
     return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
 

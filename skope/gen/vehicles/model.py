@@ -13,7 +13,34 @@ from skope.gen.vehicles.sidecar import Sidecar
 Array = NDArray[np.float64]
 
 
-class Vehicle(Protocol):
+class Body(Protocol):
+    """What renderers draw: a body with four parts that move."""
+
+    def __hash__(self) -> int: ...
+
+    @property
+    def mesh(self) -> Mesh:
+        """The body without its moving parts, closed, with its glass opaque."""
+
+    @property
+    def interior(self) -> Mesh | None:
+        """What is seen through the windows, inside `mesh`."""
+
+    @property
+    def parts(self) -> tuple[Mesh, ...]:
+        """Body, then four parts, each about its own origin: of vehicles the wheels front right, front left, rear right,
+        rear left."""
+
+    @property
+    def size_lwh(self) -> tuple[float, float, float]:
+        """Length, width without mirrors, height, metres."""
+
+    @property
+    def extent(self) -> Array:
+        """(2, 3) opposite corners of a box around all parts, however they move."""
+
+
+class Vehicle(Body, Protocol):
     """A vehicle model: dimensions, surfaces and keypoints in the vehicle frame."""
 
     def __hash__(self) -> int: ...
@@ -36,28 +63,12 @@ class Vehicle(Protocol):
         """Keypoints that stand for a part that this body lacks."""
 
     @property
-    def mesh(self) -> Mesh:
-        """The body without wheels, closed, with its glass opaque."""
-
-    @property
-    def interior(self) -> Mesh | None:
-        """What is seen through the windows, inside `mesh`."""
-
-    @property
     def wheel(self) -> Mesh:
         """A left wheel about its centre; a right one is its mirror image."""
 
     @property
-    def parts(self) -> tuple[Mesh, ...]:
-        """Body, then the wheels front right, front left, rear right, rear left, each about its own origin."""
-
-    @property
     def points(self) -> Array:
         """(33, 3) keypoints at rest, metres."""
-
-    @property
-    def size_lwh(self) -> tuple[float, float, float]:
-        """Length, width without mirrors, height, metres."""
 
     @property
     def sidecar(self) -> Sidecar: ...
@@ -73,6 +84,11 @@ class Derived:
     @property
     def size_lwh(self: Vehicle) -> tuple[float, float, float]:
         return self.shape.length, self.shape.width, self.shape.height
+
+    @cached_property
+    def extent(self: Vehicle) -> Array:
+        points = np.concatenate([self.mesh.vertices, self.shape.wheel_centers()])
+        return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
 
     @cached_property
     def parts(self: Vehicle) -> tuple[Mesh, ...]:

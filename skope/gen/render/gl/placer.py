@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.bodies import body_of
 from skope.gen.mesh import Mesh, merged, simplified
 from skope.gen.recording import Moment, RecordedVehicle
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, window_of
-from skope.gen.vehicles import PAINTS, build
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles import PAINTS
+from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ class Placed:
 
     index: int
     """In the frame."""
-    vehicle: Vehicle
+    vehicle: Body
     T_world_chassis: Array
     mesh: DeviceMesh
     """The vehicle from outside, with panes one cannot look through."""
@@ -67,7 +68,7 @@ class Placer:
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
         for i in away.argsort(kind="stable").tolist():
             recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
-            vehicle = build(recorded.model, recorded.shape)
+            vehicle = body_of(recorded)
             window = window_of(vehicle, chassis, camera)
             if window is None:
                 continue
@@ -89,7 +90,7 @@ class Placer:
             )
         return out
 
-    def _upload(self, recorded: RecordedVehicle, vehicle: Vehicle) -> dict[str, Any]:
+    def _upload(self, recorded: RecordedVehicle, vehicle: Body) -> dict[str, Any]:
         key = (recorded.model, *sorted(recorded.shape.items()))
         if key not in self._meshes:
             body, *wheels = vehicle.parts
@@ -106,10 +107,10 @@ class Placer:
 
 
 @lru_cache(maxsize=256)
-def _coarse(vehicle: Vehicle) -> tuple[Mesh, ...]:
+def _coarse(vehicle: Body) -> tuple[Mesh, ...]:
     """A vehicle's body and wheels for its picture from afar; kept, as each recording uploads them anew."""
-    left = simplified(vehicle.wheel, COARSE)
-    return simplified(vehicle.mesh, COARSE), left.mirrored(), left, left.mirrored(), left
+    coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(vehicle.parts)}
+    return tuple(coarse[part] for part in vehicle.parts)
 
 
 def _bytes(matrices: Array) -> bytes:

@@ -32,7 +32,7 @@ from skope.gen.render.windows import (
     union,
 )
 from skope.gen.towns.scenery import scenery
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 
@@ -315,7 +315,7 @@ def _read(target: Any, window: Window, kind: type[np.generic]) -> NDArray[Any]:
     return np.frombuffer(data, dtype=kind).reshape(viewport[3], viewport[2], 4)
 
 
-def _footprint(vehicle: Vehicle, T_world_chassis: Array, middle: Array) -> Array:
+def _footprint(vehicle: Body, T_world_chassis: Array, middle: Array) -> Array:
     """(6, 7) corners of two triangles around the ground that a vehicle takes sky from.
 
     Their place in the map around `middle`, their place in the vehicle's axes, half the vehicle's length and width, and

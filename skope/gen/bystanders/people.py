@@ -1,0 +1,145 @@
+"""People: proportions after Drillis and Contini (Body Segment Parameters, 1966), clothes, and how they walk."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.bystanders.shapes import ball, limb, trunk
+from skope.gen.mesh import Mesh, box, merged
+
+Array = NDArray[np.float64]
+
+SKIN: Final = ("#ffccaa", "#ddaa88", "#bb8866", "#886644", "#553322")
+HAIR: Final = ("#221111", "#332211", "#554422", "#887755", "#999999")
+TOPS: Final = ("#222233", "#334466", "#777788", "#dddddd", "#882222", "#335544", "#aa8855", "#ddaa33", "#113355")
+BOTTOMS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
+SHOES: Final = ("#222222", "#dddddd", "#664433")
+
+HIP, SHOULDER = 0.53, 0.785
+"""Heights of the joints over the body's."""
+STRIDE: Final = 0.83
+"""Two steps at a usual pace, over the body's height."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Numbers that fix how somebody looks."""
+
+    height: float = 1.72
+    """Metres."""
+    girth: float = 1.0
+    """Over a slim body's."""
+    palette: float = 0.0
+    """Which colours of clothes, skin and hair; a whole number."""
+    bag: float = 0.0
+    """Over 0.5: carries one."""
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> "Look":
+        grown = rng.random() > 0.12
+        height = rng.normal(1.70, 0.09) if grown else rng.uniform(1.1, 1.5)
+        return cls(
+            round(float(np.clip(height, 1.1, 1.98)), 2),
+            round(float(rng.uniform(0.95, 1.3)), 2),
+            float(rng.integers(2**20)),
+            float(rng.random() < 0.35),
+        )
+
+    def to_dict(self) -> Mapping[str, float]:
+        return asdict(self)
+
+    def colors(self) -> tuple[str, str, str, str, str]:
+        """Skin, hair, top, bottom, shoes."""
+        number, out = int(self.palette), []
+        for choices in (SKIN, HAIR, TOPS, BOTTOMS, SHOES):
+            number, which = divmod(number, len(choices))
+            out.append(choices[which])
+        return tuple(out)  # type: ignore[return-value]
+
+
+def head(look: Look, at: Array) -> list[Mesh]:
+    """Neck, head and hair of a body whose neck starts at a point (3,)."""
+    h = look.height
+    skin, hair, *_ = look.colors()
+    middle = at + [0.015 * h, 0.0, 0.115 * h]
+    return [
+        limb([at, middle], (0.032 * h, 0.03 * h), skin),
+        ball(middle, (0.056 * h, 0.045 * h, 0.066 * h), skin),
+        ball(middle + [-0.012 * h, 0, 0.006 * h], (0.055 * h, 0.049 * h, 0.067 * h), hair, above=-0.2),
+    ]
+
+
+def torso(look: Look) -> Mesh:
+    """From the hips to the neck, upright over the origin."""
+    h, g = look.height, look.girth
+    *_, top, bottom, _ = look.colors()
+    levels = [(0.50, 0.060, 0.088), (0.55, 0.066, 0.094), (0.61, 0.058, 0.084), (0.70, 0.066, 0.096)]
+    levels += [(0.77, 0.062, 0.108), (0.81, 0.046, 0.098), (0.835, 0.030, 0.05)]
+    at = [((0.0, 0.0, z * h), rx * h * g, ry * h * g) for z, rx, ry in levels]
+    return merged([trunk(at[:2], bottom), trunk(at[1:], top)])
+
+
+def pedestrian(look: Look) -> tuple[Mesh, ...]:
+    """Body; right arm, left arm, right leg, left leg, about shoulder and hip."""
+    h = look.height
+    *_, top, _, _ = look.colors()
+    body = [torso(look), *head(look, np.array([0.0, 0.0, 0.82 * h]))]
+    if look.bag > 0.5:
+        body.append(box((-0.15 * h, -0.08 * h, 0.60 * h), (-0.05 * h, 0.08 * h, 0.79 * h), "#333344"))
+    return merged(body), arm(look, top), arm(look, top), leg(look), leg(look)
+
+
+def arm(look: Look, sleeve: str) -> Mesh:
+    """An arm that hangs from the origin."""
+    h, g = look.height, look.girth
+    skin = look.colors()[0]
+    elbow, wrist = np.array([-0.01 * h, 0.0, -0.18 * h]), np.array([0.02 * h, 0.0, -0.33 * h])
+    return merged(
+        [
+            limb(
+                [(0, 0, 0.012 * h), (0, 0, -0.01 * h), elbow, wrist],
+                (0.018 * h, 0.034 * h * g, 0.027 * h * g, 0.02 * h),
+                sleeve,
+            ),
+            ball(wrist + [0.005 * h, 0, -0.035 * h], (0.02 * h, 0.013 * h, 0.042 * h), skin),
+        ]
+    )
+
+
+def leg(look: Look) -> Mesh:
+    """A leg that hangs from the origin, its sole at the ground when it is straight."""
+    h, g = look.height, look.girth
+    *_, bottom, shoes = look.colors()
+    knee, ankle = np.array([0.012 * h, 0, -0.245 * h]), np.array([-0.005 * h, 0, -(HIP - 0.04) * h])
+    foot = box((-0.035 * h, -0.026 * h, -HIP * h), (0.105 * h, 0.026 * h, -(HIP - 0.038) * h), shoes)
+    return merged([limb([(0, 0, 0.02 * h), knee, ankle], (0.05 * h * g, 0.036 * h * g, 0.026 * h * g), bottom), foot])
+
+
+def turned(angle: float, at: tuple[float, float, float]) -> Array:
+    """(4, 4) a turn about y, forward for what hangs, at a point."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, -s, at[0]], [0, 1, 0, at[1]], [s, 0, c, at[2]], [0, 0, 0, 1.0]])
+
+
+def strides(look: Look, travelled: float) -> Array:
+    """Poses of a walker's limbs; opposite arm and leg swing together."""
+    h, g = look.height, look.girth
+    swing = float(np.sin(2 * np.pi * travelled / (STRIDE * h)))
+    shoulder, hip = 0.102 * h * g, 0.05 * h * g
+    return np.stack(
+        [
+            turned(-0.4 * swing, (0.0, -shoulder - 0.012 * h, SHOULDER * h)),
+            turned(0.4 * swing, (0.0, shoulder + 0.012 * h, SHOULDER * h)),
+            turned(0.38 * swing, (0.0, -hip, HIP * h)),
+            turned(-0.38 * swing, (0.0, hip, HIP * h)),
+        ]
+    )
+
+
+def lowered(look: Look, travelled: float) -> float:
+    """How far a walker's body comes down where both legs are apart, metres."""
+    swing = 0.38 * np.sin(2 * np.pi * travelled / (STRIDE * look.height))
+    return float(HIP * look.height * (1 - np.cos(swing)))
