@@ -105,6 +105,21 @@ def check(
 
 
 @app.command()
+def stats(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = Path("data/skope"),
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
+    from skope.dataset import open_dataset
+    from skope.gen.stats import split_stats, table
+
+    console, folder = Console(quiet), open_dataset(dataset)
+    for line in table({split: split_stats(folder, split) for split in folder.splits}):
+        console.result(line)
+
+
+@app.command()
 def doctor(
     pictures: Annotated[Path | None, typer.Option(help="Folder for a test image of each renderer.")] = None,
     quiet: QuietOption = False,

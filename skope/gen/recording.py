@@ -21,7 +21,7 @@ from skope.gen.towns import Site
 
 Array = NDArray[np.float64]
 
-VERSION: Final = 1
+VERSION: Final = 2
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,121 @@
+"""What a dataset holds, split by split, in numbers: how many vehicles, how large, how far, how hidden."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from skope.dataset import Dataset
+from skope.schema import Annotation, Image
+
+PICTURES: Final = 200
+"""Images of a split, evenly spread, whose brightness is measured."""
+
+
+@dataclass(frozen=True)
+class SplitStats:
+    """Numbers of one split; of ground truth unless they say otherwise. Quartiles are (25%, 50%, 75%)."""
+
+    images: int
+    sites: int
+    vehicles: int
+    """Ground-truth boxes."""
+    ignored: int
+    tracks: int
+    """Distinct vehicles; those that no camera saw under an id are not counted."""
+    per_image: float
+    distance_m: tuple[float, float, float]
+    box_height_px: tuple[float, float, float]
+    occluded: float
+    """Mean share of the silhouette that something hides."""
+    crowded: float
+    """Share of the vehicles of which something hides more than a tenth."""
+    visible_points: float
+    """Mean share of the 33 keypoints that are visible."""
+    brightness: float
+    """Mean grey level, 0 to 255."""
+    types: Mapping[str, int]
+
+
+def split_stats(dataset: Dataset, split: str) -> SplitStats:
+    """Numbers of a split; reads its annotations and at most `PICTURES` of its images."""
+    file = dataset.read(split)
+    known = [annotation for annotation in file.annotations if not annotation.iscrowd]
+    sites = {image.id: image.site for image in file.images}
+    seen = np.array([(a.keypoints[:, 2] == 2).mean() for a in known])
+    hidden = np.array([a.occlusion for a in known if a.occlusion is not None])
+    return SplitStats(
+        images=len(file.images),
+        sites=len(set(sites.values())),
+        vehicles=len(known),
+        ignored=len(file.annotations) - len(known),
+        tracks=len({(sites[a.image_id], a.track_id) for a in known if a.track_id is not None}),
+        per_image=len(known) / max(len(file.images), 1),
+        distance_m=_quartiles([a.distance for a in known if a.distance is not None]),
+        box_height_px=_quartiles([float(a.bbox[3]) for a in known]),
+        occluded=_mean(hidden),
+        crowded=_mean(hidden > 0.1),
+        visible_points=_mean(seen),
+        brightness=_brightness(dataset, file.images),
+        types=_types(known),
+    )
+
+
+def _types(annotations: list[Annotation]) -> dict[str, int]:
+    return dict(Counter(a.vehicle_type for a in annotations if a.vehicle_type).most_common())
+
+
+def _brightness(dataset: Dataset, images: tuple[Image, ...]) -> float:
+    chosen = sorted({round(i) for i in np.linspace(0, len(images) - 1, PICTURES)}) if images else []
+    levels = []
+    for i in chosen:
+        picture = cv2.imread(str(dataset.root / images[i].file_name), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+        if picture is not None:
+            levels.append(float(picture.mean()))
+    return _mean(np.array(levels))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _quartiles(values: list[float]) -> tuple[float, float, float]:
+    if not values:
+        return (float("nan"),) * 3
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return float(low), float(middle), float(high)
+
+
+def table(stats: Mapping[str, SplitStats]) -> list[str]:
+    """Lines of a table with a column for each split."""
+
+    def row(name: str, *cells: str) -> str:
+        return f"{name:<26}" + "".join(f"{cell:>18}" for cell in cells)
+
+    def quartiles(values: tuple[float, float, float]) -> str:
+        low, middle, high = values
+        return f"{middle:.0f} ({low:.0f}-{high:.0f})"
+
+    columns = list(stats.values())
+    types = Counter[str]()
+    for column in columns:
+        types.update(column.types)
+    return [
+        row("", *stats),
+        row("images", *(str(s.images) for s in columns)),
+        row("sites", *(str(s.sites) for s in columns)),
+        row("vehicles", *(str(s.vehicles) for s in columns)),
+        row("ignored", *(str(s.ignored) for s in columns)),
+        row("distinct vehicles", *(str(s.tracks) for s in columns)),
+        row("vehicles per image", *(f"{s.per_image:.2f}" for s in columns)),
+        row("distance, m", *(quartiles(s.distance_m) for s in columns)),
+        row("box height, px", *(quartiles(s.box_height_px) for s in columns)),
+        row("hidden share", *(f"{s.occluded:.3f}" for s in columns)),
+        row("more than 10% hidden", *(f"{s.crowded:.1%}" for s in columns)),
+        row("visible keypoints", *(f"{s.visible_points:.3f}" for s in columns)),
+        row("brightness, of 255", *(f"{s.brightness:.0f}" for s in columns)),
+        *(row(f"  {kind}", *(str(s.types.get(kind, 0)) for s in columns)) for kind, _ in types.most_common()),
+    ]
