@@ -21,9 +21,11 @@ class Site:
     town: str
     split: str
     mounting: str
-    """What the camera hangs on, and after which source."""
+    """What the camera hangs on; the source is named in the town's file."""
+    sees: str
+    """What traffic it looks at."""
     position: tuple[float, float, float]
-    """World x, y and height of the camera, metres."""
+    """World x, y and z of the camera, metres."""
     yaw_deg: float
     """Viewing direction, counter-clockwise from east."""
     pitch_deg: float

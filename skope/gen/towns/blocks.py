@@ -145,12 +145,12 @@ def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Sol
     return out
 
 
-def silo(kind: Kind, radius: float, rng: np.random.Generator) -> Mesh:
+def silo(kind: Kind, radius: float, near: bool, rng: np.random.Generator) -> Mesh:
     """A round tower with a dome and hoops."""
     wall, high = str(rng.choice(kind.walls)), kind.ground * rng.uniform(0.8, 1.15)
     profile = [(-0.4, radius), (high, radius), (high + 0.5 * radius, 0.75 * radius), (high + 0.75 * radius, 0.0)]
     parts = [lathe(profile, [wall, "zinc", "zinc"], 18, "z")]
-    for z in np.arange(1.0, high, 1.3):
+    for z in np.arange(1.0, high, 1.3) if near else ():
         hoop = [(z, radius), (z, radius + 0.04), (z + 0.1, radius + 0.04), (z + 0.1, radius)]
         parts.append(lathe(hoop, ["zinc"] * 3, 18, "z"))
     ladder = Solid()

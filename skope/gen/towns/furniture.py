@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
-from skope.gen.towns.layout import Layout, beside, driven, is_minor, is_signalled, joins
+from skope.gen.towns.layout import FAR, Layout, beside, driven, is_minor, is_signalled, joins
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.trees import bush
 
@@ -31,6 +31,8 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iter
     for edge in layout.edges_of("ground"):
         for offset, s, make in _wanted(layout, edge, rng):
             place, heading = beside(edge, s, offset)
+            if layout.camera_distance(place) > FAR:
+                continue
             made = make()
             if spots.take(place, heading, made):
                 yield made.moved(layout.on_ground(place), heading)

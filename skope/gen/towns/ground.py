@@ -15,7 +15,7 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, from_triangles, quads
-from skope.gen.towns.layout import KERB_WIDTH, Layout, beside, driven, half_width, polygons, rectangle, right_of
+from skope.gen.towns.layout import FAR, KERB_WIDTH, Layout, beside, driven, half_width, polygons, rectangle, right_of
 from skope.gen.towns.markings import crossings, markings
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
             (layout.style.median, islands.buffer(0.01)),
             ("asphalt_old", layout.beside_lanes("shoulder")),
             ("sidewalk", sidewalk.union(beside_road.forecourts)),
-            ("paving", unary_union([beside_road.walks, *under_decks(layout)])),
+            ("paving", unary_union([beside_road.walks, layout.walled_road.buffer(4.5), *under_decks(layout)])),
             ("marking", _bays(beside_road.parking)),
             ("asphalt_old", beside_road.parking),
             ("gravel", beside_road.drives),
@@ -312,7 +312,7 @@ def _tracks(layout: Layout, width: float) -> Any:
         for lane in driven(edge):
             line = LineString(lane.getShape())
             strips += [line.offset_curve(side).buffer(width / 2, cap_style="flat") for side in (-0.82, 0.82)]
-    return unary_union(strips)
+    return unary_union(strips).intersection(layout.detailed)
 
 
 def _repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
@@ -324,6 +324,8 @@ def _repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             s += rng.uniform(-4.0, 4.0)
             kind, across = rng.random(), rng.uniform(-0.8, 0.8) * half
             middle, heading = beside(edge, s, -half)
+            if layout.camera_distance(middle) > FAR:
+                continue
             at = middle + right_of(heading) * across
             shape = rectangle(at, heading, rng.uniform(1.2, 3.5), rng.uniform(0.8, 1.8))
             if kind < 0.22:
@@ -337,7 +339,9 @@ def _repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
     for node in layout.net.getNodes():
-        if len(node.getShape()) > 3 and (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
+        if layout.camera_distance(np.array(node.getCoord())) > FAR or len(node.getShape()) < 4:
+            continue
+        if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
             for kept in (new, old):
                 at, heading = _within(area, rng), rng.uniform(0, np.pi)
                 kept.append(rectangle(at, heading, rng.uniform(1.2, 2.6), 1.1))
@@ -372,16 +376,20 @@ def _covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
         length = lanes[0].getLength()
         for s in np.arange(rng.uniform(5.0, 20.0), length - 4.0, 27.0):
             at = LineString(lanes[rng.integers(len(lanes))].getShape()).interpolate(s + rng.uniform(-6.0, 6.0))
-            yield Point(at.x + rng.uniform(-0.3, 0.3), at.y + rng.uniform(-0.3, 0.3)).buffer(0.33, quad_segs=5)
+            if layout.camera_distance(np.array([at.x, at.y])) < FAR:
+                yield Point(at.x + rng.uniform(-0.3, 0.3), at.y + rng.uniform(-0.3, 0.3)).buffer(0.33, quad_segs=5)
         for s in np.arange(9.0, length - 4.0, 24.0):
             at, heading = beside(edge, s, -0.19)
-            yield rectangle(at, heading, 0.5, 0.3)
+            if layout.camera_distance(at) < FAR:
+                yield rectangle(at, heading, 0.5, 0.3)
 
 
 def _sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
     for edge in layout.edges:
         for s in np.arange(rng.uniform(3.0, 12.0), driven(edge)[0].getLength(), 13.0):
             at, heading = beside(edge, s + rng.uniform(-3.0, 3.0), rng.uniform(1.0, 1.9))
+            if layout.camera_distance(at) > FAR:
+                continue
             yield rectangle(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)
 
 

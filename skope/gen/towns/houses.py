@@ -14,7 +14,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.towns import blocks, roof
 from skope.gen.towns.facade import Shop, Style, facade
 from skope.gen.towns.ground import under_decks
-from skope.gen.towns.layout import Layout, beside, driven, polygons, rectangle
+from skope.gen.towns.layout import FAR, NEAR, Layout, beside, driven, polygons, rectangle
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.style import Kind, Row
 
@@ -48,11 +48,16 @@ class House:
     """Along the street and across it, metres."""
     setback: float
     """From the sidewalk to the front, metres; 0 behind the rows."""
-    near: bool
+    detail: int
+    """2 near a camera, 0 where no camera makes out more than walls and windows."""
     floor: float
     """Height of the ground at its highest corner, metres."""
     footing: float
     """Height at its lowest one."""
+
+    @property
+    def near(self) -> bool:
+        return self.detail == 2
 
     @property
     def terraced(self) -> bool:
@@ -73,15 +78,17 @@ def _house(
 ) -> House:
     corners = np.array(rectangle(center, heading, *size).exterior.coords)
     heights = layout.ground.beside(corners) + layout.style.kerb
-    near = layout.is_near(center)
-    return House(kind, center, heading, size, setback, near, float(heights.max()), float(heights.min()))
+    distance = layout.camera_distance(center)
+    detail = 2 if distance < NEAR else 1 if distance < FAR else 0
+    return House(kind, center, heading, size, setback, detail, float(heights.max()), float(heights.min()))
 
 
 def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     """The houses of a town, in rows along the right-hand sides of its edges, and some behind them."""
     out: list[House] = []
     taken = Taken(layout)
-    for edge in layout.edges_of("ground"):
+    fronts = [edge for edge in layout.edges if layout.kind(edge).form != "bridge"]
+    for edge in fronts:
         s, length = 0.0, driven(edge)[0].getLength()
         while s < length:
             row = _row(layout, edge, s)
@@ -95,7 +102,7 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
             else:
                 s += 2.5 if row.empty == 0 else rng.uniform(*row.gap) + 4.0
     kinds = layout.style.behind
-    for edge in layout.edges_of("ground") if kinds else ():
+    for edge in fronts if kinds else []:
         for s in np.arange(10.0, driven(edge)[0].getLength(), 23.0):
             kind = layout.style.kinds[_any(kinds, rng)]
             size = (rng.uniform(*kind.length), rng.uniform(*kind.depth))
@@ -175,7 +182,7 @@ def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh
 def _made(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> Mesh:
     half, kind = (house.size[0] / 2, house.size[1] / 2), house.kind
     if kind.form == "silo":
-        return blocks.silo(kind, half[0], rng)
+        return blocks.silo(kind, half[0], house.near, rng)
     if kind.form == "tower":
         return blocks.tower(kind, half, house.near, rng).mesh()
     if kind.form == "hall":
@@ -234,12 +241,12 @@ def _building(house: House, style: Style, joined: tuple[bool, bool], rng: np.ran
         awning = str(rng.choice(["awning_red", "awning_blue", "awning_green"])) if rng.random() < 0.45 else None
         shop = Shop(fascia=fascia, lettering=lettering, awning=awning)
     plain = replace(style, shutters=None, balconies=False, surrounds=False)
-    near = house.near
-    front = facade(house.size[0], style, rng, near=near, door=True, shop=shop, wrap=True)
-    back = facade(house.size[0], plain, rng, near=False)
+    near, far = house.near, house.detail == 0
+    front = facade(house.size[0], style, rng, near=near, plain=far, door=True, shop=shop, wrap=True)
+    back = facade(house.size[0], plain, rng, near=False, plain=far)
     bays = [0 if meets else int(rng.integers(2, 4)) for meets in joined]
-    right = facade(house.size[1], plain, rng, near=near, bays=bays[0])
-    left = facade(house.size[1], plain, rng, near=near, bays=bays[1])
+    right = facade(house.size[1], plain, rng, near=near, plain=far, bays=bays[0])
+    left = facade(house.size[1], plain, rng, near=near, plain=far, bays=bays[1])
     out.add(front.placed((x, y, 0.0), _AXES["front"]))
     out.add(back.placed((-x, -y, 0.0), _AXES["back"]))
     out.add(right.placed((x, -y, 0.0), _AXES["right"]))

@@ -26,7 +26,11 @@ CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
 NEAR: Final = 48.0
 """Things nearer than that to a camera are drawn in full detail, metres."""
+FAR: Final = 135.0
+"""Things farther than that from all cameras are drawn plainly, without what is small."""
 HALF_VIEW_DEG: Final = 56.0
+BARRIER: Final = 1.5
+"""Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
 ISLAND: Final = 15.0
 """Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
 
@@ -74,12 +78,15 @@ class Layout:
     def ground_road(self) -> Region:
         """The carriageway that lies on the ground."""
         edges = [edge for edge in self.edges if self.kind(edge).form != "bridge"]
-        return _carriageway(edges, self._ground_nodes)
+        whole = _carriageway(edges, self._ground_nodes)
+        # Between retaining walls the median belongs to the carriageway.
+        walled = _carriageway(self.edges_of("walled"), [])
+        return unary_union([whole, walled.buffer(BARRIER).buffer(-BARRIER)]) if not walled.is_empty else whole
 
     @cached_property
     def walled_road(self) -> Region:
         """The part of it between retaining walls."""
-        return _carriageway(self.edges_of("walled"), []).intersection(self.ground_road)
+        return _carriageway(self.edges_of("walled"), []).buffer(BARRIER).buffer(-BARRIER).intersection(self.ground_road)
 
     @cached_property
     def decks(self) -> list[Region]:
@@ -119,6 +126,11 @@ class Layout:
         return self.beside_lanes("sidewalk")
 
     @cached_property
+    def detailed(self) -> Region:
+        """Where small things can be made out."""
+        return unary_union([Point(site.position[:2]).buffer(FAR, quad_segs=4) for site in self.sites])
+
+    @cached_property
     def around_cameras(self) -> Region:
         return unary_union([Point(site.position[:2]).buffer(CAMERA_CLEARANCE) for site in self.sites])
 
@@ -129,10 +141,6 @@ class Layout:
     def sightlines(self, reach: float) -> Region:
         """What lies between the cameras and the carriageway that they see within `reach` metres."""
         return unary_union([self.around_cameras, *(_sightlines(site, self.road, reach) for site in self.sites)])
-
-    def is_near(self, place: Array) -> bool:
-        """Whether a camera is near enough to see details at a place (2,)."""
-        return self.camera_distance(place) < NEAR
 
     def centre_distance(self, place: Array) -> float:
         """How far a place (2,) is from the nearest signalled junction, metres."""

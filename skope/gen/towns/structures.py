@@ -1,5 +1,6 @@
 """Bridges over roads, guard rails, noise barriers, sign gantries, and utility poles with their wires."""
 
+import itertools
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -11,7 +12,7 @@ from shapely.ops import substring, unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
 from skope.gen.towns.ground import Part, deck_edge, parapet, rings, surfaces
-from skope.gen.towns.layout import KERB_WIDTH, Layout, beside, driven, half_width, polygons, right_of
+from skope.gen.towns.layout import BARRIER, KERB_WIDTH, Layout, beside, driven, half_width, polygons, right_of
 from skope.gen.towns.markings import markings
 from skope.gen.towns.solid import Solid
 
@@ -33,6 +34,7 @@ def structures(layout: Layout) -> Iterator[Mesh]:
     for gantry in layout.style.gantries:
         yield _gantry(layout, layout.net.getEdge(gantry.edge), gantry.at, gantry.signs)
     yield from _wires(layout)
+    yield from _median_barriers(layout)
 
 
 # -------------------------------------------------------------------------------------------------------------- bridges
@@ -195,6 +197,24 @@ def _rail(path: LineString, near: bool) -> Mesh:
         x, y = path.interpolate(s).coords[0]
         posts.box("zinc", (x - 0.05, y - 0.05, -0.4), (x + 0.05, y + 0.05, 0.72), without="-z")
     return merged([beam, posts.mesh()])
+
+
+def _median_barriers(layout: Layout) -> Iterator[Mesh]:
+    """Concrete barriers between the directions of roads between retaining walls."""
+    for edge in layout.edges_of("walled"):
+        lane = driven(edge)[-1]
+        line = LineString(lane.getShape())
+        others = [LineString(driven(other)[-1].getShape()) for other in layout.edges_of("walled") if other is not edge]
+        gap = min((line.distance(other) for other in others), default=99.0) - lane.getWidth()
+        if not 0.6 < gap < 2 * BARRIER or any(other.getID() < edge.getID() for other in layout.edges_of("walled")):
+            continue
+        path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
+        z = layout.ground.road(path)
+        profile = [(0.3, 0.0), (0.3, 0.08), (0.12, 0.33), (0.08, 0.85), (-0.08, 0.85), (-0.12, 0.33), (-0.3, 0.08), (-0.3, 0.0)]
+        left = right_of(np.pi / 2 + np.arctan2(*(path[-1] - path[0])[::-1])) * -1.0
+        rows = [np.column_stack([path - y * left, z + h]) for y, h in profile]
+        faces = [np.stack([a[:-1], a[1:], b[1:], b[:-1]], axis=1) for a, b in itertools.pairwise(rows)]
+        yield quads(np.concatenate(faces), "concrete")
 
 
 # ----------------------------------------------------------------------------------------------- barriers and gantries

@@ -76,18 +76,21 @@ class Tree:
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     """The town's lines of trees, and trees in its medians."""
     seen = [layout.sightlines(SIGHT), layout.around_cameras.buffer(CROWN)]
-    keep_clear = unary_union([layout.road.buffer(1.2), built.buffer(2.2), *seen])
+    walls = layout.walled_road.buffer(2.0)
+    keep_clear = unary_union([layout.road.buffer(1.2), walls, built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
     style, out = layout.style, []
 
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
         room = layout.road.distance(Point(at)) - CLEARANCE
-        detail = 2 if distance < 30 else 1 if distance < 62 else 0
+        detail = 2 if distance < 26 else 1 if distance < 62 else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:
-        edges = [edge for edge in layout.edges_of("ground") if not line.roads or edge.getType() in line.roads]
+        edges = layout.edges_of("ground")
+        if line.roads:
+            edges = [edge for edge in layout.edges if edge.getType() in line.roads]
         for edge, place, _ in along(edges, line.spacing, line.offset):
             street = line.offset < layout.kind(edge).sidewalk
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
@@ -151,7 +154,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    count, share = ((7, 0.7), (17, 0.52), (22, 0.45))[tree.detail]
+    count, share = ((6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
     centers = middle + spread * _spread(count, rng)
     if tree.detail and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
