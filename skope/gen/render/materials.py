@@ -27,6 +27,10 @@ MATERIALS: Final[dict[str, RGB]] = {
     "tactile": (0.68, 0.62, 0.50),
     "gravel": (0.60, 0.57, 0.51),
     "soil": (0.31, 0.25, 0.19),
+    "meadow": (0.42, 0.43, 0.24),
+    "field_wheat": (0.66, 0.57, 0.34),
+    "field_green": (0.29, 0.38, 0.17),
+    "field_ploughed": (0.38, 0.30, 0.23),
     "grass": (0.35, 0.38, 0.24),
     # walls; patterns go by the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"
     "brick": (0.55, 0.31, 0.24),
@@ -43,6 +47,12 @@ MATERIALS: Final[dict[str, RGB]] = {
     "dressing": (0.77, 0.74, 0.68),
     "stone": (0.60, 0.58, 0.53),
     "sandstone": (0.72, 0.62, 0.47),
+    # sheet metal and boards
+    "cladding_white": (0.82, 0.82, 0.80),
+    "cladding_grey": (0.60, 0.62, 0.64),
+    "cladding_blue": (0.36, 0.45, 0.56),
+    "cladding_sand": (0.72, 0.66, 0.54),
+    "cladding_red": (0.46, 0.17, 0.14),
     # roofs
     "tiles": (0.52, 0.33, 0.26),
     "tiles_brown": (0.42, 0.31, 0.26),
@@ -84,9 +94,13 @@ MATERIALS: Final[dict[str, RGB]] = {
     "sign_white": (0.91, 0.91, 0.90),
     "sign_blue": (0.08, 0.24, 0.58),
     "sign_yellow": (0.93, 0.72, 0.10),
+    "sign_green": (0.05, 0.36, 0.22),
     # plants
     "bark": (0.30, 0.24, 0.18),
+    "bark_white": (0.74, 0.72, 0.67),
     "leaves": (0.28, 0.36, 0.17),
+    "leaves_dark": (0.17, 0.26, 0.15),
+    "leaves_pale": (0.38, 0.44, 0.20),
     "hedge": (0.19, 0.26, 0.12),
     "woods": (0.20, 0.27, 0.14),
     # vehicles; "paint" is the vehicle's own colour

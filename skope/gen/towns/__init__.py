@@ -1,5 +1,6 @@
 """Towns and their camera sites, as shipped with the package: a SUMO network, scenery grown from it, cameras."""
 
+import hashlib
 import math
 import tomllib
 from collections.abc import Mapping
@@ -20,9 +21,11 @@ class Site:
     town: str
     split: str
     mounting: str
-    """What the camera hangs on, and after which source."""
+    """What the camera hangs on; the source is named in the town's file."""
+    sees: str
+    """What traffic it looks at."""
     position: tuple[float, float, float]
-    """World x, y and height of the camera, metres."""
+    """World x, y and z of the camera, metres."""
     yaw_deg: float
     """Viewing direction, counter-clockwise from east."""
     pitch_deg: float
@@ -44,15 +47,30 @@ class Site:
         )
 
 
-def _folder(town: str) -> Path:
+def folder(town: str) -> Path:
+    """Where a town's files are."""
     return Path(str(resources.files("skope.gen.towns"))) / town
+
+
+@cache
+def towns() -> tuple[str, ...]:
+    """The names of all towns."""
+    return tuple(sorted(path.parent.name for path in folder("").glob("*/town.toml")))
+
+
+def source_digest(town: str) -> str:
+    """Of the plain XML files that a town's network is compiled from."""
+    digest = hashlib.sha256()
+    for path in sorted((folder(town) / "source").glob("*.xml")):
+        digest.update(path.name.encode() + b"\n" + path.read_bytes())
+    return digest.hexdigest()[:24]
 
 
 @cache
 def sites() -> Mapping[str, Site]:
     """All camera sites by name, town by town."""
     out = {}
-    for path in sorted(_folder("").glob("*/sites.toml")):
+    for path in sorted(folder("").glob("*/sites.toml")):
         for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items():
             out[name] = Site(name=name, town=path.parent.name, **{**row, "position": tuple(row["position"])})
     return out
@@ -67,4 +85,4 @@ def site(name: str) -> Site:
 
 def network(town: str) -> Path:
     """The town's compiled SUMO network."""
-    return _folder(town) / "town.net.xml"
+    return folder(town) / "town.net.xml"

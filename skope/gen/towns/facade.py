@@ -65,6 +65,7 @@ def facade(
     rng: np.random.Generator,
     *,
     near: bool,
+    plain: bool = False,
     bays: int | None = None,
     door: bool = False,
     shop: Shop | None = None,
@@ -72,7 +73,8 @@ def facade(
 ) -> Solid:
     """A wall from x = 0 to `width`; `near` ones have their windows set back and their details as geometry.
 
-    What is far has its windows and doors on the wall instead of in it, which takes a tenth of the triangles.
+    What is far has its windows and doors on the wall instead of in it, which takes a tenth of the triangles; `plain`
+    ones have panes of glass only.
 
     Where two walls meet, the bands of the one with `wrap` go round the corner.
     """
@@ -100,6 +102,10 @@ def facade(
         holes += front.holes
         out.add(front.solid, (0.0, 0.0, 0.0 if near else PROUD))
     out.faces(style.walls, _wall(width, style.height, holes if near else []))
+    if plain:
+        for x, y in windows:
+            out.pane("window", (x, x + style.window[0]), (y, y + style.window[1]), PROUD)
+        return out
     _put_windows(out, style, windows, rng, near)
     if near:
         _dress(out, width, style, plinth=shop is None, wrap=wrap)

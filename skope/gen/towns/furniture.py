@@ -1,6 +1,7 @@
 """Lights, signs, cabinets, bins, benches, bollards, bus shelters; x along the street, y towards the carriageway."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -9,13 +10,16 @@ from numpy.typing import NDArray
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
-from skope.gen.towns.layout import KERB_HEIGHT, Layout, beside
+from skope.gen.towns.layout import FAR, Layout, beside, driven, is_minor, is_signalled, joins
 from skope.gen.towns.solid import Solid
+from skope.gen.towns.trees import bush
 
 Array = NDArray[np.float64]
 
 CLEARANCE: Final = 0.4
 """Between anything that stands and the carriageway, metres."""
+OVERHEAD: Final = 6.0
+"""What hangs higher than that may hang over the road, metres."""
 SIGHT: Final = 26.0
 """Furniture keeps out of the view of road that is nearer than that to a camera, metres."""
 
@@ -24,12 +28,14 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iter
     """Everything that stands on the sidewalks of a town but trees and signals."""
     blocked = unary_union([keep_clear, layout.sightlines(SIGHT)])
     spots = _Spots(layout, blocked)
-    for edge in layout.edges:
+    for edge in layout.edges_of("ground"):
         for offset, s, make in _wanted(layout, edge, rng):
             place, heading = beside(edge, s, offset)
+            if layout.camera_distance(place) > FAR:
+                continue
             made = make()
             if spots.take(place, heading, made):
-                yield made.moved([*place, KERB_HEIGHT], heading)
+                yield made.moved(layout.on_ground(place), heading)
 
 
 class _Spots:
@@ -44,7 +50,8 @@ class _Spots:
     def take(self, place: Array, heading: float, made: Mesh) -> bool:
         """Whether a thing fits there; if so its place is taken."""
         c, s = np.cos(heading), np.sin(heading)
-        plan = made.vertices[:, :2] @ np.array([[c, s], [-s, c]]) + place
+        low = made.vertices[made.vertices[:, 2] < OVERHEAD, :2]
+        plan = low @ np.array([[c, s], [-s, c]]) + place
         shape = shapely.MultiPoint(plan).convex_hull.buffer(0.02)
         if shape.intersects(self._blocked) or shape.distance(self._road) < CLEARANCE:
             return False
@@ -56,30 +63,37 @@ class _Spots:
 
 def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
     """What is wished for along an edge: distance from the kerb, metres along, how to make it."""
-    length = edge.getLanes()[0].getLength()
-    main = edge.getLaneNumber() > 1
-    start = 8.0 if _number_of(edge.getID()) % 2 else 24.0
-    for s in np.arange(start, length, 36.0):
-        yield 2.25, float(s), street_light
-    signalled = edge.getToNode().getType() == "traffic_light"
-    yield 0.75, 10.0, lambda: sign("limit")
-    yield 0.75, 60.0, lambda: sign("no_parking")
-    if signalled:
-        yield 0.75, length - 42.0, lambda: sign("warning")
-        yield 0.75, length - 16.0, lambda: sign("street")
-    elif edge.getPriority() < 2:
-        yield 0.75, length - 3.0, lambda: sign("give_way")
-    else:
-        yield 0.75, length - 24.0, lambda: sign("priority")
-    if main:
+    length, kind, style = driven(edge)[0].getLength(), layout.kind(edge), layout.style
+    first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
+    if kind.lights:
+        start = 0.25 * kind.lights if _number_of(edge.getID()) % 2 else 0.7 * kind.lights
+        reach = 2.0 if style.light == "curved" else 2.6
+        for s in np.arange(start, length, kind.lights):
+            yield back if style.light == "curved" else first, float(s), partial(street_light, style.light, reach)
+    yield first, 10.0, lambda: sign("limit")
+    if kind.sidewalk:
+        yield first, 60.0, lambda: sign("no_parking")
+    if is_signalled(edge):
+        yield first, length - 42.0, lambda: sign("warning")
+        yield first, length - 16.0, lambda: sign("street")
+    elif is_minor(edge):
+        yield first, length - 3.0, lambda: sign("give_way")
+        yield first, length - 70.0, lambda: sign("warning")
+    elif joins(edge) > 2:
+        yield first, length - 24.0, lambda: sign("priority")
+    if not kind.sidewalk:
+        for s in np.arange(25.0, length, 50.0):
+            yield first, float(s), delineator
+        return
+    if kind.main and length > 60.0:
         yield 1.55, 44.0, bus_shelter
-    for s in np.arange(rng.uniform(3.0, 9.0), length, 11.0 if main else 30.0):
+        yield first, 50.5, lambda: sign("bus")
+    for s in np.arange(rng.uniform(3.0, 9.0), length, 11.0 if kind.main else 26.0):
         at = float(s + rng.uniform(-3.0, 3.0))
-        central = layout.centre_distance(beside(edge, at, 1.0)[0]) < 90.0
-        offset, make = _small(central, float(rng.random()))
+        offset, make = _small(style.furniture, back, rng)
         yield offset, at, make
     for near_end in (True, False):
-        if main and signalled is near_end:
+        if kind.main and is_signalled(edge) is near_end:
             for k in range(6):
                 yield 0.62, (length - 2.0 - 1.6 * k) if near_end else 2.0 + 1.6 * k, bollard
 
@@ -89,26 +103,65 @@ def _number_of(name: str) -> int:
     return sum(name.encode())
 
 
-def _small(central: bool, chance: float) -> tuple[float, Callable[[], Mesh]]:
-    if chance < 0.3:
-        return 0.8, litter_bin
-    if chance < (0.6 if central else 0.4):
-        return 1.95, bench
-    if chance < 0.78:
-        return 2.2, cabinet
-    if chance < 0.86:
-        return 0.85, pillar_box
-    return 0.8, (bollard if central else cabinet_small)
+def _small(shares: Mapping[str, float], back: float, rng: np.random.Generator) -> tuple[float, Callable[[], Mesh]]:
+    """Something of what stands on sidewalks: distance from the kerb, how to make it."""
+    names, weights = list(shares), np.array(list(shares.values()))
+    name = names[rng.choice(len(names), p=weights / weights.sum())]
+    make, at_kerb = _SMALL[name]
+    return 0.8 if at_kerb else back, make
 
 
-def street_light() -> Mesh:
-    """A pole of 8 m whose curved arm ends before the carriageway."""
-    bend = np.linspace(0, np.pi / 2, 5)
-    arm = [(0.0, 0.9 * (1 - np.cos(a)), 7.1 + 0.9 * np.sin(a)) for a in bend]
-    pole = lathe([(0.0, 0.11), (1.1, 0.11), (1.1, 0.075), (7.1, 0.05)], ["zinc"] * 3, 6, "z")
-    head = box([-0.13, 0.75, 7.94], [0.13, 1.45, 8.08], "pole")
-    lens = box([-0.1, 0.85, 7.92], [0.1, 1.4, 7.94], "lettering")
-    return merged([pole, tube(arm, [0.05] * 5, "zinc", 5), head, lens])
+def street_light(form: str, reach: float) -> Mesh:
+    """A pole with a lamp at the end of a curved arm, of a straight one, of two, or on a timber pole."""
+    if form == "curved":
+        bend = np.linspace(0, np.pi / 2, 5)
+        arm = [(0.0, 0.9 * (1 - np.cos(a)), 7.1 + 0.9 * np.sin(a)) for a in bend]
+        pole = lathe([(0.0, 0.11), (1.1, 0.11), (1.1, 0.075), (7.1, 0.05)], ["zinc"] * 3, 6, "z")
+        return merged([pole, tube(arm, [0.05] * 5, "zinc", 5), _luminaire(0.75, 7.94)])
+    high = 7.6 if form == "timber" else 9.4
+    material, foot = ("timber", 0.15) if form == "timber" else ("zinc", 0.13)
+    parts = [lathe([(-0.2, foot), (high, 0.6 * foot), (high + 0.02, 0.0)], [material] * 2, 7, "z")]
+    for side in (1.0, -1.0) if form == "double" else (1.0,):
+        path = [(0.0, 0.0, high - 0.25), (0.0, side * 0.5 * reach, high + 0.1), (0.0, side * reach, high + 0.2)]
+        parts.append(tube(path, [0.05] * 3, "zinc", 5))
+        head = _luminaire(reach - 0.3, high + 0.14)
+        parts.append(head if side > 0 else head.moved([0, 0, 0], np.pi))
+    return merged(parts)
+
+
+def _luminaire(y: float, z: float) -> Mesh:
+    head = box([-0.13, y, z], [0.13, y + 0.7, z + 0.14], "pole")
+    return merged([head, box([-0.1, y + 0.1, z - 0.02], [0.1, y + 0.65, z], "lettering")])
+
+
+def delineator() -> Mesh:
+    """A marker post at the edge of the road."""
+    out = Solid()
+    out.box("frame", (-0.06, -0.05, -0.1), (0.06, 0.05, 0.95), without="-z")
+    out.box("iron", (-0.065, -0.055, 0.68), (0.065, 0.055, 0.86), without="-z +z")
+    out.box("lettering", (-0.07, -0.03, 0.72), (0.07, 0.03, 0.82), without="-z +z")
+    return out.mesh()
+
+
+def hydrant() -> Mesh:
+    profile = [(0.0, 0.16), (0.06, 0.16), (0.07, 0.11), (0.52, 0.11), (0.54, 0.14), (0.6, 0.12), (0.7, 0.05), (0.72, 0.0)]
+    body = lathe(profile, ["sign_red"] * 7, 8, "z")
+    return merged([body, box([-0.2, -0.06, 0.36], [0.2, 0.06, 0.48], "sign_red")])
+
+
+def planter() -> Mesh:
+    profile = [(0.0, 0.4), (0.5, 0.52), (0.55, 0.52), (0.55, 0.45), (0.45, 0.44), (0.46, 0.0)]
+    rng = np.random.default_rng(5)
+    return merged([lathe(profile, ["concrete"] * 4 + ["soil"], 10, "z"), bush(0.5, rng).moved([0, 0, 0.5])])
+
+
+def news_rack() -> Mesh:
+    out = Solid()
+    for k, color in enumerate(("sign_red", "sign_blue", "sign_yellow")):
+        x = 0.5 * k - 0.75
+        out.box(color, (x, -0.2, 0.1), (x + 0.45, 0.2, 1.05), without="-z")
+        out.pane("window", (x + 0.05, x + 0.4), (-0.15, 0.15), 1.055)
+    return out.mesh()
 
 
 def sign(kind: str) -> Mesh:
@@ -121,6 +174,7 @@ def sign(kind: str) -> Mesh:
         "warning": [(_triangle(0.36), "sign_red", 0.05), (_triangle(0.23), "sign_white", 0.056)],
         "give_way": [(-_triangle(0.38), "sign_red", 0.05), (-_triangle(0.25), "sign_white", 0.056)],
         "priority": [(_diamond(0.33), "sign_white", 0.05), (_diamond(0.24), "sign_yellow", 0.056)],
+        "bus": [(_rectangle(0.25, 0.25), "sign_yellow", 0.05), (_round(0.19), "door_green", 0.056)],
         "street": [(_rectangle(0.45, 0.13), "sign_blue", 0.05), (_rectangle(0.36, 0.03), "sign_white", 0.056)],
     }[kind]
     plate = Solid()
@@ -224,3 +278,17 @@ def bus_shelter() -> Mesh:
     out.box("timber", (-1.6, -0.5, 0.42), (0.6, -0.15, 0.47))
     out.box("sign_red", (-1.95, 0.65, 2.32), (1.95, 0.67, 2.4), without="-y")
     return out.mesh()
+
+
+_SMALL: Final[Mapping[str, tuple[Callable[[], Mesh], bool]]] = {
+    "litter_bin": (litter_bin, True),
+    "bench": (bench, False),
+    "cabinet": (cabinet, False),
+    "pillar_box": (pillar_box, True),
+    "cabinet_small": (cabinet_small, False),
+    "bollard": (bollard, True),
+    "hydrant": (hydrant, True),
+    "planter": (planter, True),
+    "news_rack": (news_rack, False),
+}
+"""What a town's style may put on its sidewalks, and whether it stands at the kerb."""

@@ -10,8 +10,8 @@ from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.towns.houses import House, covered, forecourts, paths
-from skope.gen.towns.layout import KERB_HEIGHT, KERB_WIDTH, SIDEWALK, Layout, along, free, rectangle
+from skope.gen.towns.houses import House, car_parks, covered, forecourts, paths
+from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, rectangle, right_of
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.trees import bush, hedge
 
@@ -23,63 +23,108 @@ OPEN_GROUND: Final = 55.0
 
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Boundaries and bushes of all plots that have a garden."""
-    built = unary_union([covered(houses), *paths(houses), forecourts(houses)])
-    street = layout.road.buffer(KERB_WIDTH + SIDEWALK + 0.05)
+    built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
+    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), layout.sidewalk.buffer(0.05)])
     taken = unary_union([covered(houses).buffer(0.25), street])
-    yield from _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng)
+    for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
+        yield layout.draped(part)
     seen = unary_union([taken, layout.around_cameras])
     shapely.prepare(taken)
     shapely.prepare(seen)
     for house in houses:
-        if house.terraced or house.setback == 0.0:
-            continue
-        x, y = house.size[0] / 2, house.size[1] / 2
-        front, kind = y + house.setback - 0.25, rng.random()
-        for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
-            if _fits(taken, house, (a, front), (b, front)):
-                middle = house.to_world(np.array([(a + b) / 2, front]))
-                yield _boundary(kind, b - a, house.near, rng).moved([*middle, KERB_HEIGHT], house.heading)
-        for side in (-x - 1.3, x + 3.0):
-            low, high = -y - 11.0, -y + 2.0
-            if house.kind == "house" and _fits(seen, house, (side, low), (side, high)):
-                middle = house.to_world(np.array([side, (low + high) / 2]))
-                yield _panels(high - low, house.near).mesh().moved([*middle, KERB_HEIGHT], house.heading + np.pi / 2)
-        for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
-            if abs(at) > 1.6:
-                place = house.to_world(np.array([at, y + 1.6]))
-                yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, KERB_HEIGHT])
+        for part in _garden(layout, house, taken, seen, rng):
+            yield layout.draped(part)
+
+
+def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    if house.terraced or house.setback == 0.0 or not house.kind.garden:
+        return
+    x, y = house.size[0] / 2, house.size[1] / 2
+    front, kind = y + house.setback - 0.25, _fence(layout, rng)
+    for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
+        if _fits(taken, house, (a, front), (b, front)):
+            middle = house.to_world(np.array([(a + b) / 2, front]))
+            yield _boundary(kind, b - a, house.near, rng).moved([*middle, 0.0], house.heading)
+    for side in (-x - 1.3, x + 3.0):
+        low, high = -y - 11.0, -y + 2.0
+        if house.kind.drive and _fits(seen, house, (side, low), (side, high)):
+            middle = house.to_world(np.array([side, (low + high) / 2]))
+            yield _panels(high - low, house.near).mesh().moved([*middle, 0.0], house.heading + np.pi / 2)
+    for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
+        if abs(at) > 1.6:
+            place = house.to_world(np.array([at, y + 1.6]))
+            yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, 0.0])
 
 
 def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Enclosures and shrubs where no house stands at the street; all lower than 1 m."""
+    """Enclosures and shrubs where no house stands at the street; all lower than 1 m or so."""
     shapely.prepare(taken)
-    kinds = {edge.getID(): rng.random() for edge in layout.edges}
+    edges = [edge for edge in layout.edges_of("ground") if not layout.kind(edge).guard_rails]
+    kinds = {edge.getID(): _fence(layout, rng) for edge in edges}
     length = 5.6
-    for edge, place, heading in along(layout, length + 0.15, KERB_WIDTH + SIDEWALK + 0.45):
+    for edge, place, heading in along(edges, length + 0.15, 0.0):
+        place = place + right_of(heading) * _margin(layout, edge, 0.6)
         run = rectangle(place, heading, length, 0.5)
         if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
-            yield _boundary(kinds[edge.getID()], length, layout.camera_distance(place) < 25.0, rng).moved(
-                [*place, KERB_HEIGHT], heading
-            )
-    for _, place, _ in along(layout, 2.6, KERB_WIDTH + SIDEWALK + 2.4):
-        at, likely = place + rng.uniform(-1.2, 1.2, 2), rng.random()
-        if likely < 0.5 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
-            yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, KERB_HEIGHT])
+            near = layout.camera_distance(place) < 25.0
+            yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
+    for edge, place, heading in along(edges, 2.6, 0.0):
+        at = place + right_of(heading) * _margin(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
+        likely = rng.random()
+        if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
+            yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
+
+
+def _margin(layout: Layout, edge: Any, beyond: float) -> float:
+    """From the kerb to what encloses the land beside a road, metres."""
+    kind = layout.kind(edge)
+    return KERB_WIDTH + max(kind.sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
+
+
+def _fence(layout: Layout, rng: np.random.Generator) -> str:
+    names, shares = list(layout.style.fences), np.array(list(layout.style.fences.values()))
+    return names[rng.choice(len(names), p=shares / shares.sum())]
 
 
 def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:
     return not taken.intersects(LineString(house.to_world(np.array([a, b]))))
 
 
-def _boundary(kind: float, length: float, near: bool, rng: np.random.Generator) -> Mesh:
+def _boundary(kind: str, length: float, near: bool, rng: np.random.Generator) -> Mesh:
     """One of several enclosures of about 0.9 m, along x around the origin."""
-    if kind < 0.4:
+    if kind == "hedge":
         return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
-    if kind < 0.64:
-        return _low_wall(length, ("brick", "stone", "brick_brown")[int(kind * 100) % 3]).mesh()
-    if kind < 0.84:
+    if kind == "pickets":
         return _pickets(length, near).mesh()
-    return _railing(length, near).mesh()
+    if kind == "railing":
+        return _railing(length, near).mesh()
+    if kind == "wire":
+        return _wire(length).mesh()
+    if kind == "rails":
+        return _rails(length).mesh()
+    return _low_wall(length, kind).mesh()
+
+
+def _wire(length: float) -> Solid:
+    """Timber posts with wires, as around pastures."""
+    half = length / 2
+    out = Solid()
+    for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.8)), endpoint=False):
+        out.box("timber", (x - 0.05, -0.05, -0.2), (x + 0.05, 0.05, 1.1), without="-z")
+    for z in (0.4, 0.7, 1.0):
+        out.box("zinc", (-half, -0.008, z), (half, 0.008, z + 0.016))
+    return out
+
+
+def _rails(length: float) -> Solid:
+    """Posts with two boards, as around paddocks."""
+    half = length / 2
+    out = Solid()
+    for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.4)), endpoint=False):
+        out.box("frame", (x - 0.07, -0.07, -0.2), (x + 0.07, 0.07, 1.05), without="-z")
+    for z in (0.35, 0.75):
+        out.box("frame", (-half, 0.05, z), (half, 0.09, z + 0.16))
+    return out
 
 
 def _low_wall(length: float, material: str) -> Solid:

@@ -1,7 +1,7 @@
 """Where things may stand in a town: the carriageway, what lies beside it, and what its cameras must see."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, TypeAlias
@@ -9,41 +9,126 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import shapely
 import sumolib
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from shapely import LineString, MultiPolygon, Point, Polygon
 from shapely.ops import unary_union
 
+from skope.gen.mesh import Mesh
 from skope.gen.towns import Site, network, sites
+from skope.gen.towns.style import Road, Style, style
+from skope.gen.towns.terrain import Ground, Lanes
 
 Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
 
-KERB_HEIGHT: Final = 0.12
 KERB_WIDTH: Final = 0.15
-SIDEWALK: Final = 2.4
 CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
 NEAR: Final = 48.0
 """Things nearer than that to a camera are drawn in full detail, metres."""
+FAR: Final = 135.0
+"""Things farther than that from all cameras are drawn plainly, without what is small."""
 HALF_VIEW_DEG: Final = 56.0
+BARRIER: Final = 1.5
+"""Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
+ISLAND: Final = 15.0
+"""Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
     """A town's network with the regions that scenery is fitted into."""
 
+    town: str
     net: Any
-    road: Region
+    style: Style
     sites: tuple[Site, ...]
 
     @classmethod
     def of(cls, town: str) -> "Layout":
         net = sumolib.net.readNet(str(network(town)), withInternal=True)
-        return cls(net, _carriageway(net), tuple(site for site in sites().values() if site.town == town))
+        return cls(town, net, style(town), tuple(site for site in sites().values() if site.town == town))
 
-    @property
+    # ------------------------------------------------------------------------------------------------------- network
+
+    @cached_property
     def edges(self) -> list[Any]:
-        return list(self.net.getEdges(withInternal=False))
+        """Edges that vehicles drive on."""
+        return [edge for edge in self.net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
+
+    def kind(self, edge: Any) -> Road:
+        """What belongs to an edge."""
+        return self.style.roads[edge.getType()]
+
+    def edges_of(self, form: str) -> list[Any]:
+        return [edge for edge in self.edges if self.kind(edge).form == form]
+
+    @cached_property
+    def _ground_nodes(self) -> list[Any]:
+        """Nodes that are not on a deck."""
+        return [
+            node
+            for node in self.net.getNodes()
+            if any(self.kind(edge).form != "bridge" for edge in legs(node))
+        ]
+
+    # ------------------------------------------------------------------------------------------------------- regions
+
+    @cached_property
+    def ground_road(self) -> Region:
+        """The carriageway that lies on the ground."""
+        edges = [edge for edge in self.edges if self.kind(edge).form != "bridge"]
+        whole = _carriageway(edges, self._ground_nodes)
+        # Between retaining walls the median belongs to the carriageway.
+        walled = _carriageway(self.edges_of("walled"), [])
+        return unary_union([whole, walled.buffer(BARRIER).buffer(-BARRIER)]) if not walled.is_empty else whole
+
+    @cached_property
+    def walled_road(self) -> Region:
+        """The part of it between retaining walls."""
+        return _carriageway(self.edges_of("walled"), []).buffer(BARRIER).buffer(-BARRIER).intersection(self.ground_road)
+
+    @cached_property
+    def decks(self) -> list[Region]:
+        """Carriageways of bridges."""
+        bridges = self.edges_of("bridge")
+        if not bridges:
+            return []
+        return polygons(_carriageway(bridges, []).difference(self.ground_road.difference(self.walled_road)))
+
+    @cached_property
+    def road(self) -> Region:
+        """Everything that is driven on, from above."""
+        return unary_union([self.ground_road, *self.decks])
+
+    @cached_property
+    def islands(self) -> Region:
+        """Medians and islands."""
+        holes = [Polygon(hole) for part in polygons(self.ground_road) for hole in part.interiors]
+        return unary_union([hole.difference(self.road) for hole in holes if hole.buffer(-ISLAND).is_empty])
+
+    def beside_lanes(self, width: str) -> Region:
+        """The strips beside the carriageway that are as wide as the road's `width` ("sidewalk" or "shoulder")."""
+        parts = []
+        for edge in self.edges:
+            if (own := getattr(self.kind(edge), width)) and self.kind(edge).form == "ground":
+                beyond = own + (KERB_WIDTH if self.style.kerb else 0.0)
+                for lane in driven(edge):
+                    line = LineString(lane.getShape())
+                    parts.append(line.buffer(lane.getWidth() / 2 + beyond, cap_style="flat"))
+                for node in (edge.getFromNode(), edge.getToNode()):
+                    if len(node.getShape()) > 2:
+                        parts.append(Polygon(node.getShape()).buffer(beyond))
+        return unary_union(parts).difference(self.islands) if parts else Polygon()
+
+    @cached_property
+    def sidewalk(self) -> Region:
+        return self.beside_lanes("sidewalk")
+
+    @cached_property
+    def detailed(self) -> Region:
+        """Where small things can be made out."""
+        return unary_union([Point(site.position[:2]).buffer(FAR, quad_segs=4) for site in self.sites])
 
     @cached_property
     def around_cameras(self) -> Region:
@@ -57,20 +142,79 @@ class Layout:
         """What lies between the cameras and the carriageway that they see within `reach` metres."""
         return unary_union([self.around_cameras, *(_sightlines(site, self.road, reach) for site in self.sites)])
 
-    def is_near(self, place: Array) -> bool:
-        """Whether a camera is near enough to see details at a place (2,)."""
-        return self.camera_distance(place) < NEAR
-
     def centre_distance(self, place: Array) -> float:
         """How far a place (2,) is from the nearest signalled junction, metres."""
         nodes = [node.getCoord() for node in self.net.getNodes() if node.getType() == "traffic_light"]
         return min((float(np.hypot(*(place - node))) for node in nodes), default=np.inf)
 
+    # ------------------------------------------------------------------------------------------------------- heights
 
-def _carriageway(net: Any) -> Region:
-    parts = [Polygon(node.getShape()) for node in net.getNodes() if len(node.getShape()) > 2]
-    for edge in net.getEdges(withInternal=False):
-        parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in edge.getLanes()]
+    @cached_property
+    def ground(self) -> Ground:
+        def lanes(*forms: str) -> Iterator[tuple[Any, float]]:
+            for edge in self.edges:
+                if self.kind(edge).form in forms:
+                    yield from ((lane, self.kind(edge).verge) for lane in driven(edge))
+            for node in self._ground_nodes:
+                verge = max((self.kind(edge).verge for edge in legs(node)), default=0.0)
+                inner = (self.net.getLane(name) for name in node.getInternal() if name)
+                yield from ((lane, verge) for lane in inner if lane.allows("passenger"))
+
+        return Ground(self.style.terrain, Lanes(lanes("ground", "walled")), Lanes(lanes("ground")))
+
+    @cached_property
+    def deck_lanes(self) -> Lanes:
+        return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
+
+    def height(self, place: ArrayLike) -> float:
+        """Of what one stands on at a place (2,) beside the carriageway, metres."""
+        return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
+
+    def on_ground(self, place: ArrayLike) -> tuple[float, float, float]:
+        x, y = np.asarray(place, dtype=np.float64)
+        return float(x), float(y), self.height((x, y))
+
+    def draped(self, mesh: Mesh) -> Mesh:
+        """A mesh, made as if the ground were at height 0, that follows the ground under each of its vertices."""
+        z = self.ground.beside(mesh.vertices[:, :2]) + self.style.kerb
+        return Mesh(
+            mesh.vertices + np.column_stack([np.zeros((len(z), 2)), z]),
+            mesh.normals,
+            mesh.triangles,
+            mesh.materials,
+            mesh.material,
+        )
+
+
+def driven(edge: Any) -> list[Any]:
+    """An edge's lanes that cars may drive on, from right to left."""
+    return [lane for lane in edge.getLanes() if lane.allows("passenger")]
+
+
+def legs(node: Any) -> list[Any]:
+    """The edges that begin or end at a node."""
+    return [e for e in (*node.getIncoming(), *node.getOutgoing()) if not e.isSpecial() and driven(e)]
+
+
+def joins(edge: Any) -> int:
+    """How many edges end where this one does."""
+    return sum(leg.getToNode() is edge.getToNode() for leg in legs(edge.getToNode()))
+
+
+def is_minor(edge: Any) -> bool:
+    """Whether an edge's traffic gives way where it ends."""
+    lane = driven(edge)[0]
+    return any(connection.getState() in ("m", "s", "w") for connection in lane.getOutgoing())
+
+
+def is_signalled(edge: Any) -> bool:
+    return bool(edge.getToNode().getType() == "traffic_light")
+
+
+def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
+    parts = [Polygon(node.getShape()) for node in nodes if len(node.getShape()) > 2]
+    for edge in edges:
+        parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in driven(edge)]
     # Closing by a hand's breadth heals the slits between lanes and junctions.
     return unary_union(parts).buffer(0.2).buffer(-0.2).simplify(0.02)
 
@@ -100,7 +244,7 @@ def rectangle(center: Array, heading: float, length: float, depth: float) -> Pol
 
 def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
     """The place (2,) `s` metres along an edge and `offset` to the right of its kerb, and the heading there."""
-    lane = edge.getLanes()[0]
+    lane = driven(edge)[0]
     line = LineString(lane.getShape())
     s = float(np.clip(s, 0.0, line.length - 0.5))
     a, b = (np.array(line.interpolate(t).coords[0]) for t in (s, s + 0.5))
@@ -108,14 +252,19 @@ def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
     return a + right_of(heading) * (lane.getWidth() / 2 + offset), heading
 
 
+def half_width(edge: Any) -> float:
+    """Half of the width of an edge's lanes together, metres."""
+    return float(sum(lane.getWidth() for lane in driven(edge)) / 2)
+
+
 def right_of(heading: float) -> Array:
     return np.array([np.sin(heading), -np.cos(heading)])
 
 
-def along(layout: Layout, spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
+def along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
     """Every `spacing` metres of every edge: the edge, a place (2,) right of the kerb, the heading there."""
-    for edge in layout.edges:
-        for s in np.arange(spacing / 2, edge.getLanes()[0].getLength(), spacing):
+    for edge in edges:
+        for s in np.arange(spacing / 2, driven(edge)[0].getLength(), spacing):
             yield edge, *beside(edge, float(s), offset)
 
 

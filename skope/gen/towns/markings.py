@@ -1,4 +1,4 @@
-"""Road markings as polygons: lane lines, stop lines, arrows, crossings for pedestrians."""
+"""Road markings as polygons: edge lines, lane lines, stop lines, arrows, crossings for pedestrians."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.ops import substring, unary_union
 
-from skope.gen.towns.layout import rectangle
+from skope.gen.towns.layout import Layout, driven, is_minor, is_signalled, joins, legs, rectangle
 
 Array = NDArray[np.float64]
 
@@ -19,30 +19,84 @@ STRIPE: Final = 0.5
 ARROWS: Final = (9.0, 26.0)
 """Distances of lane arrows from the stop line, metres."""
 _LINE: Final = 0.06
+_THROUGH: Final = 12.0
+"""Junctions that are shorter than that and join two edges only have their lines continued, metres."""
 
 
-def markings(net: Any) -> Iterator[Polygon]:
-    """Centre lines (solid), lane lines (dashed), stop lines and arrows."""
-    for edge in net.getEdges(withInternal=False):
-        lanes = edge.getLanes()
+def markings(layout: Layout) -> Iterator[Polygon]:
+    """Centre and edge lines (solid), lane lines (dashed), stop lines and arrows."""
+    for edge in layout.edges:
+        lanes, kind = driven(edge), layout.kind(edge)
+        right = LineString(lanes[0].getShape())
+        if kind.edge_lines:
+            yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(_LINE, cap_style="flat")
         for lane in lanes:
             shape, half = LineString(lane.getShape()), lane.getWidth() / 2
-            left = shape.offset_curve(half)
             if lane is lanes[-1]:
-                # Both directions draw their own line: together they are a double line.
-                yield shape.offset_curve(half - 0.13).buffer(_LINE, cap_style="flat")
+                yield from _left_line(layout, edge, shape, half)
             else:
-                solid = 18.0 if edge.getToNode().getType() == "traffic_light" else 0.0
-                for start in np.arange(2.0, left.length - 3.0 - solid, 9.0):
-                    yield substring(left, start, start + 3.0).buffer(_LINE, cap_style="flat")
-                if solid:
-                    yield substring(left, left.length - solid, left.length - 0.9).buffer(_LINE, cap_style="flat")
-            if edge.getToNode().getType() == "traffic_light":
+                yield from _lane_line(edge, shape.offset_curve(half))
+            if is_signalled(edge):
                 end = substring(shape, shape.length - 1.3, shape.length - 0.9)
                 yield end.buffer(half - 0.15, cap_style="flat")
-                yield from _arrows(lane, shape)
-            elif edge.getPriority() < 2 and len(edge.getToNode().getIncoming()) > 1:
+            elif is_minor(edge) and joins(edge) > 1 and kind.form == "ground":
                 yield from _give_way(shape, half)
+            if is_signalled(edge) or len(lanes) > 1:
+                yield from _arrows(lane, shape)
+    yield from _through(layout)
+
+
+def _left_line(layout: Layout, edge: Any, shape: LineString, half: float) -> Iterator[Polygon]:
+    """Where the other direction is beside, both draw their own line: together they are a double one."""
+    if layout.kind(edge).edge_lines and not _is_divided(edge):
+        # Overtaking is allowed: a broken line, drawn by one of the two directions.
+        if edge.getID() < min((e.getID() for e in _opposite(edge)), default="~"):
+            left = shape.offset_curve(half)
+            for start in np.arange(4.0, left.length - 6.0, 12.0):
+                yield substring(left, start, start + 4.0).buffer(_LINE, cap_style="flat")
+    else:
+        yield shape.offset_curve(half - 0.16).buffer(_LINE, cap_style="flat")
+
+
+def _opposite(edge: Any) -> list[Any]:
+    return [e for e in legs(edge.getToNode()) if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()]
+
+
+def _is_divided(edge: Any) -> bool:
+    """Whether no opposite lanes touch an edge's."""
+    mine = LineString(driven(edge)[-1].getShape())
+    return not any(
+        LineString(driven(other)[-1].getShape()).distance(mine) < driven(edge)[-1].getWidth() + 0.3
+        for other in _opposite(edge)
+    )
+
+
+def _lane_line(edge: Any, left: LineString) -> Iterator[Polygon]:
+    solid = 18.0 if is_signalled(edge) else 0.0
+    for start in np.arange(2.0, left.length - 3.0 - solid, 9.0):
+        yield substring(left, start, start + 3.0).buffer(_LINE, cap_style="flat")
+    if solid:
+        yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(_LINE, cap_style="flat")
+
+
+def _through(layout: Layout) -> Iterator[Polygon]:
+    """Outer lines across short joints of the network, where a road merely changes its number of lanes."""
+    for edge in layout.edges:
+        followers = [e for e in edge.getOutgoing() if not e.isSpecial()]
+        if len(followers) != 1 or joins(edge) > 2 or is_signalled(edge):
+            continue
+        (other,) = followers
+        for index, side in ((0, -1.0), (-1, 1.0)):
+            if side < 0 and not layout.kind(edge).edge_lines:
+                continue
+            ends = []
+            for lane, at in ((driven(edge)[index], -1), (driven(other)[index], 0)):
+                shape = LineString(lane.getShape())
+                inset = 0.2 if side < 0 else 0.16
+                ends.append(shape.offset_curve(side * (lane.getWidth() / 2 - inset)).coords[at])
+            gap = LineString(ends)
+            if 0.05 < gap.length < _THROUGH:
+                yield gap.buffer(_LINE, cap_style="flat")
 
 
 def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
@@ -58,6 +112,8 @@ def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
 def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
     """Where the lane leads, painted on it twice."""
     ways = {connection.getDirection().lower() for connection in lane.getOutgoing()} & {"s", "l", "r"}
+    if ways == {"s"} and not is_signalled(lane.getEdge()):
+        return
     for distance in ARROWS:
         if not ways or shape.length < distance + 8.0:
             continue
@@ -86,17 +142,19 @@ def _arrow(ways: set[str]) -> Any:
     return unary_union(parts)
 
 
-def crossings(net: Any, road: Any) -> Iterator[Polygon]:
-    """Zebra stripes across the carriageway where edges lead to a signalled junction."""
-    for edge in net.getEdges(withInternal=False):
-        if edge.getToNode().getType() != "traffic_light":
+def crossings(layout: Layout) -> Iterator[Polygon]:
+    """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction."""
+    road = layout.ground_road
+    for edge in layout.edges:
+        if not is_signalled(edge) or not layout.kind(edge).sidewalk:
             continue
-        line = LineString(edge.getLanes()[-1].getShape())
+        lane = driven(edge)[-1]
+        line = LineString(lane.getShape())
         end, before = (np.array(line.interpolate(t).coords[0]) for t in (line.length, line.length - 1.0))
         along = (end - before) / np.hypot(*(end - before))
         across = np.array([along[1], -along[0]])
-        middle = end + along * sum(CROSSING) / 2 - across * edge.getLanes()[-1].getWidth() / 2
-        chord = road.intersection(LineString([middle - 20 * across, middle + 20 * across]))
+        middle = end + along * sum(CROSSING) / 2 - across * lane.getWidth() / 2
+        chord = road.intersection(LineString([middle - 32 * across, middle + 32 * across]))
         pieces = [piece for piece in getattr(chord, "geoms", [chord]) if piece.distance(shapely.Point(middle)) < 0.1]
         if not pieces:
             continue

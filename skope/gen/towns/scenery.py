@@ -13,10 +13,12 @@ from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.towns.furniture import furniture
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
-from skope.gen.towns.houses import covered, forecourts, house_meshes, paths, plots
-from skope.gen.towns.layout import KERB_HEIGHT, Layout, right_of
+from skope.gen.towns.horizon import horizon
+from skope.gen.towns.houses import car_parks, covered, forecourts, house_meshes, paths, plots
+from skope.gen.towns.layout import Layout, driven, right_of
 from skope.gen.towns.solid import Solid
-from skope.gen.towns.trees import hills, plant, tree_meshes
+from skope.gen.towns.structures import structures
+from skope.gen.towns.trees import plant, tree_meshes
 
 Array = NDArray[np.float64]
 
@@ -57,23 +59,27 @@ def scenery(town: str) -> Scenery:
     houses = plots(layout, rng["plots"])
     built = covered(houses)
     walks, drives = paths(houses)
-    trees = plant(layout, unary_union([built, drives]), rng["trees"])
+    lots, ways = car_parks(houses)
+    paved = unary_union([drives, lots, ways])
+    trees = plant(layout, unary_union([built, paved]), rng["trees"])
     signals, poles = _signals(layout)
     pits = unary_union([tree.pit for tree in trees if tree.street])
-    beside_road = Beside(forecourts(houses), walks, drives, built.buffer(0.35, join_style="mitre"), pits)
+    footings = built.buffer(0.35, join_style="mitre")
+    beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, footings, pits)
     meshes = [
         *ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])),
         *house_meshes(houses, rng["houses"]),
         *gardens(layout, houses, pits, rng["gardens"]),
-        *tree_meshes(trees, rng["crowns"]),
-        *furniture(layout, unary_union([built, drives, pits]), rng["furniture"]),
-        hills(layout, rng["hills"]),
+        *tree_meshes(layout, trees, rng["crowns"]),
+        *furniture(layout, unary_union([built, paved, pits]), rng["furniture"]),
+        *structures(layout),
+        *horizon(layout, rng["horizon"]),
         *poles,
     ]
     return Scenery(merged(meshes), signals)
 
 
-_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "hills")
+_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")
 
 
 def _head() -> Mesh:
@@ -100,25 +106,28 @@ def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
 
     Of more than one lane, a second head hangs over the road, unless it would hang before a camera.
     """
-    net = layout.net
     signals, poles = [], []
-    for program in net.getTrafficLights():
+    for program in layout.net.getTrafficLights():
         links = {lane.getEdge().getID(): (lane.getEdge(), link) for lane, _, link in reversed(program.getConnections())}
         for edge, link in links.values():
-            shape = np.array(edge.getLanes()[0].getShape())
+            lanes = driven(edge)
+            shape = np.array(lanes[0].getShape())
             heading = float(np.arctan2(*(shape[-1] - shape[-2])[::-1]))
-            foot = shape[-1] + right_of(heading) * (edge.getLanes()[0].getWidth() / 2 + 0.7)
+            foot = shape[-1] + right_of(heading) * (lanes[0].getWidth() / 2 + 0.7)
             facing = np.array([-np.cos(heading), -np.sin(heading), 0.0])
             parts = [_head(), lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0])]
             heads = [np.zeros(3)]
-            if len(edge.getLanes()) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
-                reach = 0.7 + edge.getLanes()[0].getWidth()
-                heads.append(np.array([0.0, reach, 2.65]))
-                parts += [_arm(reach), _head().moved(heads[1])]
-            poles.append(merged(parts).moved([*foot, KERB_HEIGHT], heading))
+            if len(lanes) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
+                reach = 0.7 + lanes[0].getWidth()
+                for k in range(1 if len(lanes) < 4 else 2):
+                    heads.append(np.array([0.0, reach + 2 * k * lanes[0].getWidth(), 2.65]))
+                    parts.append(_head().moved(heads[-1]))
+                parts.append(_arm(float(heads[-1][1])))
+            base = layout.height(foot)
+            poles.append(merged(parts).moved([*foot, base], heading))
             for at in heads:
                 place = foot - right_of(heading) * at[1]
-                heights = np.array([3.42, 3.1, 2.78]) + at[2] + KERB_HEIGHT
+                heights = np.array([3.42, 3.1, 2.78]) + at[2] + base
                 lamps = np.column_stack([np.tile(place, (3, 1)), heights]) + 0.13 * facing
                 signals.append(Signal(program.getID(), link, lamps, facing))
     return tuple(signals), poles

@@ -1,19 +1,18 @@
-"""Trees, bushes and hedges, and the wooded hills around a town."""
+"""Trees of several species, bushes and hedges."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
-from shapely import Point, Polygon
+from numpy.typing import ArrayLike, NDArray
+from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
-from skope.gen.towns.ground import MARGIN
-from skope.gen.towns.layout import KERB_HEIGHT, Layout, along, free, rectangle
+from skope.gen.towns.layout import Layout, along, free, polygons, rectangle
 
 Array = NDArray[np.float64]
 
@@ -26,8 +25,39 @@ CROWN: Final = 4.0
 """How far crowns reach at most, metres."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Species:
+    """How a kind of tree grows; lengths are shares of its height."""
+
+    height: tuple[float, float]
+    """Metres."""
+    bare: float
+    """Height of the stem below the crown."""
+    reach: float
+    """Radius of the crown."""
+    form: Literal["round", "column", "cone", "shrub"] = "round"
+    leaves: str = "leaves"
+    bark: str = "bark"
+    stem: float = 0.14
+    """Radius near the ground, metres."""
+
+
+SPECIES: Final = {
+    "lime": Species(height=(6.0, 10.0), bare=0.30, reach=0.27),
+    "maple": Species(height=(5.0, 8.5), bare=0.27, reach=0.31),
+    "oak": Species(height=(8.0, 12.5), bare=0.22, reach=0.36, stem=0.24),
+    "poplar": Species(height=(11.0, 17.0), bare=0.12, reach=0.10, form="column", stem=0.17),
+    "hornbeam": Species(height=(5.5, 8.0), bare=0.24, reach=0.17, form="column"),
+    "spruce": Species(height=(8.0, 14.0), bare=0.08, reach=0.21, form="cone", leaves="leaves_dark", stem=0.16),
+    "pine": Species(height=(8.0, 13.0), bare=0.45, reach=0.21, leaves="leaves_dark", stem=0.17),
+    "birch": Species(height=(7.0, 11.0), bare=0.28, reach=0.20, leaves="leaves_pale", bark="bark_white", stem=0.11),
+    "shrub": Species(height=(1.3, 2.4), bare=0.0, reach=0.55, form="shrub"),
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
+    species: Species
     place: Array
     """(2,) of its foot."""
     height: float
@@ -44,46 +74,114 @@ class Tree:
 
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
-    """Street trees, trees in gardens, and groves behind the houses."""
+    """The town's lines of trees, and trees in its medians."""
     seen = [layout.sightlines(SIGHT), layout.around_cameras.buffer(CROWN)]
-    keep_clear = unary_union([layout.road.buffer(1.2), built.buffer(2.2), *seen])
+    walls = layout.walled_road.buffer(2.0)
+    keep_clear = unary_union([layout.road.buffer(1.2), walls, built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
-    out = []
-    for spacing, offset, chance in ((15.0, 2.15, 0.5), (13.0, 5.5, 0.4), (12.0, 22.0, 0.5), (13.0, 50.0, 0.7)):
-        for _, place, _ in along(layout, spacing, offset):
-            street = offset < 3
-            wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else 0.25 * offset)
-            at, height, likely = place + wander, rng.uniform(5.0, 9.5), rng.random()
-            if likely < chance and free(keep_clear, at, 0.4):
-                distance = layout.camera_distance(at)
-                room = layout.road.distance(Point(at)) - CLEARANCE
-                out.append(Tree(at, height, room, 2 if distance < 30 else 1 if distance < 58 else 0, street))
+    style, out = layout.style, []
+
+    def grow(at: Array, street: bool, species: Species) -> None:
+        distance = layout.camera_distance(at)
+        room = layout.road.distance(Point(at)) - CLEARANCE
+        detail = 2 if distance < 26 else 1 if distance < 62 else 0
+        out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
+
+    for line in style.planting:
+        edges = layout.edges_of("ground")
+        if line.roads:
+            edges = [edge for edge in layout.edges if edge.getType() in line.roads]
+        for edge, place, _ in along(edges, line.spacing, line.offset):
+            street = line.offset < layout.kind(edge).sidewalk
+            wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
+            at, species, likely = place + wander, _any(style.species, rng), rng.random()
+            if likely < line.chance and free(keep_clear, at, 0.4):
+                grow(at, street, SPECIES[species])
+    # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
+    near_cameras = layout.around_cameras.buffer(CROWN)
+    for island in polygons(layout.islands.buffer(-1.4)):
+        for at in _scattered(island, 11.0):
+            if rng.random() < style.median_trees and not near_cameras.intersects(Point(at)):
+                grow(at, False, SPECIES[_any(style.species, rng)])
     return out
 
 
-def tree_meshes(trees: list[Tree], rng: np.random.Generator) -> Iterator[Mesh]:
+def _any(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+    names, weights = list(shares), np.array(list(shares.values()))
+    return names[rng.choice(len(names), p=weights / weights.sum())]
+
+
+def _scattered(region: Polygon, spacing: float) -> Iterator[Array]:
+    """Places along a region's long axis."""
+    ring = np.array(region.minimum_rotated_rectangle.exterior.coords)
+    sides = np.diff(ring, axis=0)[:2]
+    lengths = np.hypot(*sides.T)
+    a, along_it, across = ring[0], sides[lengths.argmax()], sides[lengths.argmin()]
+    for share in (np.arange(int(lengths.max() // spacing)) + 0.5) * spacing / lengths.max():
+        chord = region.intersection(LineString([a + share * along_it, a + share * along_it + across]))
+        if not chord.is_empty:
+            yield np.array(chord.centroid.coords[0])
+
+
+def tree_meshes(layout: Layout, trees: list[Tree], rng: np.random.Generator) -> Iterator[Mesh]:
     for tree in trees:
-        yield _tree(tree, rng).moved([*tree.place, KERB_HEIGHT], rng.uniform(0, 2 * np.pi))
+        yield _tree(tree, rng).moved(layout.on_ground(tree.place), rng.uniform(0, 2 * np.pi))
 
 
 def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     """A trunk with branches that carry a crown of many overlapping clumps of leaves."""
-    height = tree.height
-    bare = height * rng.uniform(0.26, 0.34)
-    up = height * rng.uniform(0.27, 0.36)
-    # Clumps at the rim stand out by up to 0.7 of the crown's own radius.
-    across = min(0.8 * up, tree.room / 1.7)
-    reach = np.array([across, across, up])
-    middle = np.array([0.0, 0.0, height - reach[2] * 0.95])
-    count, share = ((7, 0.7), (17, 0.52), (22, 0.45))[tree.detail]
-    centers = middle + reach * 0.78 * _spread(count, rng)
-    size = share * across
-    parts = [lathe([(-0.05, 0.2), (0.3, 0.14), (middle[2], 0.08)], ["bark", "bark"], 6, "z")]
-    if tree.detail:
-        parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), "bark", 4) for center in centers[::5]]
+    species, height = tree.species, tree.height
+    bare = height * species.bare * rng.uniform(0.88, 1.12)
+    reach = min(height * species.reach * rng.uniform(0.88, 1.12), tree.room / 1.3)
+    top = 0.42 * height if species.form == "shrub" else height - 0.6 * reach
+    stem = lathe(
+        [(-0.4, 1.4 * species.stem), (0.3, species.stem), (0.9 * top, 0.5 * species.stem)], [species.bark] * 2, 6, "z"
+    )
+    parts = [stem]
+    if species.form == "cone":
+        return merged([*parts, *_tiers(tree, bare, reach, rng)])
+    if species.form == "column":
+        count, size = (5, 9, 14)[tree.detail], 0.85 * reach
+        levels = np.linspace(bare + size, height - size, count)
+        swell = 0.75 + 0.35 * np.sin(np.pi * np.linspace(0.12, 0.95, count))
+        centers = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)) * reach, levels])
+        middle = np.array([0.0, 0.0, height / 2])
+        stretch = np.array([1.0, 1.0, max(1.0, 1.7 * (height - bare) / (2 * size * count))])
+        for center, grown in zip(centers, swell, strict=True):
+            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 2 else 0, rng, stretch)
+            parts.append(_of(clump, species.leaves))
+        return merged(parts)
+    up = (height - bare) / 2
+    spread = np.array([reach, reach, up]) * 0.8
+    middle = np.array([0.0, 0.0, bare + up])
+    count, share = ((6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    centers = middle + spread * _spread(count, rng)
+    if tree.detail and species.form == "round":
+        parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
     for center in centers:
-        parts.append(_clump(center, size * rng.uniform(0.75, 1.25), middle, 1 if tree.detail == 2 else 0, rng))
+        size = share * reach * rng.uniform(0.75, 1.25)
+        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 2 else 0, rng), species.leaves))
     return merged(parts)
+
+
+def _of(mesh: Mesh, material: str) -> Mesh:
+    return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (material,), mesh.material)
+
+
+def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
+    """A conifer's whorls of hanging branches: ragged cones, one above the other."""
+    count, sides = (5, 8, 11)[tree.detail], (8, 11, 16)[tree.detail]
+    levels = np.linspace(bare, 0.9 * tree.height, count)
+    step = levels[1] - levels[0]
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    for k, low in enumerate(levels):
+        radius = reach * (1 - 0.86 * k / count)
+        rim = np.resize(rng.uniform(0.72, 1.12, sides), sides + 1) * np.resize([1.0, 0.82], sides + 1) * radius
+        rim[-1] = rim[0]
+        rows = []
+        for share, z in ((1.0, low - 0.25 * step), (0.55, low + 0.55 * step), (0.04, low + 1.5 * step)):
+            rows.append(np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)]))
+        yield grid(np.array(rows), [[tree.species.leaves] * sides] * 2)
 
 
 def _spread(count: int, rng: np.random.Generator) -> Array:
@@ -93,10 +191,17 @@ def _spread(count: int, rng: np.random.Generator) -> Array:
     return direction * rng.uniform(0.35, 1.0, (count, 1)) ** 0.5
 
 
-def _clump(center: Array, radius: float, middle: Array, detail: int, rng: np.random.Generator) -> Mesh:
+def _clump(
+    center: Array,
+    radius: float,
+    middle: Array,
+    detail: int,
+    rng: np.random.Generator,
+    stretch: ArrayLike = (1.0, 1.0, 0.8),
+) -> Mesh:
     """An uneven ball of leaves whose normals lean away from the crown's middle: the crown is lit as one."""
     points, triangles = _ball(detail)
-    points = points * rng.uniform(0.72, 1.28, (len(points), 1)) * radius * np.array([1.0, 1.0, 0.8])
+    points = points * rng.uniform(0.72, 1.28, (len(points), 1)) * radius * np.asarray(stretch)
     part = from_triangles(center + points, triangles, "leaves")
     outward = center + points - middle
     normals = part.normals + 1.1 * outward / np.linalg.norm(outward, axis=1, keepdims=True)
@@ -161,15 +266,3 @@ def hedge(length: float, height: float, depth: float, rng: np.random.Generator) 
     return merged(parts)
 
 
-def hills(layout: Layout, rng: np.random.Generator) -> Mesh:
-    """Wooded hills all around, where the ground ends."""
-    x0, y0, x1, y1 = layout.road.bounds
-    centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
-    angle = np.linspace(0, 2 * np.pi, 361)[::-1]
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
-    rows = []
-    for share, height in ((0.62, -0.5), (0.64, 5.0), (0.70, 7.0), (0.85, 14.0), (0.86, 17.0), (1.0, 22.0)):
-        crowns = np.resize(rng.uniform(0.78, 1.12, 360), 361)
-        rows.append(np.column_stack([centre + share * half * ring, height * np.clip(swell, 0.3, 2) * crowns]))
-    return grid(np.array(rows), [["woods"] * 360] * 5)

@@ -31,7 +31,7 @@ SHADOW_RADIUS: Final = 140.0
 GROUPS: Final = {
     "WALLS": ("brick", "sandstone"),
     "GROUND": ("asphalt", "grass"),
-    "LEAVES": ("leaves", "leaves"),
+    "LEAVES": ("leaves", "leaves_pale"),
     "OTHERS": ("asphalt", "rim"),
 }
 """Materials, from first to last of the table, that share the programs compiled for their patterns."""

@@ -62,7 +62,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= (0.85 + 0.3 * middle.r) * (1.0 - 0.3 * mix(joints(at / 0.1, vec2(0.2)), 0.5, smoothstep(0.02, 0.08, footprint)));
     } else if (v_material == M_GRAVEL || v_material == M_SOIL) {
         color *= 0.6 + 0.35 * middle.g + 0.5 * noise(at, 0.31).b;
-    } else if (v_material == M_GRASS) {
+    } else if (between(M_MEADOW, M_GRASS)) {
         float blades = noise(turn * at, 0.61).g * noise(turn * turn * at, 0.97).r * 2.0;
         color *= 0.62 + 0.26 * broad.r + 0.28 * middle.g + 0.55 * (fine.g - 0.4) + 0.45 * (blades - 0.5);
         color = mix(color, color * vec3(1.25, 1.08, 0.80), smoothstep(0.40, 0.75, 0.5 * broad.b + 0.5 * middle.b));
@@ -116,6 +116,9 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= mix(laid, slate ? 0.9 : 0.88, smoothstep(0.05, 0.2, footprint));
         color *= 0.82 + 0.28 * broad.r + 0.12 * middle.g;
         color = mix(color, vec3(0.20, 0.22, 0.12), 0.45 * smoothstep(0.60, 0.82, 0.7 * middle.b + 0.3 * streaks.g));  // moss
+    } else if (between(M_CLADDING_WHITE, M_CLADDING_RED)) {
+        float rib = mix(smoothstep(0.1, 0.3, abs(fract(at.x / 0.33) - 0.5)), 0.7, smoothstep(0.05, 0.2, footprint));
+        color *= (0.82 + 0.2 * rib) * (0.9 + 0.14 * broad.r + 0.08 * (middle.g - 0.5)) * (1.0 - 0.14 * smoothstep(0.55, 0.85, streaks.b));
     } else if (between(M_SHUTTER_GREEN, M_SHUTTER_BROWN)) {
         color *= 0.75 + 0.4 * mix(fract(at.y / 0.06), 0.5, smoothstep(0.015, 0.05, footprint));
     } else if (between(M_AWNING_RED, M_AWNING_GREEN)) {

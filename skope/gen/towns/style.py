@@ -1,0 +1,191 @@
+"""A town's character as its `town.toml` states it, on top of the building kinds that all towns share."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Literal
+
+from skope.gen.towns import folder
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Road:
+    """What belongs to all edges of one SUMO edge type."""
+
+    form: Literal["ground", "walled", "bridge"] = "ground"
+    """On the ground or a bank; between retaining walls; on a deck over another road."""
+    sidewalk: float = 0.0
+    """Width, metres; 0 for none."""
+    shoulder: float = 0.0
+    """Width of the paved strip beside the lanes, metres."""
+    main: bool = False
+    """Shops, bus stops and more furniture stand along it."""
+    edge_lines: bool = False
+    guard_rails: bool = False
+    lights: float = 0.0
+    """Distance between street lights, metres; 0 for none."""
+    wires: bool = False
+    """Utility poles with wires stand along it."""
+
+    @property
+    def verge(self) -> float:
+        """What runs beside the lanes at their height, metres."""
+        return max(self.sidewalk, self.shoulder) + 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terrain:
+    """The ground away from roads."""
+
+    level: float = 0.0
+    waves: tuple[tuple[float, float, float, float], ...] = ()
+    """Amplitude and length (metres), direction and phase (degrees) of the swells that it is made of."""
+    slope: float = 0.5
+    """Rise over run of banks beside roads that are higher or lower than the ground."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of building; ranges are drawn from evenly, lists by chance. Metres."""
+
+    form: Literal["house", "tower", "hall", "barn", "silo"] = "house"
+    length: Range
+    """Along the street."""
+    depth: Range
+    storeys: tuple[int, int] = (2, 3)
+    ground: float = 2.95
+    """Height of the ground floor."""
+    storey: float = 2.8
+    walls: tuple[str, ...]
+    roofs: tuple[str, ...] = ("tiles", "slate")
+    roof: Literal["gabled", "mixed", "flat"] = "mixed"
+    frames: tuple[str, ...] = ("frame",)
+    bay: Range = (2.3, 3.1)
+    window: Range = (0.95, 1.35)
+    """Widths of windows."""
+    pane: Range = (1.35, 1.6)
+    """Heights of windows."""
+    terraced: bool = False
+    """Wall to wall with its neighbours."""
+    shop: bool = False
+    balconies: bool = False
+    shutters: bool = False
+    drive: bool = False
+    """Whether some have a drive beside them."""
+    parking: float = 0.0
+    """Depth of the car park before it."""
+    garden: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What lines some of the roads; of a town's rows the first that fits a place counts."""
+
+    roads: tuple[str, ...]
+    """SUMO edge types."""
+    within: float = 1e9
+    """Distance from the nearest signalled junction, metres."""
+    kinds: Mapping[str, float]
+    """Shares of building kinds."""
+    setback: Range = (3.2, 6.5)
+    """From the sidewalk to the front, metres."""
+    gap: Range = (3.0, 8.0)
+    """Between neighbours that are not terraced, metres."""
+    empty: float = 0.0
+    """Share of places that are left open."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planting:
+    """A line of trees along roads."""
+
+    spacing: float
+    offset: float
+    """From the kerb, metres."""
+    chance: float
+    wander: float = 0.25
+    """How far from their places trees stand, as a share of the offset."""
+    roads: tuple[str, ...] = ()
+    """SUMO edge types; none for all on the ground."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gantry:
+    """A sign bridge over an edge."""
+
+    edge: str
+    at: float
+    """Metres along it; negative from its end."""
+    signs: tuple[str, ...]
+    """Colour material of each sign from left to right."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Style:
+    """All of a town's character."""
+
+    title: str
+    kerb: float = 0.12
+    """Height of kerbs, metres; 0 for roads without."""
+    terrain: Terrain = Terrain()
+    roads: Mapping[str, Road]
+    rows: tuple[Row, ...]
+    behind: Mapping[str, float] = field(default_factory=dict)
+    """Shares of building kinds behind the rows."""
+    kinds: Mapping[str, Kind]
+    species: Mapping[str, float]
+    """Shares of tree species."""
+    planting: tuple[Planting, ...]
+    median: str = "grass"
+    """Ground of medians and islands."""
+    median_trees: float = 0.0
+    """Chance of a tree in a median, each 11 m."""
+    median_rails: bool = False
+    open_ground: tuple[str, ...] = ("grass",)
+    """Ground away from the streets; more than one gives fields."""
+    fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})
+    """Shares of what encloses front gardens and open ground."""
+    light: Literal["curved", "mast", "double", "timber"] = "curved"
+    """Form of the street lights."""
+    furniture: Mapping[str, float] = field(default_factory=dict)
+    """Shares of what stands on sidewalks."""
+    gantries: tuple[Gantry, ...] = ()
+    barriers: tuple[tuple[str, float, float], ...] = ()
+    """Noise barriers: edge, from and to (metres along it)."""
+    horizon: Literal["hills", "skyline"] = "hills"
+    hill_height: float = 1.0
+    """Of the hills around the town, as a multiple of 22 m."""
+
+
+@cache
+def style(town: str) -> Style:
+    """The style of a town."""
+    row = _read(town)
+    own = row.pop("kinds", {})
+    shared = tomllib.loads(folder("buildings.toml").read_text(encoding="utf-8"))
+    used = {name for part in (*row["rows"], {"kinds": row.get("behind", {})}) for name in part["kinds"]}
+    return Style(
+        terrain=Terrain(**_fixed(row.pop("terrain", {}))),
+        roads={name: Road(**values) for name, values in row.pop("roads").items()},
+        kinds={name: Kind(**_fixed({**shared.get(name, {}), **own.get(name, {})})) for name in sorted(used)},
+        rows=tuple(Row(**_fixed(values)) for values in row.pop("rows")),
+        planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting")),
+        gantries=tuple(Gantry(**_fixed(values)) for values in row.pop("gantries", [])),
+        **_fixed(row),
+    )
+
+
+def _read(town: str) -> dict[str, Any]:
+    return tomllib.loads((folder(town) / "town.toml").read_text(encoding="utf-8"))
+
+
+def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Lists as tuples, all the way down."""
+
+    def fix(value: Any) -> Any:
+        return tuple(fix(item) for item in value) if isinstance(value, list) else value
+
+    return {name: fix(value) for name, value in values.items()}

@@ -1,0 +1,174 @@
+"""Heights: of the lanes, as the network has them, and of the ground that follows them beside the road."""
+
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from skope.gen.towns.style import Terrain
+
+Array = NDArray[np.float64]
+
+REACH: Final = 45.0
+"""Beyond that from a road the ground does not follow it, metres."""
+_NEAR: Final = 0.25
+"""Softens the weights of lanes, metres."""
+FINEST: Final = 4.0
+"""Smallest cells that sloped ground is cut into, metres."""
+_COARSEST: Final = 64
+
+
+class Lanes:
+    """Centre lines of lanes in space; heights beside them are the near lanes' mean, weighted by nearness."""
+
+    def __init__(self, lanes: Iterable[tuple[Any, float]]) -> None:
+        """Lanes of sumolib, each with the width of what runs beside it at its height."""
+        starts, ends, numbers, halves, verges = [], [], [], [], []
+        for number, (lane, verge) in enumerate(lanes):
+            line = np.array(lane.getShape3D())
+            starts.append(line[:-1])
+            ends.append(line[1:])
+            numbers.append(np.full(len(line) - 1, number))
+            halves.append(np.full(len(line) - 1, lane.getWidth() / 2))
+            verges.append(np.full(len(line) - 1, verge))
+        self._a, self._b = np.concatenate(starts), np.concatenate(ends)
+        self._lane, self._half = np.concatenate(numbers), np.concatenate(halves)
+        self._verge = np.concatenate(verges)
+        self._tree = shapely.STRtree(shapely.linestrings(np.stack([self._a[:, :2], self._b[:, :2]], axis=1)))
+
+    @cached_property
+    def level(self) -> float | None:
+        """The height of all lanes, when they have only one."""
+        z = np.concatenate([self._a[:, 2], self._b[:, 2]])
+        return float(z[0]) if np.ptp(z) < 1e-6 else None
+
+    def near(self, places: Array, reach: float) -> tuple[Array, Array]:
+        """Places (N, 2) -> (N,) height of the lanes there, (N,) distance from what runs beside them; nan, inf if far."""
+        place, segment = self._tree.query(shapely.points(places), predicate="dwithin", distance=reach)
+        a, along = self._a[segment], self._b[segment] - self._a[segment]
+        squared = np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12)
+        share = np.clip(((places[place] - a[:, :2]) * along[:, :2]).sum(axis=1) / squared, 0, 1)
+        foot = a + share[:, None] * along
+        distance = np.hypot(*(places[place] - foot[:, :2]).T)
+        # Of each lane the nearest segment counts.
+        order = np.lexsort((distance, self._lane[segment], place))
+        place, segment, foot, distance = place[order], segment[order], foot[order], distance[order]
+        pair = np.stack([place, self._lane[segment]])
+        first = np.ones(len(place), dtype=bool)
+        first[1:] = (pair[:, 1:] != pair[:, :-1]).any(axis=0)
+        place, segment, foot, distance = place[first], segment[first], foot[first], distance[first]
+        beside = np.maximum(distance - self._half[segment], 0.0)
+        weight = (beside + _NEAR) ** -4.0
+        total = np.bincount(place, weight, len(places))
+        height = np.bincount(place, weight * foot[:, 2], len(places))
+        away = np.full(len(places), np.inf)
+        np.minimum.at(away, place, np.maximum(beside - self._verge[segment], 0.0))
+        return np.divide(height, total, out=np.full(len(places), np.nan), where=total > 0), away
+
+
+class Ground:
+    """Heights of carriageways on the ground and of the ground beside them."""
+
+    def __init__(self, style: Terrain, driven: Lanes, shaping: Lanes) -> None:
+        """`driven`: lanes on the ground; `shaping`: those of them that the ground beside them follows."""
+        self._style, self._driven, self._shaping = style, driven, shaping
+
+    @cached_property
+    def flat(self) -> bool:
+        """Whether everything is at height 0."""
+        return self._driven.level == 0.0 and not self._style.waves and self._style.level == 0.0
+
+    def road(self, places: Array) -> Array:
+        """(N,) heights of the carriageway at places (N, 2)."""
+        if self.flat:
+            return np.zeros(len(places))
+        height, _ = self._driven.near(places, 12.0)
+        far = np.isnan(height)
+        if far.any():
+            height[far] = self._driven.near(places[far], 60.0)[0]
+        return height
+
+    def beside(self, places: Array) -> Array:
+        """(N,) heights of the ground at places (N, 2), without kerbs: a bank leads from the road to what lies around."""
+        if self.flat:
+            return np.zeros(len(places))
+        around = self.natural(places)
+        if self._shaping.level == 0.0 and not around.any():
+            return around
+        height, away = self._shaping.near(places, REACH)
+        near = np.isfinite(away)
+        rise = self._style.slope * away[near]
+        around[near] = np.clip(around[near], height[near] - rise, height[near] + rise)
+        return around
+
+    def natural(self, places: Array) -> Array:
+        """(N,) heights of the ground as it would be without roads."""
+        out = np.full(len(places), self._style.level)
+        for amplitude, length, direction, phase in self._style.waves:
+            angle = np.radians(direction)
+            along = places @ np.array([np.cos(angle), np.sin(angle)])
+            out += amplitude * np.sin(2 * np.pi * along / length + np.radians(phase))
+        return out
+
+    def cells(self, bounds: tuple[float, float, float, float], road: Any) -> NDArray[np.object_]:
+        """Squares that cover a rectangle, so small that the ground is as good as plane in each.
+
+        They have all their neighbours' corners, so that the ground has no gaps between large and small ones.
+        """
+        unit, size = FINEST, int(_COARSEST // FINEST)
+        low = np.floor(np.array(bounds[:2]) / _COARSEST) * _COARSEST
+        count = np.ceil((np.array(bounds[2:]) - low) / _COARSEST).astype(int)
+        corners = np.stack(np.meshgrid(*(np.arange(n) * size for n in count)), axis=-1).reshape(-1, 2)
+        leaves = []
+        while True:
+            middle = low + unit * (corners + size / 2)
+            split = self._bends(middle, unit * size, road) if size > 1 else np.zeros(len(corners), dtype=bool)
+            leaves.append(np.column_stack([corners[~split], np.full((~split).sum(), size)]))
+            if not split.any():
+                break
+            size //= 2
+            corners = (corners[split][:, None] + size * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).reshape(-1, 2)
+        return _with_corners(np.concatenate(leaves), low, unit)
+
+    def _bends(self, middles: Array, size: float, road: Any) -> NDArray[np.bool_]:
+        """(N,) whether the ground in squares around `middles` is not plane."""
+        steps = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
+        places = (middles[:, None] + size * steps).reshape(-1, 2)
+        by_road = shapely.dwithin(road, shapely.points(middles), 0.75 * size + 5.0)
+        out = _unevenness(self.beside(places).reshape(-1, 9)) > np.where(by_road, 0.02, 0.12)
+        if by_road.any():
+            near = places.reshape(-1, 9, 2)[by_road].reshape(-1, 2)
+            out[by_road] |= _unevenness(self.road(near).reshape(-1, 9)) > 0.004
+        return np.asarray(out)
+
+
+def _unevenness(heights: Array) -> Array:
+    """(N,) how far heights (N, 9) on a 3 x 3 grid are from its corners' plane."""
+    corners = heights[:, [0, 2, 6, 8]]
+    flat = np.stack(
+        [
+            corners[:, [0, 1]].mean(axis=1),
+            corners[:, [0, 2]].mean(axis=1),
+            corners.mean(axis=1),
+            corners[:, [1, 3]].mean(axis=1),
+            corners[:, [2, 3]].mean(axis=1),
+        ],
+        axis=1,
+    )
+    twist = np.abs(corners[:, 0] + corners[:, 3] - corners[:, 1] - corners[:, 2]) / 4
+    return np.maximum(np.abs(heights[:, [1, 3, 4, 5, 7]] - flat).max(axis=1), twist)
+
+
+def _with_corners(leaves: NDArray[np.int64], low: Array, unit: float) -> NDArray[np.object_]:
+    """Polygons of squares (column, row, size), with every other square's corner that lies on their edges."""
+    corners = {(x + dx * s, y + dy * s) for x, y, s in leaves.tolist() for dx in (0, 1) for dy in (0, 1)}
+    out = []
+    for x, y, s in leaves.tolist():
+        steps = range(s)
+        ring = [(x + i, y) for i in steps] + [(x + s, y + i) for i in steps]
+        ring += [(x + s - i, y + s) for i in steps] + [(x, y + s - i) for i in steps]
+        out.append(shapely.Polygon(low + unit * np.array([corner for corner in ring if corner in corners])))
+    return np.array(out, dtype=object)
