@@ -1,11 +1,13 @@
 """Make a recording: drive a site's traffic past its camera."""
 
+import math
 import zlib
 from collections.abc import Mapping
 from importlib import metadata
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import skope
 from skope.camera import Camera
@@ -18,12 +20,16 @@ from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
 from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
-from skope.gen.world import Pose, World
+from skope.gen.world import Pose, World, at_rest
 
 REACH: Final = 150.0
-"""Vehicles nearer to the camera than this are simulated physically and recorded, metres."""
+"""Vehicles nearer to the camera than this are simulated physically, metres."""
+FARTHEST: Final = 600.0
+"""Beyond that nothing is recorded, metres."""
+SPECK: Final = 3.0
+"""Nearer than that vehicles are recorded from where they are this high in the image, pixels."""
 BEHIND: Final = 40.0
-"""Of those behind the camera only the ones nearer than this are: they may throw shadows into the view."""
+"""Of what is behind the camera only what is nearer than this is recorded: it may throw shadows into the view."""
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""
 WARM_UP: Final = (60.0, 100.0)
@@ -75,7 +81,9 @@ def simulate(plan: RecordingPlan) -> Recording:
             riding = riders.follow(snapshot.riders, STEP)
             if k >= settle and (k - settle) % stride == 0:
                 time = (k - settle) * STEP
-                log.add(time, near, world.poses(), snapshot, traffic)
+                far = log.far(snapshot, traffic)
+                poses = world.poses() | {name: at_rest(*placed) for name, placed in far.items()}
+                log.add(time, near | far, poses, snapshot, traffic)
                 log.add_others({**riding, **walkers.at(time)})
     return log.recording(plan, camera, conditions)
 
@@ -102,6 +110,7 @@ class _Log:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
         self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]
+        self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
         self._always = LAMPS["low_beam"] if night else 0
         self._index: dict[str, int] = {}
         self._entries: list[RecordedVehicle] = []
@@ -111,15 +120,27 @@ class _Log:
         self._first_track = plan.index * TRACKS_PER_RECORDING + 1
 
     def near(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+        """Vehicles that the physics are worth."""
+        return self._within(0.0, REACH, snapshot, traffic)
+
+    def far(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+        """Vehicles so far away that it is enough to know where they are."""
+        return self._within(REACH, self._reach, snapshot, traffic)
+
+    def _within(
+        self, least: float, most: float, snapshot: Snapshot, traffic: Traffic
+    ) -> dict[str, tuple[Vehicle, Driven]]:
         return {
             name: (self._vehicle(name, traffic.trips[name].model), driven)
             for name, driven in sorted(snapshot.vehicles.items())
-            if self._is_near(driven.position)
+            if least <= self._distance(driven.position) < most
         }
 
-    def _is_near(self, position: tuple[float, float, float]) -> bool:
-        offset = np.array(position[:2]) - self._eye
-        return bool(np.hypot(*offset) < (REACH if offset @ self._ahead > 0 else BEHIND))
+    def _distance(self, position: ArrayLike) -> float:
+        """How far a place (3,) is from the camera, metres; infinitely far when nothing of it can be seen."""
+        offset = np.asarray(position)[:2] - self._eye
+        away = float(np.hypot(*offset))
+        return away if offset @ self._ahead > 0 or away < BEHIND else math.inf
 
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
@@ -151,7 +172,7 @@ class _Log:
     def add_others(self, others: Mapping[str, Present]) -> None:
         """Those who are not labelled, into the last frame."""
         for name, other in others.items():
-            if self._is_near(tuple(other.T_world_body[:3, 3])):
+            if self._distance(other.T_world_body[:3, 3]) < REACH:
                 pose = Pose(other.T_world_body, other.part_poses, other.velocity)
                 look = other.body.look.to_dict()
                 self._note(

@@ -48,6 +48,19 @@ class Pose:
     """(3,) of the carrier in the world, m/s."""
 
 
+def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
+    """A vehicle that SUMO places, on springs at rest and with wheels straight, as the engine would have it."""
+    forward = np.array([math.cos(driven.yaw) * math.cos(driven.pitch), math.sin(driven.yaw) * math.cos(driven.pitch)])
+    x = np.array([*forward, math.sin(driven.pitch)])
+    y = np.array([-math.sin(driven.yaw), math.cos(driven.yaw), 0.0])
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
+    T[:3, 3] = driven.position
+    wheels = np.tile(T, (4, 1, 1))
+    wheels[:, :3, 3] += vehicle.shape.wheel_centers() @ T[:3, :3].T
+    return Pose(T, wheels, driven.speed * x)
+
+
 @dataclass
 class _Suspension:
     """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and the lever of the inertial loads (m)."""

@@ -11,7 +11,7 @@ from skope.gen.simulate import simulate
 from skope.gen.towns import network, site
 from skope.gen.traffic import LAMPS, STEP, Driven, Traffic
 from skope.gen.vehicles import fleet
-from skope.gen.world import World
+from skope.gen.world import World, at_rest
 from tests.gen.scenes import driven
 
 SEDAN = fleet()["sedan"].vehicle
@@ -150,3 +150,15 @@ def test_broken_recordings_are_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "broken.npz").write_bytes(content)
     with pytest.raises(UserError, match=r"broken\.npz"):
         recordings.load(tmp_path / "broken.npz")
+
+
+def test_a_vehicle_far_away_stands_where_the_engine_would_have_it() -> None:
+    for pitch in (0.0, 0.08):
+        state = Driven((3.0, 4.0, 1.0), 0.7, pitch, 0.0, 0)
+        with World(STEP) as world:
+            for _ in range(120):
+                world.advance({"car": (SEDAN, state)})
+            engine = world.poses()["car"]
+        resting = at_rest(SEDAN, state)
+        np.testing.assert_allclose(resting.T_world_wheels[..., 3], engine.T_world_wheels[..., 3], atol=0.005)
+        np.testing.assert_allclose(resting.T_world_chassis, engine.T_world_chassis, atol=0.01)

@@ -314,7 +314,9 @@ def car_parks(houses: list[House]) -> tuple[Any, Any]:
         if not house.kind.parking:
             continue
         x, y, d = house.size[0] / 2, house.size[1] / 2, house.setback
-        lots.append(Polygon(house.to_world(np.array([[-x, y + 3.0], [x, y + 3.0], [x, y + d - 4.0], [-x, y + d - 4.0]]))))
+        lots.append(
+            Polygon(house.to_world(np.array([[-x, y + 3.0], [x, y + 3.0], [x, y + d - 4.0], [-x, y + d - 4.0]])))
+        )
         for at in (-x + 6.0, x - 6.0):
             ring = [[at - 3.2, y + d - 4.0], [at + 3.2, y + d - 4.0], [at + 3.2, y + d + 0.4], [at - 3.2, y + d + 0.4]]
             ways.append(Polygon(house.to_world(np.array(ring))))
@@ -327,7 +329,9 @@ def paths(houses: list[House]) -> tuple[Any, Any]:
     for i, house in enumerate(houses):
         x, y, d = house.size[0] / 2, house.size[1] / 2, house.setback + 0.3
         if house.kind.form == "barn":
-            drives.append(Polygon(house.to_world(np.array([[-4, y], [4, y], [3, y + max(d, 6.0)], [-3, y + max(d, 6.0)]]))))
+            drives.append(
+                Polygon(house.to_world(np.array([[-4, y], [4, y], [3, y + max(d, 6.0)], [-3, y + max(d, 6.0)]])))
+            )
         if not house.kind.garden or house.setback == 0.0:
             continue
         # Doors are somewhere in the front: the path leads to its middle and along it.

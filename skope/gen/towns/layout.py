@@ -66,11 +66,7 @@ class Layout:
     @cached_property
     def _ground_nodes(self) -> list[Any]:
         """Nodes that are not on a deck."""
-        return [
-            node
-            for node in self.net.getNodes()
-            if any(self.kind(edge).form != "bridge" for edge in legs(node))
-        ]
+        return [node for node in self.net.getNodes() if any(self.kind(edge).form != "bridge" for edge in legs(node))]
 
     # ------------------------------------------------------------------------------------------------------- regions
 

@@ -1,18 +1,50 @@
 """Where people walk: along the middle of the sidewalks."""
 
+from typing import Final
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely import LineString, Point
+from shapely.ops import unary_union
 
-from skope.gen.towns.layout import KERB_HEIGHT, SIDEWALK, Layout
+from skope.gen.towns.layout import KERB_WIDTH, Layout, driven
 
 Array = NDArray[np.float64]
+
+_SHORTEST: Final = 20.0
+"""Metres that are worth walking."""
+_SPACING: Final = 5.0
+"""Metres between the heights of a path."""
 
 
 def sidewalks(town: str, center: tuple[float, float], reach: float) -> list[Array]:
     """Middles (N, 3) of the sidewalks within `reach` metres of a place."""
-    road = Layout.of(town).road.intersection(Point(center).buffer(reach + 50))
-    middle = shapely.line_merge(road.buffer(0.6 * SIDEWALK).boundary.intersection(Point(center).buffer(reach)))
-    lines = [line for line in getattr(middle, "geoms", [middle]) if isinstance(line, LineString) and line.length > 20]
-    return [np.column_stack([np.array(line.coords), np.full(len(line.coords), KERB_HEIGHT)]) for line in lines]
+    layout, around = Layout.of(town), Point(center).buffer(reach)
+    out = []
+    widths = sorted({layout.kind(edge).sidewalk for edge in layout.edges} - {0.0})
+    for width in widths:
+        edges = [edge for edge in layout.edges if layout.kind(edge).sidewalk == width]
+        beyond = KERB_WIDTH + width / 2
+        strips = [
+            LineString(lane.getShape()).buffer(lane.getWidth() / 2 + KERB_WIDTH + width, cap_style="flat")
+            for edge in edges
+            if layout.kind(edge).form == "ground"
+            for lane in driven(edge)
+        ]
+        own = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
+        middle = shapely.line_merge(layout.road.buffer(beyond).boundary.intersection(own))
+        out += [_path(layout, line) for line in _lines(middle) if line.length > _SHORTEST]
+    return out
+
+
+def _lines(shape: shapely.Geometry) -> list[LineString]:
+    parts = getattr(shape, "geoms", [shape])
+    return [part for part in parts if isinstance(part, LineString)]
+
+
+def _path(layout: Layout, line: LineString) -> Array:
+    marks = np.linspace(0, line.length, max(2, round(line.length / _SPACING)))
+    xs = np.union1d(marks, [line.project(Point(point)) for point in line.coords])
+    places = np.array([line.interpolate(x).coords[0] for x in xs])
+    return np.array([layout.on_ground(place) for place in places])

@@ -53,11 +53,11 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     xs, ys = (np.arange(low, high + _CELL, _CELL) for low, high in ((x0, x1), (y0, y1)))
     cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
-    yield from surfaces(
-        [Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells
-    )
+    yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     # Beside the lanes, but not across the ends where the road goes on.
-    whole = deck.buffer(walk, join_style="mitre").difference(ground_road.buffer(walk + 0.5).difference(deck.buffer(walk + 0.1)))
+    whole = deck.buffer(walk, join_style="mitre").difference(
+        ground_road.buffer(walk + 0.5).difference(deck.buffer(walk + 0.1))
+    )
     whole = _along_only(deck, walk, layout)
     beside_lanes = whole.difference(deck)
     stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
@@ -93,7 +93,10 @@ def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
         if line.intersects(deck):
             strip = line.offset_curve(-(lane.getWidth() / 2 + walk / 2 - 0.05))
             parts.append(strip.buffer(walk / 2 + 0.05, cap_style="flat"))
-    return max(polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")), key=lambda p: p.area)
+    return max(
+        polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")),
+        key=lambda p: p.area,
+    )
 
 
 def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
@@ -210,7 +213,16 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
             continue
         path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
         z = layout.ground.road(path)
-        profile = [(0.3, 0.0), (0.3, 0.08), (0.12, 0.33), (0.08, 0.85), (-0.08, 0.85), (-0.12, 0.33), (-0.3, 0.08), (-0.3, 0.0)]
+        profile = [
+            (0.3, 0.0),
+            (0.3, 0.08),
+            (0.12, 0.33),
+            (0.08, 0.85),
+            (-0.08, 0.85),
+            (-0.12, 0.33),
+            (-0.3, 0.08),
+            (-0.3, 0.0),
+        ]
         left = right_of(np.pi / 2 + np.arctan2(*(path[-1] - path[0])[::-1])) * -1.0
         rows = [np.column_stack([path - y * left, z + h]) for y, h in profile]
         faces = [np.stack([a[:-1], a[1:], b[1:], b[:-1]], axis=1) for a, b in itertools.pairwise(rows)]
@@ -232,7 +244,9 @@ def _barriers(layout: Layout) -> Iterator[Mesh]:
             heading = float(np.arctan2(*(b - a)[::-1]))
             part = Solid()
             part.box("concrete", (-2.0, -0.1, -0.3), (2.0, 0.1, 0.5), without="-z")
-            part.box("cladding_sand" if int(s / 4) % 5 else "door_green", (-2.0, -0.06, 0.5), (2.0, 0.06, 3.4), without="-z")
+            part.box(
+                "cladding_sand" if int(s / 4) % 5 else "door_green", (-2.0, -0.06, 0.5), (2.0, 0.06, 3.4), without="-z"
+            )
             part.box("zinc", (-2.09, -0.12, -0.3), (-1.91, 0.12, 3.55), without="-z")
             yield part.mesh().moved(layout.on_ground((a + b) / 2), heading)
 
