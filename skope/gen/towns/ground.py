@@ -94,7 +94,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
             ("asphalt_old", beside_road.parking),
             ("gravel", beside_road.drives),
             ("soil", beside_road.footings),
-            *_fields(layout, everywhere, rng),
+            *_fields(layout, everywhere.difference(beside_road.footings.buffer(9.0)), rng),
             ("grass", everywhere),
         ],
         carriageway=False,
@@ -146,7 +146,7 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
     kinds = layout.style.open_ground
     if len(kinds) < 2:
         return
-    away = everywhere.difference(layout.road.buffer(9.0 if layout.style.kerb == 0 else 75.0))
+    away = everywhere.difference(layout.road.buffer(layout.style.fields_from))
     x0, y0, x1, y1 = everywhere.bounds
     shares: dict[str, list[Any]] = {kind: [] for kind in kinds}
     turn = rng.uniform(-0.3, 0.3)

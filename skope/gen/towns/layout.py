@@ -31,7 +31,7 @@ FAR: Final = 135.0
 HALF_VIEW_DEG: Final = 56.0
 BARRIER: Final = 1.5
 """Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
-ISLAND: Final = 15.0
+ISLAND: Final = 20.0
 """Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
 
 

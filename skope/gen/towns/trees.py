@@ -18,9 +18,11 @@ Array = NDArray[np.float64]
 
 CLEARANCE: Final = 0.4
 """Between crowns and the carriageway, metres."""
-SIGHT: Final = 38.0
+SIGHT: Final = 32.0
 """Trees keep out of the view of road that is nearer than that to a camera, metres."""
 
+WIDE: Final = 2.6
+"""Crowns that reach farther are made of more clumps, metres."""
 CROWN: Final = 4.0
 """How far crowns reach at most, metres."""
 
@@ -155,6 +157,9 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
     count, share = ((6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    if tree.detail and reach > WIDE:  # more of them in wide crowns, or they would be lumps
+        more = reach / WIDE
+        count, share = round(count * more), share / more**0.5
     centers = middle + spread * _spread(count, rng)
     if tree.detail and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
@@ -201,7 +206,8 @@ def _clump(
 ) -> Mesh:
     """An uneven ball of leaves whose normals lean away from the crown's middle: the crown is lit as one."""
     points, triangles = _ball(detail)
-    points = points * rng.uniform(0.72, 1.28, (len(points), 1)) * radius * np.asarray(stretch)
+    uneven = 0.28 if detail else 0.16
+    points = points * rng.uniform(1 - uneven, 1 + uneven, (len(points), 1)) * radius * np.asarray(stretch)
     part = from_triangles(center + points, triangles, "leaves")
     outward = center + points - middle
     normals = part.normals + 1.1 * outward / np.linalg.norm(outward, axis=1, keepdims=True)
@@ -245,8 +251,8 @@ def _ball(detail: int) -> tuple[Array, NDArray[np.int64]]:
 
 def bush(radius: float, rng: np.random.Generator) -> Mesh:
     middle = np.array([0.0, 0.0, 0.4 * radius])
-    centers = middle + radius * 0.6 * _spread(9, rng) * [1, 1, 0.6]
-    return merged(_clump(center, 0.6 * radius, middle, 0, rng) for center in centers)
+    centers = middle + radius * 0.6 * _spread(6, rng) * [1, 1, 0.6]
+    return merged(_clump(center, 0.7 * radius, middle, 0, rng) for center in centers)
 
 
 def hedge(length: float, height: float, depth: float, rng: np.random.Generator) -> Mesh:
