@@ -25,14 +25,14 @@ def _walls(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, float],
     return ((x, y, 0.0), 2 * x), ((-x, -y, 0.0), 2 * x), ((x, -y, 0.0), 2 * y), ((-x, y, 0.0), 2 * y)
 
 
-def tower(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Generator) -> Solid:
+def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Generator) -> Solid:
     """Storeys of glass between floors and piers, over a glazed ground floor; plant on the roof."""
     storeys, wall = int(rng.integers(kind.storeys[0], kind.storeys[1] + 1)), str(rng.choice(kind.walls))
     style = rng.choice(["bands", "piers", "grid"])
     top = kind.ground + kind.storey * storeys
     out = Solid()
     for (origin, width), axes in zip(_walls(half), _AXES, strict=True):
-        out.add(_office_front(kind, wall, str(style), width, storeys, near).placed(origin, axes))
+        out.add(_office_front(kind, wall, str(style), width, storeys, detail).placed(origin, axes))
     x, y = half
     out.pane("felt", (-x, x), (-y, y), top)
     for low, high in (
@@ -48,8 +48,17 @@ def tower(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Gene
     return out
 
 
-def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int, near: bool) -> Solid:
+def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int, detail: int) -> Solid:
     out = Solid()
+    if detail == 0:
+        out.pane(wall, (0.0, width), (0.0, kind.ground + kind.storey * storeys), 0.0)
+        out.pane("shop_window", (0.6, width - 0.6), (0.5, kind.ground - 1.0), 0.1)
+        for storey in range(storeys):
+            low = kind.ground + kind.storey * storey
+            out.pane("window", (0.6, width - 0.6), (low + 0.8, low + kind.storey - 0.35), 0.1)
+        for x in np.linspace(0.6, width - 1.2, max(2, round(width / (3.0 if style == "grid" else 6.0))))[1:-1]:
+            out.pane(wall, (x, x + 0.6), (0.0, kind.ground + kind.storey * storeys), 0.2)
+        return out
     sill, lintel = (0.15, 0.4) if style == "piers" else (0.95, 0.35)
     bay = 3.0 if style == "grid" else 1.5 if style == "piers" else 6.0
     out.pane("shop_window", (0.0, width), (0.5, kind.ground - 1.0), 0.0)
@@ -64,7 +73,7 @@ def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int,
     pier = 0.7 if style == "grid" else 0.22
     for x in np.linspace(pier / 2, width - pier / 2, count + 1):
         out.box(wall, (x - pier / 2, 0.0, 0.0), (x + pier / 2, kind.ground + kind.storey * storeys, 0.3), without="-z -y")
-    if near:
+    if detail == 2:
         for x in np.linspace(0.0, width, max(2, round(width / 1.5)) + 1)[1:-1]:
             out.box("frame_dark", (x - 0.03, 0.5, 0.0), (x + 0.03, kind.ground + kind.storey * storeys, 0.06), without="-z -y")
         for x in np.arange(2.0, width - 3.0, 9.0):

@@ -17,7 +17,7 @@ from skope.gen.towns.trees import bush, hedge
 
 Array = NDArray[np.float64]
 
-SHRUBS: Final = 42
+SHRUBS: Final = 32
 """Groups of shrubs that are tried on open ground before each camera."""
 OPEN_GROUND: Final = 55.0
 """Open ground is enclosed as far as that from a camera, metres."""

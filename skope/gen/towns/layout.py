@@ -24,9 +24,9 @@ Region: TypeAlias = Polygon | MultiPolygon
 KERB_WIDTH: Final = 0.15
 CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
-NEAR: Final = 48.0
+NEAR: Final = 42.0
 """Things nearer than that to a camera are drawn in full detail, metres."""
-FAR: Final = 135.0
+FAR: Final = 120.0
 """Things farther than that from all cameras are drawn plainly, without what is small."""
 HALF_VIEW_DEG: Final = 56.0
 BARRIER: Final = 1.5

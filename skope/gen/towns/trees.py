@@ -12,7 +12,7 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
-from skope.gen.towns.layout import Layout, along, free, polygons, rectangle
+from skope.gen.towns.layout import FAR, Layout, along, free, polygons, rectangle
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class Tree:
     room: float
     """How far its crown may reach, metres."""
     detail: int
-    """0, 1 or 2: what its crown is made of."""
+    """0 to 3: of how much its crown is made."""
     street: bool
     """Whether it stands in the sidewalk."""
 
@@ -86,7 +86,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
         room = layout.road.distance(Point(at)) - CLEARANCE
-        detail = 2 if distance < 26 else 1 if distance < 62 else 0
+        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < FAR else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:
@@ -143,29 +143,29 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     if species.form == "cone":
         return merged([*parts, *_tiers(tree, bare, reach, rng)])
     if species.form == "column":
-        count, size = (5, 9, 14)[tree.detail], 0.85 * reach
+        count, size = (4, 5, 9, 14)[tree.detail], 0.85 * reach
         levels = np.linspace(bare + size, height - size, count)
         swell = 0.75 + 0.35 * np.sin(np.pi * np.linspace(0.12, 0.95, count))
         centers = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)) * reach, levels])
         middle = np.array([0.0, 0.0, height / 2])
         stretch = np.array([1.0, 1.0, max(1.0, 1.7 * (height - bare) / (2 * size * count))])
         for center, grown in zip(centers, swell, strict=True):
-            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 2 else 0, rng, stretch)
+            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch)
             parts.append(_of(clump, species.leaves))
         return merged(parts)
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    count, share = ((6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
-    if tree.detail and reach > WIDE:  # more of them in wide crowns, or they would be lumps
+    count, share = ((4, 0.85), (6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    if tree.detail > 1 and reach > WIDE:  # more of them in wide crowns, or they would be lumps
         more = reach / WIDE
         count, share = round(count * more), share / more**0.5
     centers = middle + spread * _spread(count, rng)
-    if tree.detail and species.form == "round":
+    if tree.detail > 1 and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
     for center in centers:
         size = share * reach * rng.uniform(0.75, 1.25)
-        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 2 else 0, rng), species.leaves))
+        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 3 else 0, rng), species.leaves))
     return merged(parts)
 
 
@@ -175,7 +175,7 @@ def _of(mesh: Mesh, material: str) -> Mesh:
 
 def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
     """A conifer's whorls of hanging branches: ragged cones, one above the other."""
-    count, sides = (5, 8, 11)[tree.detail], (8, 11, 16)[tree.detail]
+    count, sides = (4, 5, 8, 11)[tree.detail], (6, 8, 11, 16)[tree.detail]
     levels = np.linspace(bare, 0.9 * tree.height, count)
     step = levels[1] - levels[0]
     angle = np.linspace(0, 2 * np.pi, sides + 1)
