@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 SHRUBS: Final = 32
 """Groups of shrubs that are tried on open ground before each camera."""
-OPEN_GROUND: Final = 55.0
+OPEN_GROUND: Final = 46.0
 """Open ground is enclosed as far as that from a camera, metres."""
 
 

@@ -166,6 +166,14 @@ class Layout:
     def deck_lanes(self) -> Lanes:
         return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
 
+    def road_below(self, site: Site) -> float:
+        """Height of the carriageway that a camera looks at, 12 to 45 m before it: that of most places, metres."""
+        angle = np.radians(site.yaw_deg + np.linspace(-25.0, 25.0, 11))
+        rays = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        places = (np.array(site.position[:2]) + np.arange(12.0, 45.0, 3.0)[:, None, None] * rays).reshape(-1, 2)
+        seen = places[shapely.contains_xy(self.ground_road, places)]
+        return float(np.median(self.ground.road(seen)))
+
     def height(self, place: ArrayLike) -> float:
         """Of what one stands on at a place (2,) beside the carriageway, metres."""
         return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb

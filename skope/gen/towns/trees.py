@@ -71,6 +71,11 @@ class Tree:
     """Whether it stands in the sidewalk."""
 
     @property
+    def reach(self) -> float:
+        """Of its crown, about; metres."""
+        return min(self.height * self.species.reach, self.room)
+
+    @property
     def pit(self) -> Polygon:
         return rectangle(self.place, 0.0, 1.2, 1.2)
 
@@ -259,7 +264,7 @@ def hedge(length: float, height: float, depth: float, rng: np.random.Generator) 
     """A clipped hedge along x around the origin: a dark core within an uneven coat of leaves."""
     half, inner = length / 2, 0.07
     core = box([-half + inner, -depth / 2 + inner, 0.0], [half - inner, depth / 2 - inner, height - inner], "hedge")
-    columns = max(3, int(length / 0.45))
+    columns = max(3, int(length / 0.7))
     x = np.linspace(-half, half, columns)
     profile = np.array([[-0.5, 0.0], [-0.52, 0.55], [-0.42, 1.0], [0.42, 1.0], [0.52, 0.55], [0.5, 0.0]])
     y, z = profile[:, :1] * depth, profile[:, 1:] * height
