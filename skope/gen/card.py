@@ -39,8 +39,10 @@ def card(parameters: Parameters, counts: Counts, localizer_difference: dict[str,
 def command(parameters: Parameters) -> str:
     """The command that makes the same dataset again."""
     p = parameters
+    same = len(counts := set(p.frames.values())) == 1
+    frames = f" --frames {counts.pop()}" if same else ""  # else they are the preset's
     return (
-        f"skope gen --preset {p.preset} --seed {p.seed} --sites {','.join(p.sites)} --frames {p.frames}"
+        f"skope gen --preset {p.preset} --seed {p.seed} --sites {','.join(p.sites)}{frames}"
         f" --interval {p.interval_s} --size {p.size} --fov {p.fov_deg} --renderer {p.renderer}"
         f" --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}"
         f" --min-visible {p.rules.min_visible} --min-box {p.rules.min_box}"

@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
-from skope.gen import vehicles_cli
+from skope.gen import sites_cli, vehicles_cli
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles_cli.app, name="vehicles")
+app.command()(sites_cli.sites)
 
 
 @app.callback()
@@ -73,9 +74,8 @@ def gen(
     )
     console = Console(quiet)
     count = check_workers(default_workers() if workers is None else workers)
-    total = parameters.frames * len(parameters.sites)
     console.say(
-        f"preset {preset}: {total} images of {parameters.size} from {len(parameters.sites)} sites, seed {seed}, "
+        f"preset {preset}: {parameters.images} images of {parameters.size} from {len(parameters.sites)} sites, seed {seed}, "
         f"{count} workers, {why}"
     )
     made = produce(parameters, out, count, console)

@@ -14,7 +14,7 @@ from skope.gen.conditions import Range, check_settings
 from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import versions
-from skope.gen.towns import site
+from skope.gen.towns import site, sites
 from skope.gen.traffic import STEP
 
 
@@ -25,8 +25,8 @@ class Parameters:
     preset: str
     seed: int
     sites: tuple[str, ...]
-    frames: int
-    """Frames per site."""
+    frames: Mapping[str, int]
+    """Frames per site, by the sites' split."""
     recordings: int
     """Recordings per site, which share its frames."""
     interval_s: float
@@ -48,8 +48,9 @@ class Parameters:
             site(name)
         if not self.sites or len(set(self.sites)) < len(self.sites):
             raise UserError("--sites: expected one or more different sites")
-        if self.frames < 1:
-            raise UserError(f"--frames: expected a whole number from 1, got {self.frames}")
+        for frames in self.frames.values():
+            if frames < 1:
+                raise UserError(f"--frames: expected a whole number from 1, got {frames}")
         if self.seed < 0:
             raise UserError(f"--seed: expected a whole number from 0, got {self.seed}")
         if not 5 <= self.fov_deg <= 150:
@@ -70,8 +71,6 @@ class Parameters:
 
     def plans(self) -> list[RecordingPlan]:
         """The recordings, site by site; a site's frames are shared out evenly."""
-        count = min(self.recordings, self.frames)
-        shares = [self.frames // count + (i < self.frames % count) for i in range(count)]
         return [
             RecordingPlan(
                 site=site(name),
@@ -86,13 +85,28 @@ class Parameters:
                 shape_jitter=self.shape_jitter,
             )
             for name in self.sites
-            for index, frames in enumerate(shares)
+            for index, frames in enumerate(_shared(self.frames_of(name), self.recordings))
         ]
+
+    def frames_of(self, name: str) -> int:
+        """How many frames a site has; one of a split that the preset has not, as many as the first one."""
+        return self.frames.get(site(name).split, next(iter(self.frames.values())))
+
+    @property
+    def images(self) -> int:
+        """How many images the dataset will hold."""
+        return sum(self.frames_of(name) for name in self.sites)
 
     def to_dict(self) -> dict[str, Any]:
         """As the card holds them, with the versions that decide the content too."""
         values = asdict(self)
         return {**values, "sites": list(self.sites), "versions": versions()}
+
+
+def _shared(frames: int, recordings: int) -> list[int]:
+    """Frames of each recording, as even as can be."""
+    count = min(recordings, frames)
+    return [frames // count + (i < frames % count) for i in range(count)]
 
 
 @cache
@@ -101,11 +115,17 @@ def presets() -> Mapping[str, Mapping[str, Any]]:
     return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
 
 
-def from_preset(preset: str, *, seed: int, renderer: str, driver: str, rules: Rules, **overrides: Any) -> Parameters:
-    """A preset's parameters with those `overrides` that are not None in their place."""
-    one_of("--preset", preset, tuple(presets()))
+def from_preset(
+    preset: str, *, seed: int, renderer: str, driver: str, rules: Rules, frames: int | None = None, **overrides: Any
+) -> Parameters:
+    """A preset's parameters with those `overrides` that are not None in their place; `frames` are per site."""
+    row = presets()[one_of("--preset", preset, tuple(presets()))]
+    if "ranges" in row:
+        raise UserError(f"--preset {preset}: cameras that differ between recordings cannot be simulated yet")
     known = {f.name for f in fields(Parameters)}
-    values = {name: value for name, value in presets()[preset].items() if name in known}
+    values = {name: value for name, value in row.items() if name in known}
+    values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
     values |= {name: value for name, value in overrides.items() if value is not None}
-    values["sites"] = tuple(values["sites"])
+    if frames is not None:
+        values["frames"] = dict.fromkeys(row["frames"], frames)
     return Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)

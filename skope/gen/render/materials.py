@@ -28,8 +28,8 @@ MATERIALS: Final[dict[str, RGB]] = {
     "gravel": (0.60, 0.57, 0.51),
     "soil": (0.31, 0.25, 0.19),
     "meadow": (0.42, 0.43, 0.24),
-    "field_wheat": (0.66, 0.57, 0.34),
-    "field_green": (0.29, 0.38, 0.17),
+    "field_wheat": (0.58, 0.52, 0.36),
+    "field_green": (0.31, 0.36, 0.20),
     "field_ploughed": (0.38, 0.30, 0.23),
     "grass": (0.35, 0.38, 0.24),
     # walls; patterns go by the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"

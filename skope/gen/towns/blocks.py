@@ -25,14 +25,14 @@ def _walls(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, float],
     return ((x, y, 0.0), 2 * x), ((-x, -y, 0.0), 2 * x), ((x, -y, 0.0), 2 * y), ((-x, y, 0.0), 2 * y)
 
 
-def tower(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Generator) -> Solid:
+def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Generator) -> Solid:
     """Storeys of glass between floors and piers, over a glazed ground floor; plant on the roof."""
     storeys, wall = int(rng.integers(kind.storeys[0], kind.storeys[1] + 1)), str(rng.choice(kind.walls))
     style = rng.choice(["bands", "piers", "grid"])
     top = kind.ground + kind.storey * storeys
     out = Solid()
     for (origin, width), axes in zip(_walls(half), _AXES, strict=True):
-        out.add(_office_front(kind, wall, str(style), width, storeys, near).placed(origin, axes))
+        out.add(_office_front(kind, wall, str(style), width, storeys, detail).placed(origin, axes))
     x, y = half
     out.pane("felt", (-x, x), (-y, y), top)
     for low, high in (
@@ -44,14 +44,21 @@ def tower(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Gene
         out.box(wall, (*low, top), (*high, top + 1.0), without="-z")
     out.box("cladding_grey", (-0.5 * x, -0.5 * y, top), (0.3 * x, 0.4 * y, top + 3.2), without="-z")
     for k in range(3):
-        out.box(
-            "zinc", (0.45 * x, (0.25 * k - 0.5) * y, top), (0.7 * x, (0.25 * k - 0.35) * y, top + 1.4), without="-z"
-        )
+        out.box("zinc", (0.45 * x, (0.25 * k - 0.5) * y, top), (0.7 * x, (0.25 * k - 0.35) * y, top + 1.4), without="-z")
     return out
 
 
-def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int, near: bool) -> Solid:
+def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int, detail: int) -> Solid:
     out = Solid()
+    if detail == 0:
+        out.pane(wall, (0.0, width), (0.0, kind.ground + kind.storey * storeys), 0.0)
+        out.pane("shop_window", (0.6, width - 0.6), (0.5, kind.ground - 1.0), 0.1)
+        for storey in range(storeys):
+            low = kind.ground + kind.storey * storey
+            out.pane("window", (0.6, width - 0.6), (low + 0.8, low + kind.storey - 0.35), 0.1)
+        for x in np.linspace(0.6, width - 1.2, max(2, round(width / (3.0 if style == "grid" else 6.0))))[1:-1]:
+            out.pane(wall, (x, x + 0.6), (0.0, kind.ground + kind.storey * storeys), 0.2)
+        return out
     sill, lintel = (0.15, 0.4) if style == "piers" else (0.95, 0.35)
     bay = 3.0 if style == "grid" else 1.5 if style == "piers" else 6.0
     out.pane("shop_window", (0.0, width), (0.5, kind.ground - 1.0), 0.0)
@@ -65,17 +72,10 @@ def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int,
     count = max(2, round(width / bay))
     pier = 0.7 if style == "grid" else 0.22
     for x in np.linspace(pier / 2, width - pier / 2, count + 1):
-        out.box(
-            wall, (x - pier / 2, 0.0, 0.0), (x + pier / 2, kind.ground + kind.storey * storeys, 0.3), without="-z -y"
-        )
-    if near:
+        out.box(wall, (x - pier / 2, 0.0, 0.0), (x + pier / 2, kind.ground + kind.storey * storeys, 0.3), without="-z -y")
+    if detail == 2:
         for x in np.linspace(0.0, width, max(2, round(width / 1.5)) + 1)[1:-1]:
-            out.box(
-                "frame_dark",
-                (x - 0.03, 0.5, 0.0),
-                (x + 0.03, kind.ground + kind.storey * storeys, 0.06),
-                without="-z -y",
-            )
+            out.box("frame_dark", (x - 0.03, 0.5, 0.0), (x + 0.03, kind.ground + kind.storey * storeys, 0.06), without="-z -y")
         for x in np.arange(2.0, width - 3.0, 9.0):
             out.box("frame_dark", (x, kind.ground - 1.3, 0.0), (x + 2.6, kind.ground - 1.15, 1.4), without="-z")
     return out
@@ -144,12 +144,7 @@ def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Sol
         part.pane(wall, (0.0, width), (0.0, eaves), 0.0)
         part.box("stone", (0.0, -0.4, 0.0), (width, 0.5, 0.08), without="-z -y")
         gate, high = (width / 2, 0.8 * eaves) if i != 1 else (width / 3, 0.7 * eaves)
-        part.box(
-            "frame" if wall == "cladding_red" else "timber",
-            (gate - 2.1, 0.0, 0.0),
-            (gate + 2.1, high, 0.1),
-            without="-z -y",
-        )
+        part.box("frame" if wall == "cladding_red" else "timber", (gate - 2.1, 0.0, 0.0), (gate + 2.1, high, 0.1), without="-z -y")
         part.pane("timber" if wall != "timber" else "shutter_brown", (gate - 1.9, gate + 1.9), (0.1, high - 0.2), 0.11)
         for at in np.arange(2.0, width - 1.5, 4.2):
             if abs(at - gate) > 2.8:

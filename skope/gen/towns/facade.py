@@ -185,7 +185,6 @@ def _far_window(style: Style, look: int) -> Solid:
     glass = "blind" if look == 3 else "curtain" if look == 4 else "window"
     for i in range(columns):
         out.pane(glass, (w * i / columns + FRAME, w * (i + 1) / columns - FRAME), (FRAME, h - FRAME), 2 * PROUD)
-    out.pane(style.dressing, (-0.07, w + 0.07), (-0.08, 0.0), 2 * PROUD)
     return out
 
 

@@ -45,7 +45,7 @@ class _Spots:
         self._blocked, self._road = blocked, layout.road
         shapely.prepare(self._blocked)
         shapely.prepare(self._road)
-        self._taken: list[Any] = []
+        self._taken: list[tuple[Array, Any]] = []
 
     def take(self, place: Array, heading: float, made: Mesh) -> bool:
         """Whether a thing fits there; if so its place is taken."""
@@ -55,9 +55,9 @@ class _Spots:
         shape = shapely.MultiPoint(plan).convex_hull.buffer(0.02)
         if shape.intersects(self._blocked) or shape.distance(self._road) < CLEARANCE:
             return False
-        if any(shape.distance(other) < 0.6 for other in self._taken):
+        if any(abs(place - at).max() < 9.0 and shape.distance(other) < 0.6 for at, other in self._taken):
             return False
-        self._taken.append(shape)
+        self._taken.append((place, shape))
         return True
 
 

@@ -11,13 +11,15 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
 from skope.gen.towns.houses import House, car_parks, covered, forecourts, paths
-from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, rectangle, right_of
+from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, polygons, rectangle, right_of
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.trees import bush, hedge
 
 Array = NDArray[np.float64]
 
-OPEN_GROUND: Final = 55.0
+SHRUBS: Final = 32
+"""Groups of shrubs that are tried on open ground before each camera."""
+OPEN_GROUND: Final = 46.0
 """Open ground is enclosed as far as that from a camera, metres."""
 
 
@@ -27,6 +29,8 @@ def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Gener
     street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), layout.sidewalk.buffer(0.05)])
     taken = unary_union([covered(houses).buffer(0.25), street])
     for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
+        yield layout.draped(part)
+    for part in _scattered(layout, unary_union([built.buffer(0.8), street.buffer(0.9), pits]), rng):
         yield layout.draped(part)
     seen = unary_union([taken, layout.around_cameras])
     shapely.prepare(taken)
@@ -73,6 +77,26 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
         likely = rng.random()
         if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
             yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
+
+
+def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
+    shapely.prepare(taken)
+    for site in layout.sites:
+        for _ in range(SHRUBS):
+            angle = np.radians(site.yaw_deg + rng.uniform(-60.0, 60.0))
+            at = site.position[:2] + rng.uniform(9.0, OPEN_GROUND) * np.array([np.cos(angle), np.sin(angle)])
+            group = int(rng.integers(1, 5))
+            places = at + rng.normal(0.0, 0.8, (group, 2)) * (group > 1)
+            for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
+                if free(taken, place, 0.4):
+                    yield bush(float(size), rng).moved([*place, 0.0])
+    for island in polygons(layout.islands.buffer(-1.3)):
+        if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * OPEN_GROUND:
+            ring = island.exterior
+            for s in np.arange(1.5, ring.length, 4.5):
+                if rng.random() < layout.style.median_trees:
+                    yield bush(float(rng.uniform(0.3, 0.5)), rng).moved([*ring.interpolate(s).coords[0], 0.0])
 
 
 def _margin(layout: Layout, edge: Any, beyond: float) -> float:

@@ -17,6 +17,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, from_triangles, quads
 from skope.gen.towns.layout import FAR, KERB_WIDTH, Layout, beside, driven, half_width, polygons, rectangle, right_of
 from skope.gen.towns.markings import crossings, markings
+from skope.gen.towns.terrain import COARSEST
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
             ("asphalt_old", beside_road.parking),
             ("gravel", beside_road.drives),
             ("soil", beside_road.footings),
-            *_fields(layout, everywhere, rng),
+            *_fields(layout, everywhere.difference(beside_road.footings.buffer(9.0)), rng),
             ("grass", everywhere),
         ],
         carriageway=False,
@@ -146,7 +147,7 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
     kinds = layout.style.open_ground
     if len(kinds) < 2:
         return
-    away = everywhere.difference(layout.road.buffer(9.0 if layout.style.kerb == 0 else 75.0))
+    away = everywhere.difference(layout.road.buffer(layout.style.fields_from))
     x0, y0, x1, y1 = everywhere.bounds
     shares: dict[str, list[Any]] = {kind: [] for kind in kinds}
     turn = rng.uniform(-0.3, 0.3)
@@ -200,13 +201,19 @@ def surfaces(
 
 
 def _in_cells(shapes: Sequence[Polygon], cells: NDArray[np.object_]) -> list[Polygon]:
-    tree = shapely.STRtree(cells)
-    number, cell = tree.query(np.array(shapes, dtype=object), predicate="intersects")
+    """Pieces of polygons, one cell each; first cut by large squares, so that no large polygon is cut often."""
+    low, high = np.floor(shapely.total_bounds(cells)[:2] / COARSEST), shapely.total_bounds(cells)[2:] / COARSEST
+    x, y = np.meshgrid(*(COARSEST * np.arange(a, b) for a, b in zip(low, high, strict=True)))
+    squares = shapely.box(x, y, x + COARSEST, y + COARSEST).ravel()
+    return _cut_by(_cut_by(shapes, squares, _GRID), cells, None)
+
+
+def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: float | None) -> list[Polygon]:
     whole = np.array(shapes, dtype=object)
-    for shape in whole:
-        shapely.prepare(shape)
-    inside = shapely.contains_properly(whole[number], cells[cell])
-    cut = shapely.intersection(whole[number[~inside]], cells[cell[~inside]], grid_size=_GRID)
+    shapely.prepare(whole)
+    number, cell = shapely.STRtree(cells).query(whole, predicate="intersects")
+    inside = shapely.covers(whole[number], cells[cell])
+    cut = shapely.intersection(whole[number[~inside]], cells[cell[~inside]], grid_size=precision)
     return [*cells[cell[inside]], *(polygon for piece in cut for polygon in polygons(piece))]
 
 

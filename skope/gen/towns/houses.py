@@ -184,7 +184,7 @@ def _made(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> 
     if kind.form == "silo":
         return blocks.silo(kind, half[0], house.near, rng)
     if kind.form == "tower":
-        return blocks.tower(kind, half, house.near, rng).mesh()
+        return blocks.tower(kind, half, house.detail, rng).mesh()
     if kind.form == "hall":
         return blocks.hall(kind, half, house.near, rng).mesh()
     if kind.form == "barn":

@@ -24,14 +24,14 @@ Region: TypeAlias = Polygon | MultiPolygon
 KERB_WIDTH: Final = 0.15
 CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
-NEAR: Final = 48.0
+NEAR: Final = 42.0
 """Things nearer than that to a camera are drawn in full detail, metres."""
-FAR: Final = 135.0
+FAR: Final = 120.0
 """Things farther than that from all cameras are drawn plainly, without what is small."""
 HALF_VIEW_DEG: Final = 56.0
 BARRIER: Final = 1.5
 """Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
-ISLAND: Final = 15.0
+ISLAND: Final = 20.0
 """Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
 
 
@@ -161,6 +161,14 @@ class Layout:
     @cached_property
     def deck_lanes(self) -> Lanes:
         return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
+
+    def road_below(self, site: Site) -> float:
+        """Height of the carriageway that a camera looks at, 12 to 45 m before it: that of most places, metres."""
+        angle = np.radians(site.yaw_deg + np.linspace(-25.0, 25.0, 11))
+        rays = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        places = (np.array(site.position[:2]) + np.arange(12.0, 45.0, 3.0)[:, None, None] * rays).reshape(-1, 2)
+        seen = places[shapely.contains_xy(self.ground_road, places)]
+        return float(np.median(self.ground.road(seen)))
 
     def height(self, place: ArrayLike) -> float:
         """Of what one stands on at a place (2,) beside the carriageway, metres."""

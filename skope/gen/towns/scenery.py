@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
@@ -45,6 +46,10 @@ class Signal:
 class Scenery:
     mesh: Mesh
     signals: tuple[Signal, ...]
+    buildings: tuple[Polygon, ...] = ()
+    """Their footprints."""
+    trees: tuple[tuple[float, float, float], ...] = ()
+    """x, y and reach of their crowns."""
 
 
 @cache
@@ -76,7 +81,8 @@ def scenery(town: str) -> Scenery:
         *horizon(layout, rng["horizon"]),
         *poles,
     ]
-    return Scenery(merged(meshes), signals)
+    crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
+    return Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns)
 
 
 _PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")

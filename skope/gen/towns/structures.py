@@ -304,6 +304,8 @@ def _wires(layout: Layout) -> Iterator[Mesh]:
             if shapely.intersects(kept_clear, Point(place)):
                 before = None
                 continue
+            if before is not None and LineString([before[0][1, :2], place]).intersects(layout.around_cameras):
+                before = None
             foot = layout.height(place)
             yield _pole().moved([*place, foot], heading)
             tops = np.array([[0.0, y, 8.6] for y in (-0.9, 0.0, 0.9)])

@@ -146,6 +146,8 @@ class Style:
     median_rails: bool = False
     open_ground: tuple[str, ...] = ("grass",)
     """Ground away from the streets; more than one gives fields."""
+    fields_from: float = 60.0
+    """Distance of fields from roads, metres."""
     fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})
     """Shares of what encloses front gardens and open ground."""
     light: Literal["curved", "mast", "double", "timber"] = "curved"

@@ -12,13 +12,12 @@ from skope.gen.towns.style import Terrain
 
 Array = NDArray[np.float64]
 
-REACH: Final = 45.0
-"""Beyond that from a road the ground does not follow it, metres."""
 _NEAR: Final = 0.25
 """Softens the weights of lanes, metres."""
 FINEST: Final = 4.0
 """Smallest cells that sloped ground is cut into, metres."""
-_COARSEST: Final = 64
+COARSEST: Final = 64
+"""Largest ones; their sides lie at multiples of that, metres."""
 
 
 class Lanes:
@@ -39,10 +38,20 @@ class Lanes:
         self._verge = np.concatenate(verges)
         self._tree = shapely.STRtree(shapely.linestrings(np.stack([self._a[:, :2], self._b[:, :2]], axis=1)))
 
+    @property
+    def points(self) -> Array:
+        """(N, 3) places on the lanes."""
+        return np.concatenate([self._a, self._b])
+
+    @property
+    def beside(self) -> float:
+        """The widest way from a lane's middle to the end of what runs beside it, metres."""
+        return float((self._half + self._verge).max())
+
     @cached_property
     def level(self) -> float | None:
         """The height of all lanes, when they have only one."""
-        z = np.concatenate([self._a[:, 2], self._b[:, 2]])
+        z = self.points[:, 2]
         return float(z[0]) if np.ptp(z) < 1e-6 else None
 
     def near(self, places: Array, reach: float) -> tuple[Array, Array]:
@@ -98,11 +107,18 @@ class Ground:
         around = self.natural(places)
         if self._shaping.level == 0.0 and not around.any():
             return around
-        height, away = self._shaping.near(places, REACH)
+        height, away = self._shaping.near(places, self._reach)
         near = np.isfinite(away)
         rise = self._style.slope * away[near]
         around[near] = np.clip(around[near], height[near] - rise, height[near] + rise)
         return around
+
+    @cached_property
+    def _reach(self) -> float:
+        """How far from a lane its banks end, metres."""
+        points = self._shaping.points
+        highest = np.abs(points[:, 2] - self.natural(points[:, :2])).max()
+        return self._shaping.beside + (float(highest) + 1.0) / self._style.slope
 
     def natural(self, places: Array) -> Array:
         """(N,) heights of the ground as it would be without roads."""
@@ -118,9 +134,9 @@ class Ground:
 
         They have all their neighbours' corners, so that the ground has no gaps between large and small ones.
         """
-        unit, size = FINEST, int(_COARSEST // FINEST)
-        low = np.floor(np.array(bounds[:2]) / _COARSEST) * _COARSEST
-        count = np.ceil((np.array(bounds[2:]) - low) / _COARSEST).astype(int)
+        unit, size = FINEST, int(COARSEST // FINEST)
+        low = np.floor(np.array(bounds[:2]) / COARSEST) * COARSEST
+        count = np.ceil((np.array(bounds[2:]) - low) / COARSEST).astype(int)
         corners = np.stack(np.meshgrid(*(np.arange(n) * size for n in count)), axis=-1).reshape(-1, 2)
         leaves = []
         while True:

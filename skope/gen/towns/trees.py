@@ -12,15 +12,17 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
-from skope.gen.towns.layout import Layout, along, free, polygons, rectangle
+from skope.gen.towns.layout import FAR, Layout, along, free, polygons, rectangle
 
 Array = NDArray[np.float64]
 
 CLEARANCE: Final = 0.4
 """Between crowns and the carriageway, metres."""
-SIGHT: Final = 38.0
+SIGHT: Final = 32.0
 """Trees keep out of the view of road that is nearer than that to a camera, metres."""
 
+WIDE: Final = 2.6
+"""Crowns that reach farther are made of more clumps, metres."""
 CROWN: Final = 4.0
 """How far crowns reach at most, metres."""
 
@@ -64,9 +66,14 @@ class Tree:
     room: float
     """How far its crown may reach, metres."""
     detail: int
-    """0, 1 or 2: what its crown is made of."""
+    """0 to 3: of how much its crown is made."""
     street: bool
     """Whether it stands in the sidewalk."""
+
+    @property
+    def reach(self) -> float:
+        """Of its crown, about; metres."""
+        return min(self.height * self.species.reach, self.room)
 
     @property
     def pit(self) -> Polygon:
@@ -84,7 +91,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
         room = layout.road.distance(Point(at)) - CLEARANCE
-        detail = 2 if distance < 26 else 1 if distance < 62 else 0
+        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < FAR else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:
@@ -141,28 +148,29 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     if species.form == "cone":
         return merged([*parts, *_tiers(tree, bare, reach, rng)])
     if species.form == "column":
-        count, size = (5, 9, 14)[tree.detail], 0.85 * reach
+        count, size = (4, 5, 9, 14)[tree.detail], 0.85 * reach
         levels = np.linspace(bare + size, height - size, count)
         swell = 0.75 + 0.35 * np.sin(np.pi * np.linspace(0.12, 0.95, count))
         centers = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)) * reach, levels])
         middle = np.array([0.0, 0.0, height / 2])
         stretch = np.array([1.0, 1.0, max(1.0, 1.7 * (height - bare) / (2 * size * count))])
         for center, grown in zip(centers, swell, strict=True):
-            clump = _clump(
-                center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 2 else 0, rng, stretch
-            )
+            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch)
             parts.append(_of(clump, species.leaves))
         return merged(parts)
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    count, share = ((6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    count, share = ((4, 0.85), (6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    if tree.detail > 1 and reach > WIDE:  # more of them in wide crowns, or they would be lumps
+        more = reach / WIDE
+        count, share = round(count * more), share / more**0.5
     centers = middle + spread * _spread(count, rng)
-    if tree.detail and species.form == "round":
+    if tree.detail > 1 and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
     for center in centers:
         size = share * reach * rng.uniform(0.75, 1.25)
-        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 2 else 0, rng), species.leaves))
+        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 3 else 0, rng), species.leaves))
     return merged(parts)
 
 
@@ -172,7 +180,7 @@ def _of(mesh: Mesh, material: str) -> Mesh:
 
 def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
     """A conifer's whorls of hanging branches: ragged cones, one above the other."""
-    count, sides = (5, 8, 11)[tree.detail], (8, 11, 16)[tree.detail]
+    count, sides = (4, 5, 8, 11)[tree.detail], (6, 8, 11, 16)[tree.detail]
     levels = np.linspace(bare, 0.9 * tree.height, count)
     step = levels[1] - levels[0]
     angle = np.linspace(0, 2 * np.pi, sides + 1)
@@ -182,9 +190,7 @@ def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> I
         rim[-1] = rim[0]
         rows = []
         for share, z in ((1.0, low - 0.25 * step), (0.55, low + 0.55 * step), (0.04, low + 1.5 * step)):
-            rows.append(
-                np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)])
-            )
+            rows.append(np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)]))
         yield grid(np.array(rows), [[tree.species.leaves] * sides] * 2)
 
 
@@ -205,7 +211,8 @@ def _clump(
 ) -> Mesh:
     """An uneven ball of leaves whose normals lean away from the crown's middle: the crown is lit as one."""
     points, triangles = _ball(detail)
-    points = points * rng.uniform(0.72, 1.28, (len(points), 1)) * radius * np.asarray(stretch)
+    uneven = 0.28 if detail else 0.16
+    points = points * rng.uniform(1 - uneven, 1 + uneven, (len(points), 1)) * radius * np.asarray(stretch)
     part = from_triangles(center + points, triangles, "leaves")
     outward = center + points - middle
     normals = part.normals + 1.1 * outward / np.linalg.norm(outward, axis=1, keepdims=True)
@@ -249,15 +256,15 @@ def _ball(detail: int) -> tuple[Array, NDArray[np.int64]]:
 
 def bush(radius: float, rng: np.random.Generator) -> Mesh:
     middle = np.array([0.0, 0.0, 0.4 * radius])
-    centers = middle + radius * 0.6 * _spread(9, rng) * [1, 1, 0.6]
-    return merged(_clump(center, 0.6 * radius, middle, 0, rng) for center in centers)
+    centers = middle + radius * 0.6 * _spread(6, rng) * [1, 1, 0.6]
+    return merged(_clump(center, 0.7 * radius, middle, 0, rng) for center in centers)
 
 
 def hedge(length: float, height: float, depth: float, rng: np.random.Generator) -> Mesh:
     """A clipped hedge along x around the origin: a dark core within an uneven coat of leaves."""
     half, inner = length / 2, 0.07
     core = box([-half + inner, -depth / 2 + inner, 0.0], [half - inner, depth / 2 - inner, height - inner], "hedge")
-    columns = max(3, int(length / 0.45))
+    columns = max(3, int(length / 0.7))
     x = np.linspace(-half, half, columns)
     profile = np.array([[-0.5, 0.0], [-0.52, 0.55], [-0.42, 1.0], [0.42, 1.0], [0.52, 0.55], [0.5, 0.0]])
     y, z = profile[:, :1] * depth, profile[:, 1:] * height
@@ -268,3 +275,5 @@ def hedge(length: float, height: float, depth: float, rng: np.random.Generator) 
         triangles = [[0, i, i + 1] for i in range(1, 5)]
         parts.append(from_triangles(cap, np.array(triangles)[:, :: -1 if end else 1], "leaves"))
     return merged(parts)
+
+
