@@ -64,11 +64,14 @@ _CAMERA: Final[Mapping[str, Range]] = {
 }
 _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
     "clear": {"clouds": (0.0, 0.3), "visibility_m": (6e3, 2e4)},
+    "cloudy": {"clouds": (0.4, 0.8), "visibility_m": (5e3, 1.5e4)},
     "overcast": {"clouds": (1.0, 1.0), "visibility_m": (3e3, 1e4)},
+    "fog": {"clouds": (1.0, 1.0), "visibility_m": (120.0, 500.0)},
 }
 _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
     "noon": {"sun_elevation_deg": (45.0, 62.0), "sun_azimuth_deg": (225.0, 315.0)},
     "low_sun": {"sun_elevation_deg": (14.0, 24.0), "sun_azimuth_deg": (150.0, 350.0)},
+    "dawn": {"sun_elevation_deg": (5.0, 9.0), "sun_azimuth_deg": (0.0, 40.0)},
     "dusk": {"sun_elevation_deg": (5.0, 9.0), "sun_azimuth_deg": (150.0, 215.0)},
 }
 

@@ -2,11 +2,14 @@
 
 import re
 import tomllib
+import zlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from importlib import resources
 from typing import Any
+
+import numpy as np
 
 from skope.errors import UserError, one_of
 from skope.gen.annotate import Rules
@@ -14,7 +17,7 @@ from skope.gen.conditions import Range, check_settings
 from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import versions
-from skope.gen.towns import site, sites
+from skope.gen.towns import Site, site, sites
 from skope.gen.traffic import STEP
 
 
@@ -73,7 +76,7 @@ class Parameters:
         """The recordings, site by site; a site's frames are shared out evenly."""
         return [
             RecordingPlan(
-                site=site(name),
+                site=in_its_light(site(name), index, self.seed),
                 index=index,
                 frames=frames,
                 interval=self.interval_s,
@@ -109,10 +112,26 @@ def _shared(frames: int, recordings: int) -> list[int]:
     return [frames // count + (i < frames % count) for i in range(count)]
 
 
+def in_its_light(own: Site, index: int, seed: int) -> Site:
+    """A site in the light and with the traffic of its recording `index`, as its split has them; its own at 0."""
+    if index == 0:
+        return own
+    split = _tables()["splits"][own.split]
+    weather, time_of_day = split["light"][(index - 1) % len(split["light"])].split()
+    rng = np.random.default_rng([seed, zlib.crc32(own.name.encode()), index, 2])
+    traffic = own.vehicles_per_hour * rng.uniform(*split["traffic"])
+    return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1))
+
+
 @cache
+def _tables() -> Mapping[str, Any]:
+    return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
+
+
 def presets() -> Mapping[str, Mapping[str, Any]]:
     """The presets of `presets.toml` by name."""
-    return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
+    presets: Mapping[str, Mapping[str, Any]] = _tables()["presets"]
+    return presets
 
 
 def from_preset(
