@@ -72,8 +72,7 @@ def simulate(plan: RecordingPlan) -> Recording:
         World(STEP) as world,
     ):
         riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, own)
-        for _ in range(warm_up):
-            traffic.step()
+        traffic.warm_up(warm_up)
         for k in range(settle + (plan.frames - 1) * stride + 1):
             snapshot = traffic.step()
             near = log.near(snapshot, traffic)

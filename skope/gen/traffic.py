@@ -6,6 +6,7 @@ compass degrees; both are converted here, once.
 
 import math
 import tempfile
+from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ _OPTIONS: Final = {
 }
 _TRAIL_STEP: Final = 0.05
 """Metres between the heights that are kept of the road that a vehicle has passed."""
+_TRAIL_EVERY: Final = 4
+"""Steps between the heights that are kept while nobody watches."""
 _TRAIL: Final = 25.0
 """How far back they are kept, metres."""
 
@@ -81,8 +84,11 @@ class _Trail:
                 first = next(i for i, at in enumerate(self._driven) if at > driven - _TRAIL) - 1
                 del self._driven[:first], self._height[:first]
 
-    def heights(self, driven: list[float]) -> list[float]:
-        return list(np.interp(driven, self._driven, self._height))
+    def height(self, driven: float) -> float:
+        after = min(bisect(self._driven, driven), len(self._driven) - 1)
+        start, end = self._driven[after - 1], self._driven[after]
+        low, high = self._height[after - 1], self._height[after]
+        return low + (high - low) * min((driven - start) / (end - start), 1.0)
 
 
 class Traffic:
@@ -123,6 +129,22 @@ class Traffic:
 
     def __exit__(self, *_: object) -> None:
         self._sumo.close()
+
+    def warm_up(self, steps: int) -> None:
+        """Go on by some steps of `STEP` seconds, which nobody watches."""
+        vehicle = self._sumo.vehicle
+        for k in range(steps):
+            self._sumo.simulationStep()
+            if k % _TRAIL_EVERY == 0:
+                for name in vehicle.getIDList():
+                    self._trail(name, vehicle.getDistance(name), vehicle.getPosition3D(name)[2])
+
+    def _trail(self, name: str, driven: float, height: float) -> _Trail:
+        """A vehicle's trail with its present place in it."""
+        if name not in self._trails:
+            self._trails[name] = _Trail(height, math.radians(self._sumo.vehicle.getSlope(name)))
+        self._trails[name].add(driven, height)
+        return self._trails[name]
 
     def step(self) -> Snapshot:
         """Go on by `STEP` seconds and say where everyone is."""
@@ -165,10 +187,6 @@ class Traffic:
 
     def _heights(self, name: str, height: float, behind: tuple[float, ...]) -> list[float]:
         """Heights of the road at some distances behind a front bumper at `height`, where it has been before."""
-        vehicle = self._sumo.vehicle
-        driven = vehicle.getDistance(name)
-        if name not in self._trails:
-            self._trails[name] = _Trail(height, math.radians(vehicle.getSlope(name)))
-        trail = self._trails[name]
-        trail.add(driven, height)
-        return trail.heights([driven - back for back in behind])
+        driven = self._sumo.vehicle.getDistance(name)
+        trail = self._trail(name, driven, height)
+        return [trail.height(driven - back) for back in behind]
