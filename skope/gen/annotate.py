@@ -15,7 +15,7 @@ from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
 from skope.gen.render import STATIC, View
 from skope.gen.sight import Sight
-from skope.gen.vehicles import build
+from skope.gen.vehicles import PAINTS, build
 from skope.gen.vehicles.model import Vehicle
 from skope.schema import Annotation, Box3D
 
@@ -287,7 +287,7 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
         "track_id": recorded.track_id,
         "model": recorded.model,
         "vehicle_type": vehicle.vehicle_type,
-        "color": recorded.color,
+        "color": PAINTS[recorded.color].color,
         "parked": recorded.parked,
         "box_3d": Box3D(center=center, size_lwh=np.array(vehicle.size_lwh), yaw=yaw, R=T[:3, :3]),
         "velocity": moment.velocity[i],

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.vehicles import PAINTS, FleetEntry
+from skope.gen.vehicles import FleetEntry, draw_paint
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,6 @@ class Traffic:
         routes = self._routes()
         weights = np.array([weight for _, weight in routes])
         models, shares = list(self._fleet), np.array([entry.share for entry in self._fleet.values()])
-        paints, popularity = list(PAINTS), np.array([share for share, _ in PAINTS.values()])
         rng, time = self._rng, 0.0
         for i in range(100_000):
             time += rng.exponential(1 / self._rate)
@@ -128,8 +127,7 @@ class Traffic:
                 return
             route = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
             model = models[rng.choice(len(models), p=shares / shares.sum())]
-            color = paints[rng.choice(len(paints), p=popularity / popularity.sum())]
-            yield Trip(f"v{i:05d}", model, color, time, route)
+            yield Trip(f"v{i:05d}", model, draw_paint(self._fleet[model].vehicle, rng), time, route)
 
     def _routes(self) -> list[tuple[tuple[str, ...], float]]:
         """Every route from the network's rim to its rim, weighted by the lanes it starts and ends with."""

@@ -74,7 +74,8 @@ class Placer:
             parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
             from_camera = parts.copy()
             from_camera[:, :3, 3] -= camera.position
-            paint = linear(np.array(PAINTS[recorded.color][1]) / 255)
+            paint = PAINTS[recorded.color]
+            look = {"u_paint": _linear(paint.rgb), "u_livery": _linear(paint.livery)}
             out.append(
                 Placed(
                     index=i,
@@ -83,7 +84,7 @@ class Placer:
                     **self._upload(recorded, vehicle),
                     matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
                     distance=float(away[i]),
-                    look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
+                    look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
                     window=window,
                 )
             )
@@ -110,6 +111,10 @@ def _coarse(vehicle: Vehicle) -> tuple[Mesh, ...]:
     """A vehicle's body and wheels for its picture from afar; kept, as each recording uploads them anew."""
     left = simplified(vehicle.wheel, COARSE)
     return simplified(vehicle.mesh, COARSE), left.mirrored(), left, left.mirrored(), left
+
+
+def _linear(rgb: tuple[int, int, int]) -> Array:
+    return linear(np.array(rgb) / 255)
 
 
 def _bytes(matrices: Array) -> bytes:
