@@ -96,7 +96,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "glass": (0.12, 0.15, 0.18),
     "glass_tinted": (0.05, 0.06, 0.07),
     "glass_mirror": (0.36, 0.40, 0.44),
-    "lamp_clear": (0.46, 0.48, 0.50),
+    "lamp_clear": (0.36, 0.38, 0.40),
     "lamp_dark": (0.13, 0.135, 0.145),
     "daylight": (0.93, 0.95, 0.96),
     "headlight": (0.86, 0.88, 0.90),

@@ -25,6 +25,7 @@ from skope.gen.vehicles.loft import (
     Surface,
     along,
 )
+from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.shape import Shape, Style
 
 Array = NDArray[np.float64]
@@ -47,12 +48,11 @@ _PROFILE: Final = np.array(
         [0.79, 0.79, 0.000, 0.044, 0.040, 0],
         [0.88, 0.88, 0.017, 0.066, 0.052, 0],
         [1.00, 1.00, 0.034, 0.105, 0.075, 0],
-        [1.30, 1.00, 0.045, 0.132, 0.092, 0.013],
-        [1.65, 1.00, 0.064, 0.165, 0.117, 0.023],
+        [1.40, 1.00, 0.050, 0.140, 0.098, 0.016],
         [2.00, 1.00, 0.092, 0.205, 0.150, 0.029],
     ]
 )
-_SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0, 0])
+_SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
 """What the side of a body without a shoulder line stands in more than `_PROFILE` says."""
 _RIM, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
@@ -168,7 +168,6 @@ class CarBody:
         fixed = [x + d for pit in self._pits() for x in pit[:2] for d in (-0.004, 0.004)]
         free = [axle + k * reach for axle in (s.front_axle_x, s.rear_axle_x) for k in (-1.35, -0.8, 0, 0.8, 1.35)]
         free += list(np.linspace(s.rear_axle_x + 2.4 * reach, s.front_axle_x - 2.2 * reach, 3))
-        free += [s.cowl_x + 0.1, s.cowl_x - 0.12]
         chosen = list(fixed)
         for x in free:
             if ends[1] + 0.05 < x < ends[0] - 0.05 and min(abs(x - other) for other in chosen) > 0.05:
@@ -246,6 +245,7 @@ class CarBody:
             ends = start - 0.02, end + 0.02
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]
             lower.paint(hollow, TOP, material, levels=(_RIM, top))
+        self._draw_livery()
         self._draw_doors()
         self._draw_hood()
         self._parts += front.draw_front(lower, self.w, s, style, self.points)
@@ -270,6 +270,19 @@ class CarBody:
         around, material = (axle, s.wheel_radius), "trim" if dark else "paint"
         lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034)
         self._parts += [lining, lip]
+
+    def _draw_livery(self) -> None:
+        """A stripe along the sides of what is not private."""
+        s = self.shape
+        low, high = {"taxi": (0.34, 0.24), "van": (0.46, 0.26)}.get(self.style.palette, (0.0, 0.0))
+        ahead, behind = s.front_axle_x - ARCH * s.wheel_radius - 0.12, self.end + 0.35
+        if self.style.palette == "van":
+            sweep = [(behind + 0.9, s.clearance + 0.2), (behind + 0.5, s.belt_height), (behind, s.belt_height)]
+            self._lower.draw([(behind, s.clearance + 0.2), *sweep], SIDE, "livery", layer=0.5)
+            behind += 0.55
+        if low > 0:
+            stripe = rectangle(behind, ahead, s.belt_height - low, s.belt_height - high)
+            self._lower.draw(stripe, SIDE, "livery", layer=0.5)
 
     def _draw_doors(self) -> None:
         """Gaps around the doors, the fuel flap, handles."""

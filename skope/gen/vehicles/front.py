@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.loft import FRONT_END, SIDE_START, WRAP, Surface
-from skope.gen.vehicles.panels import Points, disc, frame, grown, mirrored, plate_height, quad, rectangle, rounded, within
+from skope.gen.vehicles.panels import Points, disc, grown, mirrored, plate_height, quad, rectangle, rounded, within
 from skope.gen.vehicles.shape import Shape, Style
 
 Array = NDArray[np.float64]
@@ -74,8 +74,8 @@ def _grille(shell: Surface, s: Shape, style: Style, intake: float) -> None:
     pattern = _PATTERN.get(style.grille, "")
     if style.grille in outlines:
         outline = mirrored(outlines[style.grille])
+        shell.paint(grown(outline, 0.015), WRAP, "chrome" if style.chrome else "trim")
         shell.sink(outline, WRAP, 0.03, pattern, wall="gap")
-        frame(shell, grown(outline, 0.006), "chrome" if style.chrome else "trim", 0.02)
         if style.grille == "bar":
             middle = (bottom + top) / 2
             shell.draw(rectangle(-edge, edge, middle - 0.028, middle + 0.028), WRAP, "chrome", layer=9)
@@ -84,9 +84,9 @@ def _grille(shell: Surface, s: Shape, style: Style, intake: float) -> None:
     elif style.grille in ("split", "blocks"):
         slots = {"split": [(0.035, 0.62 * edge)], "blocks": [(0.06, 0.5 * edge), (0.5 * edge + 0.03, edge - 0.02)]}
         for a, b in slots[style.grille]:
-            outline = rounded(quad(a, b, (bottom - 0.04, bottom - 0.01), (top + 0.0, top - 0.02)), 0.02)
+            outline = quad(a, b, (bottom - 0.04, bottom - 0.01), (top, top - 0.02))
+            shell.paint(grown(outline, 0.012), WRAP, "chrome")
             shell.sink(outline, WRAP, 0.03, pattern, wall="chrome" if style.chrome else "gap")
-            frame(shell, grown(outline, 0.004), "chrome", 0.013)
     else:
         # A closed nose: a glossy band between the lamps.
         shell.draw(rectangle(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
@@ -142,7 +142,7 @@ def _headlight(
     points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + [_RIM, 0], WRAP)[0]
     shell.sink(grown(shape, _RIM), WRAP, 0.014, "trim", wall="trim")
     shell.draw(shape, WRAP, "lamp_dark" if kind in ("swept", "hook", "slim") else "lamp_clear")
-    radius = 0.36 * (high - low - 0.4 * rise)
+    radius = min(0.34 * (high - low - 0.4 * rise), 0.085 * (outer - inner) + 0.01)
     for share in {"slim": (0.2, 0.42), "drop": (0.4,), "twin": (0.22, 0.6)}.get(kind, (0.24, 0.5)):
         center = within(lamp, share, share, 0.52, 0.52)[0]
         shell.draw(disc(center, radius * 1.3), WRAP, "chrome", layer=2)
@@ -165,8 +165,8 @@ def _round_headlight(shell: Surface, inner: float, outer: float, low: float, hig
     center = np.array([(inner + outer) / 2, (low + high) / 2])
     points["headlight_inner"] = shell.place(center - [radius, 0], WRAP)[0]
     points["headlight_outer"] = shell.place(center + [radius, 0], WRAP)[0]
-    shell.draw(disc(center, radius + 0.018, 16), WRAP, "chrome")
-    shell.sink(disc(center, radius - 0.008, 14), WRAP, 0.02, "lamp_clear", wall="chrome")
+    shell.sink(disc(center, radius, 12), WRAP, 0.02, "chrome", wall="chrome")
+    shell.draw(disc(center, radius - 0.016, 12), WRAP, "lamp_dark")
     shell.draw(disc(center, radius * 0.66, 12), WRAP, "headlight", layer=2)
     shell.draw(disc(center, radius * 0.3, 8), WRAP, "lamp_clear", layer=3)
     side = rounded(rectangle(center[0] + radius * 0.1, center[0] + radius * 1.1, low - 0.13, low - 0.07), 0.02)

@@ -16,6 +16,8 @@ from skope.gen.vehicles.loft import (
     SIDE_START,
     Plan,
     Surface,
+    T,
+    X,
     along,
 )
 from skope.gen.vehicles.panels import rectangle
@@ -48,15 +50,11 @@ class Greenhouse:
         self.hatch = shape.deck_length < 0.3
         self.points: dict[str, Array] = {}
         self.parts: list[Mesh] = []
+        self.pillar_x = 0.0
+        """x of the B-pillar at the belt."""
         self.surface = self._shell(deck)
         self._draw()
         self._add_parts()
-
-    @property
-    def pillar_x(self) -> float:
-        """x of the B-pillar at the belt."""
-        s = self.shape
-        return s.cowl_x - 0.2 + (s.backlight_x + 0.1 - s.cowl_x + 0.2) * s.pillar
 
     def foot(self, inset: float) -> Array:
         """(N, 2) the left outline of its foot from front to rear, `inset` metres inside."""
@@ -145,23 +143,34 @@ class Greenhouse:
     def _side_panes(self, high: float) -> None:
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last = len(w) - 1
-        start = float(w[SIDE_START - 2]) + 0.01
-        end = float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
-        span = end - start
-        glazed = start + span * style.glazed
-        low = _GLASS_LOW - _EDGE
-        glass.paint(rectangle(start, glazed, low, high + 0.02), ROWS, "trim")
+        ends = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
+        low, over = _GLASS_LOW - _EDGE, high + 0.02
+        foot, head = (np.array([glass.place((end, t), ROWS)[0][0] for end in ends]) for t in (low, over))
+
+        def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
+            """A place on a post `share` of the way along, which is upright between the slanting ends."""
+            up = (t - low) / (over - low)
+            slant = foot + up * (head - foot)
+            x = foot[0] + share * (foot[1] - foot[0]) - 0.04 * up
+            if share in (0.0, 1.0):
+                x = slant[int(share)]
+            return float(np.clip(x, slant[1], slant[0])) + ahead, t
+
+        def pane(a: float, b: float, bottom: float, top: float, edge: float) -> list[tuple[float, float]]:
+            return [post(a, bottom, -edge), post(b, bottom, edge), post(b, top, edge), post(a, top, -edge)]
+
+        glass.paint(pane(0.0, style.glazed, low, over, 0.0), (X, T), "trim")
         edges = sorted([*style.panes, s.pillar, s.pillar])
         for first, second in zip(edges[::2], edges[1::2], strict=True):
-            a, b = start + span * first + 0.028, start + span * second - 0.028
             if second <= style.glazed + 1e-6:
                 dark = style.tinted and first >= s.pillar - 1e-6
-                glass.paint(rectangle(a, b, _GLASS_LOW, high), ROWS, "glass_tinted" if dark else "glass")
+                material = "glass_tinted" if dark else "glass"
+                glass.paint(pane(first, second, _GLASS_LOW, high, 0.028), (X, T), material)
         if style.chrome:
-            glass.line([(start, low), (glazed, low)], ROWS, "chrome", width=0.03)
+            glass.line([post(0.0, low), post(style.glazed, low)], (X, T), "chrome", width=0.03)
         if style.glazed < 1:
-            split = glazed + 0.02
-            glass.line([(split, 0.02), (split, 0.98)], ROWS, width=0.014)
+            glass.line([post(style.glazed, 0.0, -0.03), post(style.glazed, 1.0, -0.03)], (X, T), width=0.014)
+        self.pillar_x = post(s.pillar, low)[0]
 
     def _pane(self, start: float, end: float, low: float, high: float, material: str) -> None:
         """A screen with its dark surround."""

@@ -32,7 +32,7 @@ TOP: Final = (X, Y)
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 """Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
-_FRONT, _CORNER = 4, 5
+_FRONT, _CORNER = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
 _LIFT: Final = 0.0012
 """How far each layer of what is drawn hovers over the one below, metres."""

@@ -59,11 +59,6 @@ def mirrored(side: Sequence[tuple[float, float]]) -> Array:
     return np.vstack([half, half[::-1] * [-1, 1]])
 
 
-def frame(shell: Surface, outline: Array, material: str, width: float, layer: float = 2) -> None:
-    """A line around a polygon."""
-    shell.line(np.vstack([outline, outline[:1]]), WRAP, material, width=width, layer=layer)
-
-
 def plate_height(wanted: float) -> float:
     """The height nearest to a wanted one at which a plate may hang, metres."""
     return round(wanted / PLATE_STEP) * PLATE_STEP

@@ -65,7 +65,7 @@ def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint"
     edge = np.array([(0.1, -0.62), (0.1, 0.72), (0.3, 0.84), (0.84, 0.8), (0.93, 0.5), (0.9, -0.55), (0.78, -0.8)])
     edge = np.vstack([edge, (0.2, -0.8)])
     ring = middle + np.column_stack(
-        [np.full(len(edge), -behind - 0.002), near + (reach - near) * edge[:, 0], high * edge[:, 1]]
+        [np.full(len(edge), -behind - 0.0005), near + (reach - near) * edge[:, 0], high * edge[:, 1]]
     )
     glass = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "glass_mirror")
     foot = _foot((x, y, z), near + 0.035, middle[2])
@@ -91,8 +91,10 @@ def _foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
 
 def _facing(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
     """A flat mesh, turned to face a direction."""
-    if (mesh.normals @ np.array(direction)).mean() > 0:
-        return mesh
+    return mesh if (mesh.normals @ np.array(direction)).mean() > 0 else _turned(mesh)
+
+
+def _turned(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices, -mesh.normals, mesh.triangles[:, ::-1], mesh.materials, mesh.material)
 
 
@@ -155,14 +157,7 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
     side = np.stack([low, np.column_stack([x, np.full(3, half_width), np.full(3, z - 0.06)])])
     cover = np.concatenate([top, low[None] - [0, 0, 0.04], side[1:]])
     back = from_triangles(cover[:, -1], [[0, i, i + 1] for i in range(1, len(cover) - 1)], "trim")
-    return merged([_facing_up(grid(cover, [["paint"] * 2] * 3)), _facing(back, (-1.0, 0.0, 0.0))])
-
-
-def _facing_up(mesh: Mesh) -> Mesh:
-    """A smooth mesh, turned as a whole so that it faces up."""
-    if mesh.normals[:, 2].mean() > 0:
-        return mesh
-    return Mesh(mesh.vertices, -mesh.normals, mesh.triangles[:, ::-1], mesh.materials, mesh.material)
+    return merged([_facing(grid(cover, [["paint"] * 2] * 3), (0.0, 0.0, 1.0)), _facing(back, (-1.0, 0.0, 0.0))])
 
 
 def roof_sign(x: float, z: float) -> Mesh:
@@ -182,28 +177,23 @@ def plate(x: float, z: float, tilt: float, sign: float) -> Mesh:
     back = rim - [sign * 0.03, 0, 0]
     sides = [[rim[i], back[i], back[i + 1], rim[i + 1]] for i in range(3)]
     mesh = merged([quads(face, "plate"), quads(np.array([rim, *sides]), "trim")])
-    if sign > 0:
-        return mesh
-    return Mesh(mesh.vertices, -mesh.normals, mesh.triangles[:, ::-1], mesh.materials, mesh.material)
+    return mesh if sign > 0 else _turned(mesh)
 
 
 def badge(at: Array, radius: float, sign: float) -> Mesh:
     """The left half of a round badge on the middle of the front (`sign` 1) or the rear (-1)."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
-    ring = np.column_stack([0 * turn + sign * 0.002, radius * np.cos(turn), radius * np.sin(turn)])
-    points = np.vstack([[sign * 0.009, 0, 0], ring, ring * [0, 1, 1] - [sign * 0.012, 0, 0]]) + at
-    n = len(turn)
-    faces = [[0, i + 1, i + 2] for i in range(n - 1)]
-    for i in range(1, n):
-        faces += [[i, i + n, i + n + 1], [i, i + n + 1, i + 1]]
-    triangles = np.array(faces) if sign > 0 else np.array(faces)[:, ::-1]
-    return from_triangles(points, triangles, "chrome")
+    ring = at + np.column_stack([0 * turn + sign * 0.009, radius * np.cos(turn), radius * np.sin(turn)])
+    back = ring - [sign * 0.02, 0, 0]
+    face = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "chrome")
+    edge = grid(np.stack([back, ring]), [["rail"] * (len(ring) - 1)])
+    return merged([_facing(face, (sign, 0.0, 0.0)), edge if sign > 0 else _turned(edge)])
 
 
 def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
     """A tail pipe that ends at `x`."""
-    pipe = lathe([(-0.16, radius * 0.9), (0.0, radius), (-0.002, radius * 0.8)], ["chrome"] * 2, 10, "z")
-    hole = lathe([(-0.05, radius * 0.82), (-0.05, 0.0)], ["gap"], 10, "z")
+    pipe = lathe([(-0.16, radius * 0.9), (0.0, radius), (-0.002, radius * 0.8)], ["chrome"] * 2, 8, "z")
+    hole = lathe([(-0.05, radius * 0.82), (-0.05, 0.0)], ["gap"], 8, "z")
     mesh = merged([pipe, hole])
 
     def rearward(v: Array) -> Array:

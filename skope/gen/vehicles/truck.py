@@ -9,7 +9,7 @@ from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import frame, grown, rectangle
+from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, Style
 from skope.gen.vehicles.tower import ARCH, Tower, arch, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
@@ -83,8 +83,8 @@ class TruckBody:
         self._cab_doors(cab, base, top)
         self._parts += front.draw_front(cab, w, s, self.style, self.points)
         grille = rectangle(-screen + 0.2, screen - 0.2, s.headlight_high + 0.1, base - 0.16)
+        cab.paint(grown(grille, 0.02), WRAP, "trim")
         cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
-        frame(cab, grille, "trim", 0.03)
         self._parts.append(cab.half)
         self._on_the_cab(screen, base, top)
         self.points |= {
