@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
 
+
 class Paint(NamedTuple):
     """A vehicle's colours."""
 

@@ -240,7 +240,9 @@ class CarBody:
         trim = 0.25 if style.cladding else 0.07
         lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
         cabin = self._greenhouse.foot(0.03)
-        lower.paint(np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]), TOP, "dashboard", levels=(_RIM, CENTER))
+        lower.paint(
+            np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]), TOP, "dashboard", levels=(_RIM, CENTER)
+        )
         for (start, end, _), material, top in zip(self._pits(), ("dashboard", "bed"), (_PIT, CENTER), strict=False):
             ends = start - 0.02, end + 0.02
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]

@@ -128,9 +128,7 @@ def _fog(shell: Surface, pocket: Array, lamp: tuple[float, float]) -> None:
     shell.draw(disc(lamp, 0.032, 8), WRAP, "lamp_clear", layer=3)
 
 
-def _headlight(
-    shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], points: Points
-) -> None:
+def _headlight(shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], points: Points) -> None:
     """A lamp behind clear glass: lenses, a strip of daytime light, an indicator."""
     (inner, outer), (low, high) = along, up
     rise = {"swept": 0.055, "hook": 0.04, "slim": 0.03, "drop": 0.09}.get(kind, 0.0)

@@ -281,9 +281,7 @@ class Surface:
         floor[:, :NX] -= depth * self._mean_normals(used)
         at = np.full(len(self._vertices), -1)
         at[used] = np.arange(len(used))
-        corners = np.stack(
-            [self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1
-        )
+        corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
         normal = np.cross(corners[:, 2, :NX] - corners[:, 0, :NX], corners[:, 3, :NX] - corners[:, 1, :NX])
         corners[:, :, NX:W] = (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))[:, None]
         base = len(self._vertices)

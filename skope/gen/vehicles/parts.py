@@ -34,12 +34,12 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
 
 
 def _pod(center: Array, sections: Array, material: str) -> Mesh:
-    """A closed shell along y: `sections` (N, 4) are y, half height, reach ahead and behind, around `center`."""
+    """A closed shell along y: `sections` (N, 4) are y, half height, reach ahead and behind, around `center`; flat behind."""
     turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
     # A squared-off ring: flatter above, below and behind than a circle.
     c, s = (np.sign(f(turn)) * np.abs(f(turn)) ** 0.7 for f in (np.cos, np.sin))
     y, high, ahead, behind = sections.T[..., None]
-    points = np.stack(np.broadcast_arrays(np.where(c > 0, ahead, behind) * c, y, high * s), axis=-1)
+    points = np.stack(np.broadcast_arrays(np.where(c > 0, ahead * c, -behind), y, high * s), axis=-1)
     # From tip to root, so that the ring's turn faces outward.
     return grid(center + points[::-1], [[material] * 8] * (len(sections) - 1))
 
@@ -62,7 +62,7 @@ def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint"
         ]
     )
     shell = _pod(middle, sections, material)
-    edge = np.array([(0.1, -0.62), (0.1, 0.72), (0.3, 0.84), (0.84, 0.8), (0.93, 0.5), (0.9, -0.55), (0.78, -0.8)])
+    edge = np.array([(0.1, -0.62), (0.1, 0.72), (0.3, 0.84), (0.76, 0.8), (0.84, 0.5), (0.84, -0.5), (0.74, -0.8)])
     edge = np.vstack([edge, (0.2, -0.8)])
     ring = middle + np.column_stack(
         [np.full(len(edge), -behind - 0.0005), near + (reach - near) * edge[:, 0], high * edge[:, 1]]

@@ -129,7 +129,9 @@ class TruckBody:
             self._parts.append(box(*visor, "gap"))
         over = s.height - self.cab_height
         if over > 0.25:
-            self._parts.append(parts.deflector(edge - 0.35, self.cab_rear + 0.1, s.width / 2 - 0.2, self.cab_height, over))
+            self._parts.append(
+                parts.deflector(edge - 0.35, self.cab_rear + 0.1, s.width / 2 - 0.2, self.cab_height, over)
+            )
 
     def _frame(self) -> None:
         """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
@@ -219,7 +221,9 @@ class TruckBody:
         """The gap between two doors, their bolts and hinges."""
         shell.line([(end, low), (end, top)], WRAP, width=0.016)
         for share in (0.28, 0.6):
-            shell.draw(rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8)
+            shell.draw(
+                rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
+            )
         for z in np.linspace(low + 0.3, top - 0.3, 4):
             shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
 
