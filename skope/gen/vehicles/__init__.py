@@ -277,4 +277,4 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
 assert {f.name for f in fields(Shape)} >= _ALONG | _ACROSS | _UP
 assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())
 assert {paint.color for paint in PAINTS.values()} <= set(COLORS)
-assert {entry.vehicle.style.palette for entry in fleet().values()} <= {paint.palette for paint in PAINTS.values()}
+assert {_parametric(model).style.palette for model in fleet()} == {paint.palette for paint in PAINTS.values()}

@@ -36,7 +36,7 @@ class BusBody:
     @cached_property
     def interior(self) -> Mesh:
         s = self.shape
-        rows = 6
+        rows = 5
         return interior(
             cowl=self.nose - 0.3,
             floor=s.belt_height - 0.3,

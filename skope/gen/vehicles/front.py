@@ -17,6 +17,7 @@ _LOGO: Final = 0.042
 """Radius of the logo, metres."""
 _RIM: Final = 0.009
 """Width of the dark rim around a headlight, metres."""
+_BESIDE: Final = np.array([_RIM, 0.0])
 _PATTERN: Final = {
     "wide": "grille_slats",
     "shield": "grille_mesh",
@@ -38,20 +39,20 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points)
     intake = (s.clearance + 0.09, s.clearance + 0.09 + 0.56 * room)
     plate = plate_height(intake[0] + 0.03 if style.intake in ("wide", "triple", "deep") else intake[1] + 0.02)
     hung = parts.plate(*_against(shell, plate), 1.0)
-    logo = shell.place((0.0, (low + high) / 2 if style.grille != "closed" else high - 0.02), WRAP)[0] * [1, 0, 1]
+    logo = shell.place((0.0, (low + high) / 2), WRAP)[0] * [1, 0, 1]
     _grille(shell, s, style, intake[1])
     _intake(shell, s, style, intake, wide)
     if style.headlight == "round":
         _round_headlight(shell, inner, outer, low, high, points)
     else:
         _headlight(shell, style.headlight, (inner, outer), (low, high), points)
-    points["front_logo"] = logo + [0.009, 0, 0]
+    points["front_logo"] = np.add(logo, [0.009, 0, 0])
     return [parts.badge(logo, _LOGO, 1.0), hung]
 
 
 def _against(shell: Surface, plate: float) -> tuple[float, float, float]:
     """Where a plate leans against a front: x of its lower edge, height, how far it leans back."""
-    half, high = parts.PLATE
+    _, high = parts.PLATE
     (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP)[0] for z in (0.0, high))
     return max(float(low_x), float(high_x)) + 0.002, plate, float(np.clip(low_x - high_x, 0.0, 0.03))
 
@@ -136,8 +137,8 @@ def _headlight(shell: Surface, kind: str, along: tuple[float, float], up: tuple[
         low += 0.35 * (high - low)
     lamp = quad(inner, outer, (low, low + rise), (high - rise * 0.8, high + rise * 0.3))
     shape = rounded(lamp, 0.045 if kind == "drop" else 0.02)
-    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - [_RIM, 0], WRAP)[0]
-    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + [_RIM, 0], WRAP)[0]
+    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _BESIDE, WRAP)[0]
+    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _BESIDE, WRAP)[0]
     shell.sink(grown(shape, _RIM), WRAP, 0.014, "trim", wall="trim")
     shell.draw(shape, WRAP, "lamp_dark" if kind in ("swept", "hook", "slim") else "lamp_clear")
     radius = min(0.34 * (high - low - 0.4 * rise), 0.085 * (outer - inner) + 0.01)
@@ -160,9 +161,9 @@ def _headlight(shell: Surface, kind: str, along: tuple[float, float], up: tuple[
 
 def _round_headlight(shell: Surface, inner: float, outer: float, low: float, high: float, points: Points) -> None:
     radius = (high - low) * 0.62
-    center = np.array([(inner + outer) / 2, (low + high) / 2])
-    points["headlight_inner"] = shell.place(center - [radius, 0], WRAP)[0]
-    points["headlight_outer"] = shell.place(center + [radius, 0], WRAP)[0]
+    center, reach = np.array([(inner + outer) / 2, (low + high) / 2]), np.array([radius, 0])
+    points["headlight_inner"] = shell.place(center - reach, WRAP)[0]
+    points["headlight_outer"] = shell.place(center + reach, WRAP)[0]
     shell.sink(disc(center, radius, 12), WRAP, 0.02, "chrome", wall="chrome")
     shell.draw(disc(center, radius - 0.016, 12), WRAP, "lamp_dark")
     shell.draw(disc(center, radius * 0.66, 12), WRAP, "headlight", layer=2)

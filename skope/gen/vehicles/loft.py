@@ -287,7 +287,7 @@ class Surface:
         base = len(self._vertices)
         self._vertices = np.concatenate([self._vertices, floor, corners.reshape(-1, 8)])
         first = base + len(floor) + 4 * np.arange(len(corners))[:, None]
-        walls = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+        walls = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
         self._triangles[chosen] = base + index.reshape(-1, 3)
         self._material[chosen] = self._number(material)
         self._triangles = np.concatenate([self._triangles, walls])
@@ -328,6 +328,9 @@ class Surface:
         """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
         patch = copy(self)
         inside = patch._cut(polygon, projection, levels, facing)
+        a, b, c = np.moveaxis(patch._vertices[:, projection][patch._triangles[inside]], 1, 0)
+        # Walls around what is sunk have no area here, and nothing to show.
+        inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
         if not len(inside):
             return
         used, index = np.unique(patch._triangles[inside], return_inverse=True)
@@ -408,12 +411,6 @@ class Surface:
         level = self._vertices[:, T]
         wall = (level[start] >= 0) & (level[end] >= 0)
         return lining, np.stack([a, b], axis=1)[wall & (np.abs(a[:, 2] - b[:, 2]) + np.abs(a[:, 0] - b[:, 0]) > 1e-6)]
-
-    def nearest(self, point: ArrayLike, columns: Sequence[int] = (X, Y, Z)) -> Array:
-        """(3,) position of the vertex nearest to a point in some of a vertex's columns."""
-        offset = self._vertices[:, list(columns)] - np.asarray(point, dtype=np.float64)
-        used = np.unique(self._triangles)
-        return np.asarray(self._vertices[used[(offset[used] ** 2).sum(axis=1).argmin()], :3])
 
     @property
     def half(self) -> Mesh:

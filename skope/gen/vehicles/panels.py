@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skope.gen.vehicles.loft import WRAP, Surface
 from skope.gen.vehicles.parts import PLATE_STEP
 
 Array = NDArray[np.float64]

@@ -34,7 +34,7 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
 
 
 def _pod(center: Array, sections: Array, material: str) -> Mesh:
-    """A closed shell along y: `sections` (N, 4) are y, half height, reach ahead and behind, around `center`; flat behind."""
+    """A closed shell along y, flat behind: `sections` (N, 4) are y, half height, reach ahead and behind `center`."""
     turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
     # A squared-off ring: flatter above, below and behind than a circle.
     c, s = (np.sign(f(turn)) * np.abs(f(turn)) ** 0.7 for f in (np.cos, np.sin))
@@ -80,7 +80,7 @@ def _foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
     low = np.array([(x + 0.045, y - 0.05), (x - 0.07, y - 0.05), (x - 0.05, y + reach), (x + 0.01, y + reach)])
     inner, outer = z - 0.012, top - 0.035
     bottom = np.column_stack([low, [inner, inner, outer, outer]])
-    upper = bottom + [0, 0, 0.03]
+    upper = np.add(bottom, [0, 0, 0.03])
     sides = [[bottom[i], bottom[(i + 1) % 4], upper[(i + 1) % 4], upper[i]] for i in range(4)]
     faces = np.array([upper, bottom[::-1], *sides])
     middle = faces.reshape(-1, 3).mean(axis=0)
@@ -105,7 +105,8 @@ def handle(at: tuple[float, float, float], material: str = "paint") -> Mesh:
     out = np.array([-0.012, 0.024, 0.024, -0.012])
     low, high = (np.column_stack([x + along, y + out, np.full(4, z + d)]) for d in (-0.013, 0.013))
     inner = np.column_stack([x + along, np.full(4, y - 0.012), np.full(4, z)])
-    return grid(np.stack([inner - [0, 0, 0.013], low, high, inner + [0, 0, 0.013]])[:, ::-1], [[material] * 3] * 3)
+    edge = np.array([0, 0, 0.013])
+    return grid(np.stack([inner - edge, low, high, inner + edge])[:, ::-1], [[material] * 3] * 3)
 
 
 def rail(path: Array) -> Mesh:
@@ -118,8 +119,8 @@ def rail(path: Array) -> Mesh:
     # Around the bar, counter-clockwise seen from the rear.
     ring = np.stack([low + b, high + b * 0.7, high + a * 0.7, low + a, low + b])
     bar = grid(ring, [["rail"] * (len(high) - 1)] * 4)
-    middle = path[len(path) // 2]
-    return merged([bar, box(middle + [-0.05, -0.014, -0.05], middle + [0.05, 0.014, 0.03], "rail")])
+    x, y, z = path[len(path) // 2]
+    return merged([bar, box((x - 0.05, y - 0.014, z - 0.05), (x + 0.05, y + 0.014, z + 0.03), "rail")])
 
 
 def spoiler(rear: float, top: float, half_width: float) -> Mesh:
@@ -163,7 +164,8 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
 def roof_sign(x: float, z: float) -> Mesh:
     """The left half of a taxi's lit sign across the roof."""
     low = np.array([(x + 0.075, 0.0, z), (x + 0.075, 0.26, z), (x - 0.075, 0.26, z), (x - 0.075, 0.0, z)])
-    high = low + [(-0.03, 0, 0), (-0.03, -0.05, 0), (0.03, -0.05, 0), (0.03, 0, 0)] + [0, 0, SIGN_HEIGHT]
+    top = z + SIGN_HEIGHT
+    high = np.array([(x + 0.045, 0.0, top), (x + 0.045, 0.21, top), (x - 0.045, 0.21, top), (x - 0.045, 0.0, top)])
     foot = box((x - 0.085, 0.0, z - 0.05), (x + 0.085, 0.27, z + 0.012), "trim")
     sides = [[low[i], low[i + 1], high[i + 1], high[i]] for i in range(3)]
     return merged([quads(np.array([*sides, high]), "sign"), foot])
@@ -175,8 +177,8 @@ def plate(x: float, z: float, tilt: float, sign: float) -> Mesh:
     face = np.array([(x, 0, z), (x, half, z), (x - sign * tilt, half, z + high), (x - sign * tilt, 0, z + high)])
     rim = face + np.array([(0, 0, -0.012), (0, 0.012, -0.012), (0, 0.012, 0.012), (0, 0, 0.012)]) - [sign * 0.004, 0, 0]
     back = rim - [sign * 0.03, 0, 0]
-    sides = [[rim[i], back[i], back[i + 1], rim[i + 1]] for i in range(3)]
-    mesh = merged([quads(face, "plate"), quads(np.array([rim, *sides]), "trim")])
+    sides = [[a[i], b[i], b[i + 1], a[i + 1]] for a, b in ((face, rim), (rim, back)) for i in range(3)]
+    mesh = merged([quads(face, "plate"), quads(np.array(sides), "trim")])
     return mesh if sign > 0 else _turned(mesh)
 
 
@@ -200,7 +202,11 @@ def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
         return np.stack([-v[:, 2], v[:, 1], v[:, 0]], axis=-1)
 
     return Mesh(
-        rearward(mesh.vertices) + [x, y, z], rearward(mesh.normals), mesh.triangles, mesh.materials, mesh.material
+        np.add(rearward(mesh.vertices), [x, y, z]),
+        rearward(mesh.normals),
+        mesh.triangles,
+        mesh.materials,
+        mesh.material,
     )
 
 

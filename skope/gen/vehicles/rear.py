@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 _RIM = 0.009
 """Width of the dark rim around a tail lamp, metres."""
+_BESIDE = np.array([_RIM, 0.0])
 _PANES = {
     "wide": {
         "brake_light": (0.36, 0.97, 0.55, 0.92),
@@ -44,8 +45,8 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: Style, points: Points) 
     low, high = s.taillight_low, s.taillight_high
     slant = {"wide": 0.035, "band": 0.02, "hook": 0.03}.get(style.taillight, 0.0)
     lamp = quad(outer, inner, (low + slant, low), (high, high - slant))
-    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - [_RIM, 0], WRAP)[0]
-    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + [_RIM, 0], WRAP)[0]
+    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - _BESIDE, WRAP)[0]
+    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + _BESIDE, WRAP)[0]
     hatch = s.deck_length < 0.3
     plate = s.taillight_low - 0.03 if hatch or s.taillight_inner < 0.45 else (low + high) / 2 - 0.06
     if style.taillight in ("tall", "round") or hatch:

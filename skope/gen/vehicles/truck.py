@@ -125,8 +125,8 @@ class TruckBody:
         self._parts.append(mirror)
         edge = self.nose - 0.035 - s.screen_run
         if s.wheel_radius > 0.45:
-            visor = [(edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)]
-            self._parts.append(box(*visor, "gap"))
+            low, high = (edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)
+            self._parts.append(box(low, high, "gap"))
         over = s.height - self.cab_height
         if over > 0.25:
             self._parts.append(
