@@ -112,7 +112,7 @@ def whole(vehicle: Vehicle) -> Mesh:
 
 
 def backs_seen(vehicle: Vehicle, rng: np.random.Generator, directions: int) -> int:
-    """Of rays from all around, above the road, to places in a vehicle's box, those that meet a triangle's back first."""
+    """Of rays from all around, from above, to places in a vehicle's box, those that meet a triangle's back first."""
     size, mesh, back, hit = np.array(vehicle.size_lwh), whole(vehicle), 0, 0
     for _ in range(directions):
         direction = rng.normal(size=3) * [1, 1, 0.7]

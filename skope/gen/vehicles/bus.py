@@ -115,7 +115,7 @@ class BusBody:
         for at in (0.05, 0.2, 0.29, 0.42, 0.55):
             shell.draw(rectangle(at, at + 0.075, high + 0.075, band - 0.075), WRAP, "display", layer=2)
         for start, stop in ((0.06, 0.75), (0.35, screen - 0.05)):
-            shell.line([(start, low - 0.09), (stop, low + 0.06)], WRAP, width=0.022, layer=9)
+            shell.line([(start, low - 0.09), (stop, low + 0.06)], WRAP, width=0.022, layer=4)
         self.points |= {
             "roof_front": shell.place((screen + 0.06, band), WRAP)[0],
             "windscreen_base": shell.place((screen, low - 0.08), WRAP)[0],

@@ -249,9 +249,10 @@ class CarBody:
             lower.paint(hollow, TOP, material, levels=(_RIM, top))
         self._draw_livery()
         self._draw_doors()
-        self._draw_hood()
         self._parts += front.draw_front(lower, self.w, s, style, self.points)
         self._parts += rear.draw_rear(lower, self.w, s, style, self.points)
+        # What is drawn before a sink would hover over it.
+        self._draw_hood()
         corner, last = float(self.w[SIDE_START - 4]), float(self.w[len(self.w) - SIDE_START + 3])
         self.points |= {
             "bumper_front": lower.place((corner, BOTTOM), ROWS)[0],
@@ -309,7 +310,7 @@ class CarBody:
         height = s.belt_height - 0.13
         for x in (pillar + 0.19, *([last + 0.22] if style.doors == 4 else [])):
             cup = np.array([(-0.06, -0.025), (0.06, -0.025), (0.06, 0.025), (-0.06, 0.025)])
-            lower.draw([x, height] + cup, SIDE, "gap")
+            lower.draw(np.add([x, height], cup), SIDE, "gap")
             y = float(lower.place((x, height), SIDE)[0][1])
             self._parts.append(parts.handle((x, y, height), "chrome" if style.chrome else "paint"))
 

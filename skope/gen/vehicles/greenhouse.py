@@ -182,10 +182,10 @@ class Greenhouse:
         """Wipers, and the brake light behind the rear window."""
         glass, total = self.surface, float(self._w[-1])
         base = _GLASS_LOW - 0.035
-        glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROWS, width=0.02, layer=9)
-        glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROWS, width=0.017, layer=8)
+        glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROWS, width=0.02, layer=4)
+        glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROWS, width=0.017, layer=3)
         if self.hatch and self.style.glazed == 1:
-            glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROWS, width=0.022, layer=8)
+            glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROWS, width=0.022, layer=3)
         glass.draw(rectangle(total - 0.14, total, high - 0.075, high - 0.035), ROWS, "brake_light", layer=2)
 
     def _add_parts(self) -> None:

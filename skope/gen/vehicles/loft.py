@@ -269,7 +269,7 @@ class Surface:
         wall: str = "trim",
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> None:
-        """Move what lies in a convex polygon of a projection `depth` metres inwards, and close its rim with walls."""
+        """Move what lies in a convex polygon `depth` metres inwards, level, and close its rim with walls."""
         chosen = self._cut(polygon, projection, levels, None)
         if not len(chosen):
             return
@@ -278,7 +278,7 @@ class Surface:
         start, end = start[inner], end[inner]
         used, index = np.unique(self._triangles[chosen], return_inverse=True)
         floor = self._vertices[used]
-        floor[:, :NX] -= depth * self._mean_normals(used)
+        floor[:, :NX] -= depth * self._outward(used)
         at = np.full(len(self._vertices), -1)
         at[used] = np.arange(len(used))
         corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
@@ -293,12 +293,12 @@ class Surface:
         self._triangles = np.concatenate([self._triangles, walls])
         self._material = np.concatenate([self._material, np.full(len(walls), self._number(wall))])
 
-    def _mean_normals(self, used: Indices) -> Array:
-        """Of vertices, one for all at the same place, so that a crease does not gape when they move."""
+    def _outward(self, used: Indices) -> Array:
+        """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
         _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
         total = np.zeros((len(used), 3))
         np.add.at(total, same.reshape(-1), self._vertices[used, NX:W])
-        normal = total[same.reshape(-1)]
+        normal = total[same.reshape(-1)] * [1, 1, 0]
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
     def _rim(self, triangles: Indices) -> tuple[Indices, Indices]:

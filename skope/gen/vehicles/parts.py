@@ -157,7 +157,8 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
     low = top[1] + [0, 0.06, 0]
     side = np.stack([low, np.column_stack([x, np.full(3, half_width), np.full(3, z - 0.06)])])
     cover = np.concatenate([top, low[None] - [0, 0, 0.04], side[1:]])
-    back = from_triangles(cover[:, -1], [[0, i, i + 1] for i in range(1, len(cover) - 1)], "trim")
+    rim = np.vstack([cover[:, -1], [rear, 0.0, z - 0.06]])
+    back = from_triangles(rim, [[0, i, i + 1] for i in range(1, len(rim) - 1)], "trim")
     return merged([_facing(grid(cover, [["paint"] * 2] * 3), (0.0, 0.0, 1.0)), _facing(back, (-1.0, 0.0, 0.0))])
 
 

@@ -78,7 +78,7 @@ class TruckBody:
         cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
         cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
         for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
-            cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=9)
+            cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
         cab.draw(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
         self._cab_doors(cab, base, top)
         self._parts += front.draw_front(cab, w, s, self.style, self.points)
