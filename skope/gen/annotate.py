@@ -16,7 +16,7 @@ from skope.gen.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.recording import Moment
 from skope.gen.render import STATIC, View
 from skope.gen.sight import Sight
-from skope.gen.vehicles import build
+from skope.gen.vehicles import PAINTS, build
 from skope.gen.vehicles.model import Vehicle
 from skope.schema import Annotation, Box3D
 
@@ -283,13 +283,13 @@ def _ignore_reason(shape: _Extent, occluded: bool, contrast: float, rules: Rules
 
 def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) -> dict[str, Any]:
     recorded, T = moment.vehicles[i], moment.T_world_chassis[i]
-    center = T[:3, :3] @ [0, 0, vehicle.shape.height / 2] + T[:3, 3]
+    center = T[:3, :3] @ [0, 0, vehicle.size_lwh[2] / 2] + T[:3, 3]
     yaw = math.atan2(T[1, 0], T[0, 0])
     return {
         "track_id": recorded.track_id,
         "model": recorded.model,
         "vehicle_type": vehicle.vehicle_type,
-        "color": recorded.color,
+        "color": PAINTS[recorded.color].color,
         "parked": recorded.parked,
         "box_3d": Box3D(center=center, size_lwh=np.array(vehicle.size_lwh), yaw=yaw, R=T[:3, :3]),
         "velocity": moment.velocity[i],

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from skope.gen.vehicles import PAINTS, FleetEntry
+from skope.gen.vehicles import FleetEntry, draw_paint
 from skope.gen.vehicles.model import Vehicle
 
 HEAVY: Final = 3500.0
@@ -103,14 +103,15 @@ def trips(
     users = {name: entry.share for name, entry in models.items()}
     users |= {name: riders * share / sum(_RIDER_SHARE.values()) for name, share in _RIDER_SHARE.items()}
     drivers = {name: row["share"] for name, row in _tables()["drivers"].items()}
-    paints = {name: share for name, (share, _) in PAINTS.items()}
     time = 0.0
     for i in range(1_000_000):
         time += rng.exponential(3600 / vehicles_per_hour)
         if time > duration:
             return
         edges = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
-        yield Trip(f"v{i:05d}", _drawn(users, rng), _drawn(drivers, rng), _drawn(paints, rng), time, edges)
+        model, driver = _drawn(users, rng), _drawn(drivers, rng)
+        color = draw_paint(models[model].vehicle, rng) if model in models else "black"
+        yield Trip(f"v{i:05d}", model, driver, color, time, edges)
 
 
 def _drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:

@@ -214,7 +214,10 @@ def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -
         radius = np.array([r0, r1])[:, None]
         u, w = radius * np.cos(angle), radius * np.sin(angle)
         points = np.stack([u, w, along] if axis == "z" else [w, along, u], axis=-1)
-        parts.append(grid(points, [[material] * sides]))
+        ring = grid(points, [[material] * sides])
+        # At a pole half of the triangles have no area.
+        poles = np.arange(2 * sides) % 2 == (1 if r1 < 1e-9 else 0 if r0 < 1e-9 else 2)
+        parts.append(ring.taken(~poles))
     return merged(parts)
 
 

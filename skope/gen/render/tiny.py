@@ -196,8 +196,9 @@ class TinyRenderer:
             return None
         stage, body, wheel_parts = self._model(recorded)
         for part in body:
-            if stage.parts[part] == "paint":
-                red, green, blue = PAINTS[recorded.color][1]
+            if stage.parts[part] in ("paint", "livery"):
+                paint = PAINTS[recorded.color]
+                red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery
                 stage.paint(part, (red / 255, green / 255, blue / 255))
             if stage.parts[part] == "brake_light":
                 stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["brake_light"])

@@ -6,17 +6,33 @@ from skope.gen.mesh import Mesh, box, grid, lathe, merged
 
 
 def interior(
-    *, cowl: float, floor: float, belt: float, roof: float, half_width: float, driver: float, rows: int
+    *,
+    cowl: float,
+    floor: float,
+    belt: float,
+    roof: float,
+    half_width: float,
+    driver: float,
+    rows: int,
+    pitch: float = 0.85,
+    ground: tuple[float, float, float] | None = None,
 ) -> Mesh:
-    """A cabin between the heights `floor` and `roof`; `cowl` and `driver` are the x of dashboard and driver's back."""
+    """A cabin between the heights `floor` and `roof`, metres.
+
+    `cowl` and `driver` are the x of dashboard and driver's back, `pitch` is between rows of seats; `ground` closes the
+    cabin below: x of its rear, half its width, its height.
+    """
     out: list[Mesh] = []
     y = half_width * 0.52
     top = min(roof - 0.19, floor + 0.84)
     out.append(box((cowl - 0.3, -half_width, floor), (cowl, half_width, belt - 0.02), "dashboard"))
     for row in range(rows):
-        x = driver - 0.85 * row
+        x = driver - pitch * row
         for side in (-1, 1):
             out += _seat(x, side * y, floor, top - 0.12)
+    if ground is not None:
+        rear, half, low = ground
+        out.append(box((rear, -half, low - 0.02), (cowl, half, low), "dashboard"))
     out += _driver(driver, y, floor, top)
     out.append(_wheel(cowl - 0.36, y, belt - 0.03))
     return merged(out)

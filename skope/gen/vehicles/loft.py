@@ -2,11 +2,14 @@
 
 A shell's columns run from the middle of the front around the left corner, along the side and around the rear corner
 to the middle of the rear; its rows run from the middle of the floor outwards, up the wall and over the top to the
-middle. Panels (panes, lamps, gaps between doors) are convex polygons in some projection of the surface: triangles are
-split along their edges and take their material, so that the shell stays closed whatever is drawn on it.
+middle. Panels are convex polygons in some projection of the surface. What is as large as a pane is painted: triangles
+are split along its edges and take its material, so that the shell stays closed. Lamps and intakes are sunk: what is
+painted moves inwards, and walls close the rim. What is small or thin is drawn: a copy of what lies in the polygon
+hovers a millimetre over the shell, which need not be split for it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -29,8 +32,10 @@ TOP: Final = (X, Y)
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 """Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
-_FRONT, _CORNER = 5, 5
+_FRONT, _CORNER = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
+_LIFT: Final = 0.0012
+"""How far each layer of what is drawn hovers over the one below, metres."""
 _SNAP: Final = 8e-4
 """Cuts nearer to a vertex than this go through it, metres."""
 _CREASE: Final = np.cos(np.radians(38))
@@ -97,8 +102,18 @@ SIDE_START: Final = _FRONT + _CORNER
 class Surface:
     """The left half of a shell; `half` and `whole` are its meshes."""
 
-    def __init__(self, rows: Sequence[Array], levels: Sequence[float], along: Array, material: str) -> None:
-        """Rows (columns, 3) with their T, and W of each column."""
+    def __init__(
+        self,
+        rows: Sequence[Array],
+        levels: Sequence[float],
+        along: Array,
+        material: str,
+        *,
+        creases: Collection[float] = (),
+    ) -> None:
+        """Rows (columns, 3) with their T, and W of each column; the surface is broken at the rows `creases`."""
+        self._creases = np.array(sorted(creases))
+        self._drawn: list[Mesh] = []
         points = np.stack(rows)
         count, columns = points.shape[:2]
         index = np.arange(count * columns).reshape(count, columns)
@@ -126,10 +141,15 @@ class Surface:
         group = same[corners][order]
         starts = np.flatnonzero(np.r_[True, group[1:] != group[:-1]])
         normals = np.empty((len(corners), 3))
+        above = place[triangles, 1].mean(axis=1)
+        broken = np.isin(place[:, 1], self._creases)
         for start, stop in zip(starts, [*starts[1:], len(group)], strict=True):
             at = order[start:stop]
             own = unit[owner[at]]
             near = (own @ own.T) > _CREASE
+            if broken[corners[at[0]]]:
+                upper = above[owner[at]] > place[corners[at[0]], 1]
+                near &= upper[:, None] == upper[None, :]
             total = near @ face[owner[at]]
             if points[corners[at[0]], 1] < 1e-9:
                 total[:, 1] = np.where(np.abs(own[:, 1]) < 0.6, 0.0, total[:, 1])
@@ -154,9 +174,7 @@ class Surface:
         Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
         """
         chosen = self._cut(polygon, projection, levels, facing)
-        if material not in self._names:
-            self._names.append(material)
-        self._material[chosen] = self._names.index(material)
+        self._material[chosen] = self._number(material)
         return self._vertices[np.unique(self._triangles[chosen])]
 
     def _cut(
@@ -241,6 +259,115 @@ class Surface:
             parents += [at] * len(parts)
         return np.concatenate(out), np.concatenate(parents)
 
+    def sink(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        depth: float,
+        material: str,
+        *,
+        wall: str = "trim",
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+    ) -> None:
+        """Move what lies in a convex polygon `depth` metres inwards, level, and close its rim with walls."""
+        chosen = self._cut(polygon, projection, levels, None)
+        if not len(chosen):
+            return
+        start, end = self._rim(self._triangles[chosen])
+        inner = (self._vertices[start, Y] > 1e-9) | (self._vertices[end, Y] > 1e-9)
+        start, end = start[inner], end[inner]
+        used, index = np.unique(self._triangles[chosen], return_inverse=True)
+        floor = self._vertices[used]
+        floor[:, :NX] -= depth * self._outward(used)
+        at = np.full(len(self._vertices), -1)
+        at[used] = np.arange(len(used))
+        corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
+        normal = np.cross(corners[:, 2, :NX] - corners[:, 0, :NX], corners[:, 3, :NX] - corners[:, 1, :NX])
+        corners[:, :, NX:W] = (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))[:, None]
+        base = len(self._vertices)
+        self._vertices = np.concatenate([self._vertices, floor, corners.reshape(-1, 8)])
+        first = base + len(floor) + 4 * np.arange(len(corners))[:, None]
+        walls = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
+        self._triangles[chosen] = base + index.reshape(-1, 3)
+        self._material[chosen] = self._number(material)
+        self._triangles = np.concatenate([self._triangles, walls])
+        self._material = np.concatenate([self._material, np.full(len(walls), self._number(wall))])
+
+    def _outward(self, used: Indices) -> Array:
+        """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
+        _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
+        total = np.zeros((len(used), 3))
+        np.add.at(total, same.reshape(-1), self._vertices[used, NX:W])
+        normal = total[same.reshape(-1)] * [1, 1, 0]
+        return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+
+    def _rim(self, triangles: Indices) -> tuple[Indices, Indices]:
+        """Starts and ends of the edges around triangles, counter-clockwise."""
+        _, same = np.unique(np.round(self._vertices[:, :NX], 6), axis=0, return_inverse=True)
+        edges = triangles[:, _EDGES].reshape(-1, 2)
+        keys = same.reshape(-1)[edges]
+        base = int(keys.max()) + 1
+        rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
+        return edges[rim, 0], edges[rim, 1]
+
+    def _number(self, material: str) -> int:
+        if material not in self._names:
+            self._names.append(material)
+        return self._names.index(material)
+
+    def draw(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        material: str,
+        *,
+        layer: float = 1,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+        facing: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
+        patch = copy(self)
+        inside = patch._cut(polygon, projection, levels, facing)
+        a, b, c = np.moveaxis(patch._vertices[:, projection][patch._triangles[inside]], 1, 0)
+        # Walls around what is sunk have no area here, and nothing to show.
+        inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
+        if not len(inside):
+            return
+        used, index = np.unique(patch._triangles[inside], return_inverse=True)
+        v = patch._vertices[used]
+        position = v[:, :NX] + layer * _LIFT * v[:, NX:W]
+        kind = np.zeros(len(inside), dtype=np.int64)
+        self._drawn.append(Mesh(position, v[:, NX:W], index.reshape(-1, 3), (material,), kind))
+
+    def place(
+        self,
+        point: ArrayLike,
+        projection: tuple[int, int] = (W, Z),
+        *,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+    ) -> tuple[Array, Array]:
+        """(3,) position and unit normal of the surface's outermost point over a point of a projection."""
+        level = self._vertices[:, T][self._triangles]
+        chosen = (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
+        corners = self._vertices[self._triangles[chosen]]
+        a, b, c = np.moveaxis(corners[:, :, list(projection)], 1, 0)
+        p = np.asarray(point, dtype=np.float64)
+        area = _cross(b - a, c - a)
+        flat = np.abs(area) < 1e-10
+        area = np.where(flat, 1.0, area)
+        shares = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1) / area[:, None]
+        shares[flat] = -9.0
+        # Over a hole, the nearest triangle's edge.
+        inside = np.flatnonzero(shares.min(axis=1) > min(-1e-6, float(shares.min(axis=1).max()) - 1e-9))
+        weights = np.clip(shares[inside], 0, 1)
+        found = (corners[inside] * (weights / weights.sum(axis=1, keepdims=True))[..., None]).sum(axis=1)
+        best = found[(found[:, :NX] * found[:, NX:W]).sum(axis=1).argmax()]
+        return best[:NX], best[NX:W] / np.linalg.norm(best[NX:W])
+
+    def side(self, place: Array) -> float:
+        """y of the surface's outermost point over a place x, z."""
+        return float(self.place(place, SIDE)[0][1])
+
     def line(
         self,
         points: ArrayLike,
@@ -248,6 +375,7 @@ class Surface:
         material: str = "gap",
         *,
         width: float = 0.009,
+        layer: float = 1,
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
         facing: tuple[float, float, float] | None = None,
     ) -> None:
@@ -258,7 +386,7 @@ class Surface:
             across = np.array([-along[1], along[0]]) * width / 2
             reach = along * width / 2
             quad = [start - across - reach, end - across + reach, end + across + reach, start + across - reach]
-            self.paint(quad, projection, material, levels=levels, facing=facing)
+            self.draw(quad, projection, material, layer=layer, levels=levels, facing=facing)
 
     def carve_well(self, polygon: ArrayLike, inner: float) -> tuple[Mesh, Array]:
         """Cut a wheel well, a polygon seen from the side, as deep as y = `inner`.
@@ -270,13 +398,7 @@ class Surface:
         self._triangles = np.delete(self._triangles, gone, axis=0)
         self._material = np.delete(self._material, gone)
         position = self._vertices[:, :3]
-        _, same = np.unique(np.round(position, 6), axis=0, return_inverse=True)
-        same = same.reshape(-1)
-        edges = removed[:, _EDGES].reshape(-1, 2)
-        keys = same[edges]
-        reverse = set(map(tuple, keys[:, ::-1].tolist()))
-        rim = np.array([tuple(key) not in reverse for key in keys.tolist()])
-        start, end = edges[rim, 0], edges[rim, 1]
+        start, end = self._rim(removed)
         a, b = position[start], position[end]
         a2, b2 = a.copy(), b.copy()
         a2[:, 1] = b2[:, 1] = inner
@@ -290,36 +412,18 @@ class Surface:
         wall = (level[start] >= 0) & (level[end] >= 0)
         return lining, np.stack([a, b], axis=1)[wall & (np.abs(a[:, 2] - b[:, 2]) + np.abs(a[:, 0] - b[:, 0]) > 1e-6)]
 
-    def nearest(self, point: ArrayLike, columns: Sequence[int] = (X, Y, Z)) -> Array:
-        """(3,) position of the vertex nearest to a point in some of a vertex's columns."""
-        offset = self._vertices[:, list(columns)] - np.asarray(point, dtype=np.float64)
-        used = np.unique(self._triangles)
-        return np.asarray(self._vertices[used[(offset[used] ** 2).sum(axis=1).argmin()], :3])
-
     @property
     def half(self) -> Mesh:
         used, index = np.unique(self._triangles, return_inverse=True)
         v = self._vertices[used]
-        return Mesh(v[:, :3], v[:, NX:W], index.reshape(-1, 3), tuple(self._names), self._material)
+        shell = Mesh(v[:, :3], v[:, NX:W], index.reshape(-1, 3), tuple(self._names), self._material)
+        return merged([shell, *self._drawn])
 
-    @property
-    def whole(self) -> Mesh:
-        half = self.half
-        return merged([half, half.mirrored()])
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def along(outline: Array) -> Array:
     """Metres along an outline (columns, 2) from its first point."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
-
-
-def rounded(polygon: ArrayLike, radius: float) -> Array:
-    """A convex polygon with its corners cut off, near a fillet."""
-    p = np.asarray(polygon, dtype=np.float64)
-    out = []
-    for before, corner, after in zip(np.roll(p, 1, axis=0), p, np.roll(p, -1, axis=0), strict=True):
-        a, b = before - corner, after - corner
-        reach = min(radius, 0.45 * np.hypot(*a), 0.45 * np.hypot(*b))
-        start, end = corner + a / np.hypot(*a) * reach, corner + b / np.hypot(*b) * reach
-        out += [start, end]
-    return np.array(out)

@@ -1,11 +1,21 @@
-"""Small parts that stand out from a body's left side: mirrors, handles, rails, arch lips."""
+"""Small parts that stand out from a body's left side: mirrors, handles, rails, plates, exhausts, arch lips."""
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged
+from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, quads
 
 Array = NDArray[np.float64]
+
+PLATE_STEP = 0.125
+"""Plates hang at multiples of this height above the road, metres: by it the renderer tells their rows of text."""
+PLATE = (0.26, 0.11)
+"""Half of a plate's width, and its height, metres."""
+
+SIGN_HEIGHT = 0.12
+"""How far a taxi's sign stands over the roof, metres."""
 
 
 def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
@@ -23,66 +33,208 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
     return grid(points, [[material] * 8] * 4)
 
 
-def mirror(base: tuple[float, float, float], tall: bool) -> tuple[Mesh, Array]:
-    """A door mirror on its foot beside the windscreen's corner, and its outer tip."""
-    size = np.array([0.09, 0.11, 0.16]) if tall else np.array([0.085, 0.115, 0.075])
-    x, y, z = base
-    center = np.array([x - 0.02, y + 0.115, z + (0.1 if tall else 0.06)])
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 9)
-    profile = np.stack([np.sin(angle), np.abs(np.cos(angle)) ** 0.62], axis=-1)
-    shell = lathe(profile, ["paint" if not tall else "trim"] * 8, 12, "y")
-    vertices = shell.vertices * size
-    vertices[:, 0] = np.maximum(vertices[:, 0], -0.55 * size[0])
-    normals = shell.normals / size
-    normals[vertices[:, 0] <= -0.549 * size[0]] = [-1, 0, 0]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    housing = Mesh(vertices + center, normals, shell.triangles, shell.materials, shell.material)
-    pane = 0.74 * size
-    behind = -0.55 * size[0] - 0.002
-    turn = np.linspace(0, 2 * np.pi, 13)[:-1]
-    ring = np.stack([0 * turn + behind, pane[1] * np.cos(turn), pane[2] * np.sin(turn)], axis=-1)
-    fan = [[0, i + 1, i] for i in range(1, 11)]
-    glass = from_triangles(ring + center, fan, "glass_mirror")
-    foot = box((x - 0.04, y - 0.06, z), (x + 0.02, y + 0.09, z + 0.035), "trim")
-    tip = center + np.array([0, size[1], 0])
-    return merged([housing, glass, foot]), tip
+def _pod(center: Array, sections: Array, material: str) -> Mesh:
+    """A closed shell along y, flat behind: `sections` (N, 4) are y, half height, reach ahead and behind `center`."""
+    turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
+    # A squared-off ring: flatter above, below and behind than a circle.
+    c, s = (np.sign(f(turn)) * np.abs(f(turn)) ** 0.7 for f in (np.cos, np.sin))
+    y, high, ahead, behind = sections.T[..., None]
+    points = np.stack(np.broadcast_arrays(np.where(c > 0, ahead * c, -behind), y, high * s), axis=-1)
+    # From tip to root, so that the ring's turn faces outward.
+    return grid(center + points[::-1], [[material] * 8] * (len(sections) - 1))
 
 
-def handle(at: tuple[float, float, float]) -> Mesh:
-    """A door handle."""
+def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint") -> tuple[Mesh, Array]:
+    """A door mirror whose foot stands at `root` on the body's side, and its outer tip."""
+    x, y, z = root
+    high, reach = (0.17, 0.17) if tall else (0.075, 0.205)
+    near = 0.05
+    middle = np.array([x - 0.03, y, z + (0.12 if tall else 0.055)])
+    ahead, behind = (0.075, 0.03) if tall else (0.085, 0.035)
+    shares = np.array([(0.0, 0.02, 0.4), (0.015, 0.7, 0.8), (0.35, 0.95, 1.0), (0.78, 1.0, 0.85), (0.97, 0.72, 0.5)])
+    shares = np.vstack([shares, (1.0, 0.02, 0.2)])
+    sections = np.column_stack(
+        [
+            near + (reach - near) * shares[:, 0],
+            high * shares[:, 1],
+            ahead * shares[:, 2],
+            np.full(len(shares), behind) * np.minimum(1, 2 * shares[:, 1]),
+        ]
+    )
+    shell = _pod(middle, sections, material)
+    edge = np.array([(0.1, -0.62), (0.1, 0.72), (0.3, 0.84), (0.76, 0.8), (0.84, 0.5), (0.84, -0.5), (0.74, -0.8)])
+    edge = np.vstack([edge, (0.2, -0.8)])
+    ring = middle + np.column_stack(
+        [np.full(len(edge), -behind - 0.0005), near + (reach - near) * edge[:, 0], high * edge[:, 1]]
+    )
+    glass = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "glass_mirror")
+    foot = _foot((x, y, z), near + 0.035, middle[2])
+    tip = middle + np.array([0.04 * ahead, reach, 0.0])
+    tip[0] = middle[0]
+    return merged([shell, _facing(glass, (-1.0, 0.0, 0.0)), foot]), tip
+
+
+def _foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
+    """A flat arm from the body to a mirror, wider at its root."""
+    x, y, z = root
+    low = np.array([(x + 0.045, y - 0.05), (x - 0.07, y - 0.05), (x - 0.05, y + reach), (x + 0.01, y + reach)])
+    inner, outer = z - 0.012, top - 0.035
+    bottom = np.column_stack([low, [inner, inner, outer, outer]])
+    upper = np.add(bottom, [0, 0, 0.03])
+    sides = [[bottom[i], bottom[(i + 1) % 4], upper[(i + 1) % 4], upper[i]] for i in range(4)]
+    faces = np.array([upper, bottom[::-1], *sides])
+    middle = faces.reshape(-1, 3).mean(axis=0)
+    out = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    wrong = (out * (faces.mean(axis=1) - middle)).sum(axis=1) < 0
+    return quads(np.where(wrong[:, None, None], faces[:, ::-1], faces), "trim")
+
+
+def _facing(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
+    """A flat mesh, turned to face a direction."""
+    return mesh if (mesh.normals @ np.array(direction)).mean() > 0 else _turned(mesh)
+
+
+def _turned(mesh: Mesh) -> Mesh:
+    return Mesh(mesh.vertices, -mesh.normals, mesh.triangles[:, ::-1], mesh.materials, mesh.material)
+
+
+def handle(at: tuple[float, float, float], material: str = "paint") -> Mesh:
+    """A door handle: a bowed bar."""
     x, y, z = at
-    return block((x - 0.095, y - 0.01, z - 0.014), (x + 0.095, y + 0.03, z + 0.016), "paint", 0.014)
+    along = np.array([-0.105, -0.075, 0.075, 0.105])
+    out = np.array([-0.012, 0.024, 0.024, -0.012])
+    low, high = (np.column_stack([x + along, y + out, np.full(4, z + d)]) for d in (-0.013, 0.013))
+    inner = np.column_stack([x + along, np.full(4, y - 0.012), np.full(4, z)])
+    edge = np.array([0, 0, 0.013])
+    return grid(np.stack([inner - edge, low, high, inner + edge])[:, ::-1], [[material] * 3] * 3)
 
 
 def rail(path: Array) -> Mesh:
-    """A roof rail along points (N, 3), with feet at its ends."""
-    low, high = path + np.array([0, 0, 0.022]), path + np.array([0, 0, 0.046])
-    a, b = np.array([0, 0.018, 0]), np.array([0, -0.018, 0])
+    """A roof rail along points (N, 3) that bends down to the roof at its ends."""
+    high = path + np.array([0, 0, 0.05])
+    low = path + np.array([0, 0, 0.024])
+    ends = path[[0, -1]] + [[-0.09, 0, -0.03], [0.09, 0, -0.03]]
+    high, low = (np.vstack([ends[0], p, ends[1]]) for p in (high, low))
+    a, b = np.array([0, 0.021, 0]), np.array([0, -0.021, 0])
     # Around the bar, counter-clockwise seen from the rear.
-    ring = np.stack([low + b, high + b, high + a, low + a, low + b])
-    bar = grid(ring, [["rail"] * (len(path) - 1)] * 4)
-    feet = [
-        box(path[i] + [-0.05, -0.017, -0.05], path[i] + [0.05, 0.017, 0.045], "rail") for i in (0, len(path) // 2, -1)
-    ]
-    return merged([bar, *feet])
+    ring = np.stack([low + b, high + b * 0.7, high + a * 0.7, low + a, low + b])
+    bar = grid(ring, [["rail"] * (len(high) - 1)] * 4)
+    x, y, z = path[len(path) // 2]
+    return merged([bar, box((x - 0.05, y - 0.014, z - 0.05), (x + 0.05, y + 0.014, z + 0.03), "rail")])
 
 
-def arch_lip(edges: Array, center: tuple[float, float], material: str) -> Mesh:
-    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z."""
+def spoiler(rear: float, top: float, half_width: float) -> Mesh:
+    """A lip over the rear window that carries the roof on, from the middle to `half_width`."""
+    section = np.array([(0.2, -0.004), (-0.04, 0.004), (-0.05, -0.012), (0.1, -0.07)])
+    y = np.array([0.0, half_width - 0.12, half_width])
+    drop = np.array([0.0, -0.008, -0.05])
+    points = np.stack(
+        [
+            np.column_stack([rear + section[:, 0] + 0.5 * d, np.full(4, v), top + 0.03 + section[:, 1] + d])
+            for v, d in zip(y, drop, strict=True)
+        ]
+    )
+    loop = np.concatenate([points, points[:, :1]], axis=1)
+    skin = grid(loop, [["paint"] * 4] * 2)
+    end = from_triangles(points[-1], [[0, 1, 2], [0, 2, 3]], "paint")
+    return merged([_outward(skin, points.reshape(-1, 3).mean(axis=0)), _facing(end, (0.0, 1.0, 0.0))])
+
+
+def _outward(mesh: Mesh, center: Array) -> Mesh:
+    """The mesh with all its triangles turned away from `center`."""
+    v = mesh.vertices[mesh.triangles]
+    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    wrong = ((v.mean(axis=1) - center)[:, [0, 2]] * normal[:, [0, 2]]).sum(axis=1) < 0
+    triangles = np.where(wrong[:, None], mesh.triangles[:, ::-1], mesh.triangles)
+    return quads(mesh.vertices[triangles][:, [0, 1, 2, 2]], mesh.materials[0])
+
+
+def deflector(front: float, rear: float, half_width: float, z: float, high: float) -> Mesh:
+    """The left half of a wind deflector on a cab's roof at `z`, from `front` up to `high` over it at `rear`."""
+    x = np.array([front, front - 0.35 * (front - rear), rear])
+    up = np.array([-0.02, 0.62 * high, 0.94 * high])
+    top = np.stack([np.column_stack([x, np.full(3, y), z + up]) for y in (0.0, half_width - 0.06)])
+    low = top[1] + [0, 0.06, 0]
+    side = np.stack([low, np.column_stack([x, np.full(3, half_width), np.full(3, z - 0.06)])])
+    cover = np.concatenate([top, low[None] - [0, 0, 0.04], side[1:]])
+    rim = np.vstack([cover[:, -1], [rear, 0.0, z - 0.06]])
+    back = from_triangles(rim, [[0, i, i + 1] for i in range(1, len(rim) - 1)], "trim")
+    return merged([_facing(grid(cover, [["paint"] * 2] * 3), (0.0, 0.0, 1.0)), _facing(back, (-1.0, 0.0, 0.0))])
+
+
+def roof_sign(x: float, z: float) -> Mesh:
+    """The left half of a taxi's lit sign across the roof."""
+    low = np.array([(x + 0.075, 0.0, z), (x + 0.075, 0.26, z), (x - 0.075, 0.26, z), (x - 0.075, 0.0, z)])
+    top = z + SIGN_HEIGHT
+    high = np.array([(x + 0.045, 0.0, top), (x + 0.045, 0.21, top), (x - 0.045, 0.21, top), (x - 0.045, 0.0, top)])
+    foot = box((x - 0.085, 0.0, z - 0.05), (x + 0.085, 0.27, z + 0.012), "trim")
+    sides = [[low[i], low[i + 1], high[i + 1], high[i]] for i in range(3)]
+    return merged([quads(np.array([*sides, high]), "sign"), foot])
+
+
+def plate(x: float, z: float, tilt: float, sign: float) -> Mesh:
+    """The left half of a number plate, its face at `x` at its lower edge, leaning back by `tilt` at the upper one."""
+    half, high = PLATE
+    face = np.array([(x, 0, z), (x, half, z), (x - sign * tilt, half, z + high), (x - sign * tilt, 0, z + high)])
+    rim = face + np.array([(0, 0, -0.012), (0, 0.012, -0.012), (0, 0.012, 0.012), (0, 0, 0.012)]) - [sign * 0.004, 0, 0]
+    back = rim - [sign * 0.03, 0, 0]
+    sides = [[a[i], b[i], b[i + 1], a[i + 1]] for a, b in ((face, rim), (rim, back)) for i in range(3)]
+    mesh = merged([quads(face, "plate"), quads(np.array(sides), "trim")])
+    return mesh if sign > 0 else _turned(mesh)
+
+
+def badge(at: Array, radius: float, sign: float) -> Mesh:
+    """The left half of a round badge on the middle of the front (`sign` 1) or the rear (-1)."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
+    ring = at + np.column_stack([0 * turn + sign * 0.009, radius * np.cos(turn), radius * np.sin(turn)])
+    back = ring - [sign * 0.02, 0, 0]
+    face = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "chrome")
+    edge = grid(np.stack([back, ring]), [["rail"] * (len(ring) - 1)])
+    return merged([_facing(face, (sign, 0.0, 0.0)), edge if sign > 0 else _turned(edge)])
+
+
+def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
+    """A tail pipe that ends at `x`."""
+    pipe = lathe([(-0.16, radius * 0.9), (0.0, radius), (-0.002, radius * 0.8)], ["chrome"] * 2, 8, "z")
+    hole = lathe([(-0.05, radius * 0.82), (-0.05, 0.0)], ["gap"], 8, "z")
+    mesh = merged([pipe, hole])
+
+    def rearward(v: Array) -> Array:
+        return np.stack([-v[:, 2], v[:, 1], v[:, 0]], axis=-1)
+
+    return Mesh(
+        np.add(rearward(mesh.vertices), [x, y, z]),
+        rearward(mesh.normals),
+        mesh.triangles,
+        mesh.materials,
+        mesh.material,
+    )
+
+
+def arch_lip(
+    edges: Array, center: tuple[float, float], material: str, side: Callable[[Array], float], width: float = 0.034
+) -> Mesh:
+    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z."""
+    chain = _chain(edges.reshape(-1, 3), center)
     axle = np.array([center[0], 0.0, center[1]])
-    outward = (edges - axle) * [1, 0, 1]
-    outward[..., 2] = np.maximum(outward[..., 2], 0)
-    outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
-    outer = edges + 0.034 * outward + [0, -0.004, 0]
-    crest = edges + 0.012 * outward + [0, 0.011, 0]
-    inner = edges + np.array([0, -0.05, 0])
-    corners = []
-    for near, far, out in ((outer, crest, outward * 0.2 + [0, 1, 0]), (crest, inner, -outward)):
-        quad = np.stack([near[:, 0], near[:, 1], far[:, 1], far[:, 0]], axis=1)
-        normal = np.cross(quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1])
-        wrong = (normal * out.mean(axis=1)).sum(axis=1) < 0
-        corners.append(np.where(wrong[:, None, None], quad[:, ::-1], quad))
-    c = np.concatenate(corners)
-    t = np.concatenate([c[:, [0, 1, 2]], c[:, [0, 2, 3]]]).reshape(-1, 3)
-    unique, index = np.unique(np.round(t, 6), axis=0, return_inverse=True)
-    return from_triangles(unique, index.reshape(-1, 3), material)
+    outward = (chain - axle) * [1, 0, 1]
+    outward[:, 2] = np.maximum(outward[:, 2], 0)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    outer = chain + width * outward
+    outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
+    crest = chain + 0.35 * width * outward
+    crest[:, 1] = 0.65 * chain[:, 1] + 0.35 * outer[:, 1] + 0.012
+    inner = chain + np.array([0, -0.05, 0])
+    # From behind the wheel around it to ahead of it, and inwards.
+    return grid(np.stack([outer, crest, inner])[:, ::-1], [[material] * (len(chain) - 1)] * 2)
+
+
+def _chain(points: Array, center: tuple[float, float], count: int = 12) -> Array:
+    """Some of the points of an arch, in order from ahead of the wheel to behind it."""
+    x, z = points[:, 0] - center[0], points[:, 2] - center[1]
+    radius = np.abs(x).max()
+    turn = np.where(z > 0, np.arctan2(z, x), np.where(x > 0, z / radius, np.pi - z / radius))
+    order = np.argsort(turn)
+    wanted = np.linspace(turn.min(), turn.max(), count)
+    nearest = np.abs(turn[order][None] - wanted[:, None]).argmin(axis=1)
+    return np.asarray(points[order[np.unique(nearest)]])

@@ -116,11 +116,27 @@ class Style:
     family: str = "car"
     """"car", "truck" or "bus": which builder makes it."""
     grille: str = "wide"
-    """"wide", "shield", "slim", "split" or "closed"."""
+    """"wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"."""
+    intake: str = "wide"
+    """In the front bumper: "wide", "triple", "deep", "slot", "skid" or "plain"."""
     headlight: str = "swept"
-    """"swept", "box", "round" or "slim"."""
+    """"swept", "hook", "slim", "drop", "box", "twin" or "round"."""
     taillight: str = "wide"
-    """"wide", "tall", "band" or "round"."""
+    """"wide", "tall", "band", "hook" or "round"."""
+    exhausts: str = ""
+    """Between the rear bumper's corners: "pipes", "blend", "fins", or nothing."""
+    chrome: bool = False
+    """Bright frames around grille and side panes, bright door handles."""
+    soft: bool = False
+    """No shoulder line along the sides."""
+    dome: float = 0.014
+    """How far the hood rises between its creases, metres."""
+    spoiler: bool = False
+    """A lip over the rear window."""
+    palette: str = "private"
+    """Which of the `PAINTS` it comes in."""
+    sign: bool = False
+    """A taxi's sign on the roof."""
     spokes: int = 5
     panes: tuple[float, ...] = (0.0, 1.0)
     """Edges of the side panes but the B-pillar's, as shares of the side windows, in pairs."""

@@ -7,9 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.vehicles.loft import CENTER, FLOOR, INNER, SIDE_START, Plan, Surface, along
+from skope.gen.vehicles.shape import Shape
 
 Array = NDArray[np.float64]
 
+ARCH = 1.13
+"""Radius of a wheel arch over that of its wheel."""
 _EDGE = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
 """Rows of the edge between wall and roof: shares of its radius inwards and up."""
 
@@ -34,12 +37,14 @@ class Tower:
     well: float = 9.0
     """y of the inner side of wheel wells."""
     stations: int = 9
+    levels: int = 4
+    """Rows of the wall besides those of `lean`."""
 
     def surface(self, material: str) -> tuple[Surface, Array, Array]:
         """The left half; W of its columns; the outline (columns, 2) half way up."""
         stations = np.linspace(0, 1, self.stations)
         top = self.high - self.edge - (0 if self.hollow is not None else self.crown)
-        shares = np.unique(np.r_[[row[0] for row in self.lean], np.linspace(0, 1, 7)])
+        shares = np.unique(np.r_[[row[0] for row in self.lean], np.linspace(0, 1, self.levels)])
         inset = [np.interp(shares, [r[0] for r in self.lean], [r[k] for r in self.lean]) for k in (1, 2, 3)]
         walls = [self._at(*values) for values in zip(*inset, strict=True)]
         outlines = [plan.outline(stations) for plan in walls]
@@ -92,3 +97,11 @@ def corner_w(w: Array, rear: bool = False) -> float:
     """W in the middle of the front's or the rear's corner."""
     middle = SIDE_START - 2
     return float(w[len(w) - 1 - middle] if rear else w[middle])
+
+
+def arch(axle: float, s: Shape) -> Array:
+    """The polygon of a wheel arch seen from the side, around an axle's x."""
+    angle = np.linspace(0, np.pi, 12)
+    radius = ARCH * s.wheel_radius
+    arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
+    return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])

@@ -6,18 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, box, merged
-from skope.gen.vehicles import lamps, parts
+from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, WRAP, Plan, rounded
+from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, Style
-from skope.gen.vehicles.tower import Tower, corner_w
+from skope.gen.vehicles.tower import ARCH, Tower, arch, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
 
 Array = NDArray[np.float64]
 
 _GAP = 0.09
 """Between cab and body, metres."""
-_ARCH = 1.13
+_LEFT = (0.0, 1.0, 0.0)
 
 
 class TruckBody:
@@ -26,8 +27,8 @@ class TruckBody:
     def __init__(self, shape: Shape, style: Style) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
-        self.front, self.end = shape.length / 2, -shape.length / 2
-        self.cab_rear = self.front - shape.cab_length
+        self.nose, self.end = shape.length / 2, -shape.length / 2
+        self.cab_rear = self.nose - shape.cab_length
         high_body = style.body in ("box", "curtain")
         heavy = shape.wheel_radius > 0.45
         self.cab_height = min(shape.height - (0.35 if high_body else 0.0), 3.05 if heavy else 2.35)
@@ -47,20 +48,20 @@ class TruckBody:
     def interior(self) -> Mesh:
         s = self.shape
         return interior(
-            cowl=self.front - 0.22,
+            cowl=self.nose - 0.22,
             floor=s.belt_height - 0.42,
             belt=s.belt_height,
             roof=self.cab_height,
             half_width=s.width / 2 - 0.2,
-            driver=self.front - 1.1,
+            driver=self.nose - 1.1,
             rows=1,
+            ground=(self.cab_rear + 0.08, s.width / 2 - 0.1, s.belt_height - 0.44),
         )
 
     def _cab(self) -> None:
         s = self.shape
-        plan = Plan(s.width / 2, self.front, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
-        height = self.cab_height - s.clearance
-        belt = (s.belt_height - s.clearance) / height
+        plan = Plan(s.width / 2, self.nose, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
+        belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
             (0.06, 0.0, 0.0, 0.0),
@@ -68,54 +69,69 @@ class TruckBody:
             (1.0, s.roof_inset, 0.035 + s.screen_run, 0.02),
         ]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
-        tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well)
-        cab, w, outline = tower.surface("paint")
-        corner = corner_w(w)
-        screen = corner - 0.05
-        top = self.cab_height - 0.24
-        base = s.belt_height - 0.02
-        cab.paint(
-            [(-0.2, base - 0.05), (screen + 0.05, base - 0.05), (screen + 0.05, top + 0.06), (-0.2, top + 0.06)],
-            WRAP,
-            "trim",
-        )
-        pane = cab.paint([(-0.2, base), (screen, base), (screen, top), (-0.2, top)], WRAP, "glass")
-        assert len(pane)
-        door = self.front - 0.2, self.front - min(1.35, s.cab_length - 0.32)
-        window = [
-            (door[0] - 0.12, base + 0.02),
-            (door[1] + 0.06, base + 0.02),
-            (door[1] + 0.06, top - 0.02),
-            (door[0] - 0.24, top - 0.02),
-        ]
-        cab.paint(_grown(window, 0.035), SIDE, "trim", facing=(0, 1, 0))
-        cab.paint(window, SIDE, "glass", facing=(0, 1, 0))
-        sill = s.wheel_radius * (1 + _ARCH) + 0.04
-        cab.line([(door[0] - 0.02, sill), (door[0] - 0.02, top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
-        cab.line([(door[1], sill), (door[1], top + 0.06)], SIDE, width=0.014, facing=(0, 1, 0))
-        cab.line([(door[0], sill), (door[1], sill)], SIDE, width=0.014, facing=(0, 1, 0))
-        low = s.bumper_height
-        cab.paint([(-1, 0), (99, 0), (99, low - 0.06), (-1, low - 0.06)], WRAP, "trim")
-        lamps.draw_front(cab, w, s, self.style, self.points)
-        reach = screen - 0.12
-        z = s.headlight_high + 0.14
-        while z < base - 0.2:
-            cab.paint(rounded([(-reach, z), (reach, z), (reach, z + 0.05), (-reach, z + 0.05)], 0.02), WRAP, "grille")
-            z += 0.085
-        lining, rim = cab.carve_well(_arch(s.front_axle_x, s), well)
-        self._parts += [cab.half, lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim")]
-        y = float(np.interp(-(door[1] + 0.12), -outline[:, 0], outline[:, 1]))
-        self._parts.append(parts.handle((door[1] + 0.14, y - 0.012, base - 0.16)))
-        mirror, tip = parts.mirror((self.front - 0.27, s.width / 2 - 0.06, base + 0.3), True)
-        self._parts.append(mirror)
+        tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well, stations=7, levels=5)
+        cab, w, _ = tower.surface("paint")
+        lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
+        self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
+        base, top = s.belt_height - 0.02, self.cab_height - 0.24
+        screen = corner_w(w) - 0.05
+        cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
+        cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
+        for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
+            cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
+        cab.draw(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
+        self._cab_doors(cab, base, top)
+        self._parts += front.draw_front(cab, w, s, self.style, self.points)
+        grille = rectangle(-screen + 0.2, screen - 0.2, s.headlight_high + 0.1, base - 0.16)
+        cab.paint(grown(grille, 0.02), WRAP, "trim")
+        cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
+        self._parts.append(cab.half)
+        self._on_the_cab(screen, base, top)
         self.points |= {
-            "mirror": tip,
-            "roof_front": cab.nearest((screen, top), WRAP),
-            "windscreen_base": cab.nearest((screen, base), WRAP),
-            "hood_front": cab.nearest((screen - 0.1, s.hood_height - 0.1), WRAP),
-            "bumper_front": cab.nearest((corner, BOTTOM), ROWS),
-            "beltline": cab.nearest((door[1] + 0.06, base + 0.02), SIDE),
+            "roof_front": cab.place((screen, top), WRAP)[0],
+            "windscreen_base": cab.place((screen, base), WRAP)[0],
+            "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
+            "bumper_front": cab.place((corner_w(w), BOTTOM), ROWS)[0],
         }
+
+    def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
+        """Side windows, gaps around the doors, handles, steps."""
+        s = self.shape
+        ahead, behind = self.nose - 0.2, self.nose - min(1.35, s.cab_length - 0.32)
+        window = [
+            *((ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02)),
+            *((behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02)),
+        ]
+        cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=_LEFT)
+        cab.paint(window, SIDE, "glass", facing=_LEFT)
+        sill = s.wheel_radius * (1 + ARCH) + 0.04
+        for x in (ahead - 0.02, behind):
+            cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=_LEFT)
+        cab.line([(ahead, sill), (behind, sill)], SIDE, width=0.014, facing=_LEFT)
+        x, z = behind + 0.14, base - 0.16
+        self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
+        step = s.front_axle_x + ARCH * s.wheel_radius
+        if self.nose - step > 0.5:
+            for z in (s.clearance + 0.18, s.clearance + 0.45):
+                tread = rectangle(step + 0.06, self.nose - 0.22, z, z + 0.1)
+                cab.draw(tread, SIDE, "gap", facing=_LEFT)
+        self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
+
+    def _on_the_cab(self, screen: float, base: float, top: float) -> None:
+        """Mirrors, a visor over the windscreen, a deflector before a high body."""
+        s = self.shape
+        root = (self.nose - 0.3, s.width / 2 - 0.03, base + 0.28)
+        mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
+        self._parts.append(mirror)
+        edge = self.nose - 0.035 - s.screen_run
+        if s.wheel_radius > 0.45:
+            low, high = (edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)
+            self._parts.append(box(low, high, "gap"))
+        over = s.height - self.cab_height
+        if over > 0.25:
+            self._parts.append(
+                parts.deflector(edge - 0.35, self.cab_rear + 0.1, s.width / 2 - 0.2, self.cab_height, over)
+            )
 
     def _frame(self) -> None:
         """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
@@ -154,85 +170,62 @@ class TruckBody:
         shell, w, _ = Tower(
             bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
         ).surface("trim")
-        lamps.draw_rear(shell, w, s, style, self.points)
+        self._parts += rear.draw_rear(shell, w, s, style, self.points)
         add(shell.half)
         corner = corner_w(w, rear=True)
-        self.points["bumper_rear"] = shell.nearest((corner, BOTTOM), ROWS)
+        self.points["bumper_rear"] = shell.place((corner, BOTTOM), ROWS)[0]
 
     def _cargo(self) -> None:
         s, body = self.shape, self.style.body
         open_top = {"flatbed": s.box_height + 0.5, "tipper": s.box_height + 1.25}
         high = open_top.get(body, s.height)
-        material = {"box": "box", "curtain": "tarpaulin", "tipper": "paint", "flatbed": "paint"}[body]
-        front = self.cab_rear - _GAP
-        plan = Plan(s.width / 2, front, self.end, 0.0, 0.0, 0.05, 0.035)
+        closed = body not in open_top
+        ahead = self.cab_rear - _GAP
         tower = Tower(
-            plan,
+            Plan(s.width / 2, ahead, self.end, 0.0, 0.0, 0.05, 0.035),
             s.box_height,
             high,
             [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
             edge=0.05 if body != "tipper" else 0.02,
             crown=0.015,
-            hollow=s.box_height + 0.1 if body in open_top else None,
+            hollow=None if closed else s.box_height + 0.1,
             stations=3,
+            levels=2,
         )
-        shell, w, _ = tower.surface(material)
+        shell, w, _ = tower.surface("livery")
         end = float(w[-1])
-        corner = float(w[-1]) - (s.width / 2)
-        sill = s.box_height + 0.12
-        inset = 0.11
-        frame = "rail" if body in ("box", "curtain") else "trim"
-        shell.paint([(-1, 0), (99, 0), (99, sill - 0.03), (-1, sill - 0.03)], WRAP, frame)
-        low, top = sill, high - (0.16 if body in ("box", "curtain") else 0.12)
-        edge = end - s.width / 2 + inset
-        shell.line([(end + 0.1, low), (edge, low), (edge, top), (end + 0.1, top)], WRAP, width=0.02)
-        if body in ("box", "curtain"):
-            shell.line([(end, low), (end, top)], WRAP, width=0.016)
-            for share in (0.28, 0.6):
-                shell.paint(
-                    [
-                        (end - share - 0.012, low + 0.05),
-                        (end - share + 0.012, low + 0.05),
-                        (end - share + 0.012, top - 0.05),
-                        (end - share - 0.012, top - 0.05),
-                    ],
-                    WRAP,
-                    "rail",
-                )
-            for z in np.linspace(low + 0.3, top - 0.3, 4):
-                shell.paint([(edge, z), (edge + 0.1, z), (edge + 0.1, z + 0.05), (edge, z + 0.05)], WRAP, "rail")
-            shell.paint([(-1, high - 0.12), (99, high - 0.12), (99, high - 0.06), (-1, high - 0.06)], WRAP, frame)
-        count = {"box": 6, "curtain": 9, "flatbed": 4, "tipper": 7}[body]
-        ribs = np.linspace(front - 0.25, self.end + 0.25, count)
-        wide = {"box": 0.014, "curtain": 0.03, "flatbed": 0.05, "tipper": 0.09}[body]
-        for x in ribs:
-            shell.paint(
-                [(x - wide / 2, sill), (x + wide / 2, sill), (x + wide / 2, top + 0.04), (x - wide / 2, top + 0.04)],
-                SIDE,
-                "rail" if body != "tipper" else "trim",
-                facing=(0, 1, 0),
-            )
-        shell.paint(
-            [(-99, -9), (99, -9), (99, 9), (-99, 9)], (0, 1), "bed" if body in open_top else material, levels=(2.1, 3.0)
-        )
+        corner = end - s.width / 2
+        sill, inset = s.box_height + 0.12, 0.11
+        frame_material = "rail" if closed else "trim"
+        shell.draw(rectangle(-1, 99, 0, sill - 0.03), WRAP, frame_material)
+        top = high - (0.16 if closed else 0.12)
+        edge = corner + inset
+        shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP, width=0.02)
+        if closed:
+            self._cargo_doors(shell, end, edge, sill, top)
+            shell.draw(rectangle(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
+        count, wide = {"box": (6, 0.014), "curtain": (9, 0.03), "flatbed": (4, 0.05), "tipper": (7, 0.09)}[body]
+        for x in np.linspace(ahead - 0.25, self.end + 0.25, count):
+            rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
+            shell.draw(rib, SIDE, "rail" if body != "tipper" else "trim", facing=_LEFT)
+        if not closed:
+            shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
         self._parts.append(shell.half)
         self.points |= {
-            "roof_rear": shell.nearest((corner, high - tower.edge - (0 if body in open_top else tower.crown)), WRAP),
-            "rear_window_base": shell.nearest((edge, top), WRAP),
-            "trunk_rear": shell.nearest((corner, BOTTOM), ROWS),
+            "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP)[0],
+            "rear_window_base": shell.place((edge, top), WRAP)[0],
+            "trunk_rear": shell.place((corner, BOTTOM), ROWS)[0],
         }
 
-
-def _arch(axle: float, s: Shape) -> Array:
-    angle = np.linspace(0, np.pi, 13)
-    radius = _ARCH * s.wheel_radius
-    arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
-    return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])
-
-
-def _grown(polygon: list[tuple[float, float]], edge: float) -> Array:
-    p = np.array(polygon)
-    return np.asarray(p + np.sign(p - p.mean(axis=0)) * edge)
+    def _cargo_doors(self, shell: Surface, end: float, edge: float, low: float, top: float) -> None:
+        """The gap between two doors, their bolts and hinges."""
+        shell.line([(end, low), (end, top)], WRAP, width=0.016)
+        for share in (0.28, 0.6):
+            shell.draw(
+                rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
+            )
+        for z in np.linspace(low + 0.3, top - 0.3, 4):
+            shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
 
 
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:

@@ -7,7 +7,7 @@ from skope.gen.mesh import Mesh, lathe, merged, quads
 
 Array = NDArray[np.float64]
 
-_SIDES = 24
+_SIDES = 20
 
 
 def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68) -> Mesh:
@@ -16,31 +16,28 @@ def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68
     tyre = lathe(
         [
             (-half, 0.0),
-            (-half, radius * 0.9),
-            (-half * 0.72, radius * 0.985),
-            (-half * 0.35, radius),
-            (half * 0.35, radius),
-            (half * 0.72, radius * 0.985),
-            (half * 0.96, radius * 0.9),
-            (half, radius * 0.8),
+            (-half, radius * 0.91),
+            (-half * 0.62, radius),
+            (half * 0.62, radius),
+            (half * 0.97, radius * 0.91),
             (half * 0.93, rim * 1.02),
         ],
-        ["under", *["tyre"] * 7],
+        ["under", *["tyre"] * 4],
         _SIDES,
         "y",
     )
     deep = half * 0.93 - min(0.075, 0.6 * width)
-    barrel = lathe([(half * 0.93, rim * 1.02), (half * 0.88, rim), (deep, rim * 0.92)], ["rim", "rim"], _SIDES, "y")
-    back = lathe([(deep, rim * 0.92), (deep, 0.0)], ["under"], _SIDES, "y")
-    disc = lathe([(deep + 0.004, rim * 0.66), (deep + 0.012, rim * 0.66), (deep + 0.012, 0.0)], ["disc"] * 2, 20, "y")
-    return merged([tyre, barrel, back, disc, _spokes(rim, half, spokes)])
+    barrel = lathe([(half * 0.93, rim * 1.02), (deep, rim * 0.94)], ["rim"], _SIDES, "y")
+    back = lathe([(deep, rim * 0.94), (deep + 0.01, rim * 0.66), (deep + 0.01, 0.0)], ["under", "disc"], _SIDES, "y")
+    return merged([tyre, barrel, back, _spokes(rim, half, spokes)])
 
 
 def _spokes(rim: float, half: float, count: int) -> Mesh:
     """Spokes from the hub to the rim, their sides, and the hub's cap."""
     face, edge, depth = half * 0.8, half * 0.88, 0.035
     pitch = 2 * np.pi / count
-    inner, outer = 0.19 * rim, 0.985 * rim
+    # Their ends stand in the barrel.
+    inner, outer = 0.19 * rim, 1.012 * rim
     wide = min(0.42, 1.7 / count)
     corners = []
     for k in range(count):
@@ -55,7 +52,7 @@ def _spokes(rim: float, half: float, count: int) -> Mesh:
             j = i + 1
             corners.append([front[i], behind[i], behind[j], front[j]])
     spokes = quads(np.array(corners), "rim")
-    hub = lathe([(face - depth, inner * 1.25), (face + 0.004, inner * 1.2), (face + 0.012, 0.0)], ["rim"] * 2, 14, "y")
+    hub = lathe([(face - depth, inner * 1.25), (face + 0.004, inner * 1.2), (face + 0.012, 0.0)], ["rim"] * 2, 10, "y")
     return merged([spokes, hub])
 
 

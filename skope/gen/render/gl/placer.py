@@ -75,7 +75,8 @@ class Placer:
             parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
             from_camera = parts.copy()
             from_camera[:, :3, 3] -= camera.position
-            paint = linear(np.array(PAINTS[recorded.color][1]) / 255)
+            paint = PAINTS[recorded.color]
+            look = {"u_paint": _linear(paint.rgb), "u_livery": _linear(paint.livery)}
             out.append(
                 Placed(
                     index=i,
@@ -84,7 +85,7 @@ class Placer:
                     **self._upload(recorded, vehicle),
                     matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
                     distance=float(away[i]),
-                    look={"u_paint": paint, "u_lamps": int(moment.lamps[i])},
+                    look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
                     window=window,
                 )
             )
@@ -111,6 +112,10 @@ def _coarse(vehicle: Body) -> tuple[Mesh, ...]:
     """A vehicle's body and wheels for its picture from afar; kept, as each recording uploads them anew."""
     coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(vehicle.parts)}
     return tuple(coarse[part] for part in vehicle.parts)
+
+
+def _linear(rgb: tuple[int, int, int]) -> Array:
+    return linear(np.array(rgb) / 255)
 
 
 def _bytes(matrices: Array) -> bytes:

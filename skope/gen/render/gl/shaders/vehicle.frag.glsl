@@ -8,9 +8,12 @@ in vec3 v_world;
 in vec3 v_normal;
 in vec3 v_scenery_sun_at;
 in vec3 v_vehicle_sun_at;
+in vec3 v_local;
 in float v_open;
 flat in int v_material;
 uniform vec3 u_paint;
+uniform vec3 u_livery;          // second colour: stripe, box, lower half
+uniform int u_plate;            // what the plates' text is drawn from
 uniform int u_lamps;
 uniform float u_id;
 uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the image shows
@@ -33,6 +36,8 @@ vec3 glow(int material, int lamps) {
     if (material == M_INDICATOR_RIGHT && (lamps & LAMP_INDICATOR_RIGHT) != 0) return vec3(1.5, 0.52, 0.03);
     if (material == M_REVERSE_LIGHT && (lamps & LAMP_REVERSE) != 0) return vec3(1.0, 0.98, 0.94);
     if (material == M_HEADLIGHT && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.6, 1.55, 1.45);
+    if (material == M_DAYLIGHT) return vec3(0.55, 0.58, 0.6) * ((lamps & LAMP_LOW_BEAM) != 0 ? 1.0 : 0.3);
+    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(0.7, 0.55, 0.2);
     return vec3(0.0);
 }
 
@@ -43,6 +48,44 @@ vec4 albedo_of(int material) {
     return vec4(pow(vec3((own >> 8) & 15, (own >> 4) & 15, own & 15) / 15.0, vec3(2.2)), 0.35);
 }
 
+// 1 where a pattern of period 1 is below a share of it, as far as a pixel resolves it.
+float stripes(float at, float share) {
+    float wide = max(fwidth(at), 1e-4), place = abs(fract(at) - 0.5);
+    return mix(1.0 - smoothstep(0.5 * share - 0.5 * wide, 0.5 * share + 0.5 * wide, place), share, clamp(wide - 0.5, 0.0, 1.0));
+}
+
+// Bars and meshes of a grille before the dark behind it.
+float grille(int material) {
+    if (material == M_GRILLE_SLATS) return stripes(v_local.z / 0.042, 0.34);
+    if (material == M_GRILLE_BARS) return stripes(v_local.y / 0.038, 0.34);
+    vec2 at = vec2(v_local.y + v_local.z, v_local.y - v_local.z) / 0.044;
+    return max(stripes(at.x, 0.3), stripes(at.y, 0.3));
+}
+
+uint scrambled(uint x) {
+    x = (x ^ (x >> 16)) * 0x45d9f3bu;
+    x = (x ^ (x >> 16)) * 0x45d9f3bu;
+    return x ^ (x >> 16);
+}
+
+// Seven characters of 3 x 5 dots, from the viewer's left; plates hang at multiples of 0.125 m (see parts.py).
+const int GLYPHS[30] = int[](
+    0x7B6F, 0x2C97, 0x73E7, 0x72CF, 0x5BC9, 0x79CF, 0x79EF, 0x7252, 0x7BEF, 0x7BCF,  // 0 .. 9
+    0x2BED, 0x6BAE, 0x3923, 0x6B6E, 0x79A7, 0x79A4, 0x396B, 0x5BED, 0x126A, 0x5BAD,  // A B C D E F G H J K
+    0x4927, 0x5FED, 0x6BA4, 0x6BB5, 0x388E, 0x7492, 0x5B6F, 0x5B6A, 0x5AAD, 0x72A7); // L M P R S T U V X Z
+vec3 plate() {
+    vec2 at = vec2(v_local.x > 0.0 ? v_local.y : -v_local.y, fract(v_local.z / 0.125 + 1e-4) * 0.125);
+    if (at.x < -0.228) return vec3(0.02, 0.06, 0.35);
+    float column = (at.x + 0.205) / 0.062;
+    vec2 dot_at = vec2(fract(column) * 4.6, (0.09 - at.y) / 0.0145);
+    int which = int(floor(column));
+    if (which < 0 || which > 6 || dot_at.x >= 3.0 || dot_at.y < 0.0 || dot_at.y >= 5.0) return vec3(-1.0);
+    uint number = scrambled(uint(u_plate) * 8u + uint(which));
+    int glyph = which < 2 || which > 4 ? 10 + int(number % 20u) : int(number % 10u);
+    int bit = 14 - (int(dot_at.y) * 3 + int(dot_at.x));
+    return ((GLYPHS[glyph] >> bit) & 1) != 0 ? vec3(0.015) : vec3(-1.0);
+}
+
 void main() {
 #ifdef PEEL
     if (texelFetch(u_front, ivec2(gl_FragCoord.xy), 0).a == u_id) discard;
@@ -51,7 +94,14 @@ void main() {
     vec3 n = normalize(v_normal), view = -v_world / metres;
     if (dot(n, view) < 0.0) n = -n;
     vec4 albedo = albedo_of(v_material);
-    vec3 base = v_material == M_PAINT ? u_paint : albedo.rgb;
+    vec3 base = v_material == M_PAINT ? u_paint : v_material == M_LIVERY ? u_livery : albedo.rgb;
+#ifndef PANES
+    if (v_material >= M_GRILLE_SLATS && v_material <= M_GRILLE_MESH) base = mix(vec3(0.004), vec3(0.09), grille(v_material));
+    if (v_material == M_PLATE) {
+        vec3 text = plate();
+        if (text.r >= 0.0) base = text;
+    }
+#endif
     // The inside of the body, seen through its windows.
     if (!gl_FrontFacing) base = vec3(0.03);
     float facing = max(dot(n, u_sun_direction), 0.0);
@@ -63,7 +113,7 @@ void main() {
 #else
     float sun = texture(u_scenery_sun_map, v_scenery_sun_at) * texture(u_vehicle_sun_map, v_vehicle_sun_at);
     float f0 = 0.04, coat = 0.0, metal = 0.0;
-    if (v_material == M_PAINT) coat = 1.0;
+    if (v_material == M_PAINT || v_material == M_LIVERY) coat = 1.0;
     if (v_material >= MATERIAL_COUNT) coat = 0.4;
     if (v_material >= M_GLASS && v_material <= M_GLASS_MIRROR) { coat = 1.0; f0 = 0.08; }
     if (v_material >= M_LAMP_CLEAR && v_material <= M_REVERSE_LIGHT) { coat = 1.0; f0 = 0.06; }
@@ -77,6 +127,8 @@ void main() {
     vec3 color = base * (ambient + u_sun / PI * facing * sun) * (1.0 - metal * 0.8);
     color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
     color += (f + metal * base) * ggx(n, view, u_sun_direction, max(albedo.a, 0.12)) * u_sun * sun;
+    // Reflectors behind red glass send light back.
+    if (v_material == M_TAILLIGHT || v_material == M_BRAKE_LIGHT) color += base * 0.35 * u_ground;
     color += glow(v_material, u_lamps);
 #endif
 #ifdef PANES

@@ -13,12 +13,14 @@ out vec3 v_world;
 out vec3 v_normal;
 out vec3 v_scenery_sun_at;
 out vec3 v_vehicle_sun_at;
+out vec3 v_local;
 out float v_open;
 flat out int v_material;
 
 void main() {
     int part = int(in_part + 0.5);
     vec4 camera = u_model[part] * vec4(in_position, 1.0);
+    v_local = in_position;
     v_world = (u_world[part] * vec4(in_position, 1.0)).xyz;
     v_normal = mat3(u_world[part]) * in_normal;
     vec4 lifted = vec4(v_world + v_normal * 0.05, 1.0);
