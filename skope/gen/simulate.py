@@ -2,7 +2,7 @@
 
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import Final
 
@@ -14,8 +14,11 @@ from skope.camera import Camera
 from skope.gen.conditions import Conditions, ranges
 from skope.gen.crowd import Present, Riders, Walkers
 from skope.gen.demand import in_town
+from skope.gen.parked import Parked, parked
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
+from skope.gen.towns.parking import Bay
+from skope.gen.towns.scenery import scenery
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
 from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
@@ -30,6 +33,8 @@ SPECK: Final = 3.0
 """Nearer than that vehicles are recorded from where they are this high in the image, pixels."""
 BEHIND: Final = 40.0
 """Of what is behind the camera only what is nearer than this is recorded: it may throw shadows into the view."""
+PARKED_REACH: Final = 120.0
+"""Parked vehicles nearer to the camera than this are recorded, metres."""
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""
 WARM_UP: Final = (60.0, 100.0)
@@ -64,6 +69,7 @@ def simulate(plan: RecordingPlan) -> Recording:
     own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
     paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
     walkers = Walkers(paths, np.random.default_rng([*own, 1]))
+    log.park(parked(site.town, log.in_view(scenery(site.town).bays), models, np.random.default_rng([*own, 3])))
     duration = (warm_up + settle + plan.frames * stride) * STEP
     with (
         Traffic(
@@ -111,6 +117,7 @@ class _Log:
         self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]
         self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
         self._always = LAMPS["low_beam"] if night else 0
+        self._parked: dict[str, tuple[Parked, Pose]] = {}
         self._index: dict[str, int] = {}
         self._entries: list[RecordedVehicle] = []
         self._times: list[float] = []
@@ -167,6 +174,18 @@ class _Log:
             self._note(
                 frame, name, vehicle.model, vehicle.shape.to_dict(), traffic.trips[name].color, poses[name], lamps
             )
+        for name, (one, pose) in self._parked.items():
+            shape = self._vehicles[name].shape.to_dict()
+            self._note(frame, name, one.model, shape, one.color, pose, 0, parked=True)
+
+    def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
+        """Bays whose vehicles are recorded."""
+        return [bay for bay in bays if self._distance(bay.place) < PARKED_REACH]
+
+    def park(self, vehicles: Iterable[Parked]) -> None:
+        """Vehicles that are in every frame."""
+        for one in vehicles:
+            self._parked[one.name] = one, at_rest(self._vehicle(one.name, one.model), one.state)
 
     def add_others(self, others: Mapping[str, Present]) -> None:
         """Those who are not labelled, into the last frame."""
@@ -189,11 +208,12 @@ class _Log:
         lamps: int,
         *,
         labelled: bool = True,
+        parked: bool = False,
     ) -> None:
         if name not in self._index:
             self._index[name] = len(self._entries)
             track = self._first_track + len(self._entries)
-            self._entries.append(RecordedVehicle(track, model, shape, color, labelled=labelled))
+            self._entries.append(RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled))
         self._rows.append((frame, self._index[name], pose, lamps))
 
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:

@@ -12,6 +12,7 @@ from skope.gen.demand import in_town, ways
 from skope.gen.recording import Moment, Recording, RecordingPlan
 from skope.gen.simulate import simulate
 from skope.gen.towns import network, site, sites
+from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import Driven
 from skope.gen.vehicles import build, fleet
 from skope.gen.vehicles.model import Vehicle
@@ -135,3 +136,21 @@ def test_the_types_that_drive_by_have_the_shares_of_their_town() -> None:
     assert of_type["truck"] == pytest.approx(5, abs=0.5)
     assert set(of_type) == {entry.vehicle.vehicle_type for entry in fleet().values()}
     assert in_town(fleet(), "elsewhere") == dict(fleet())
+
+
+def test_parked_vehicles_stand_in_their_bays_all_the_time() -> None:
+    recording = recorded("t06_plaza_opening", frames=3)
+    poses: dict[int, list[np.ndarray]] = {}
+    for frame in range(len(recording)):
+        moment = recording.moment(frame).labelled()
+        for vehicle, T in zip(moment.vehicles, moment.T_world_chassis, strict=True):
+            if vehicle.parked:
+                poses.setdefault(vehicle.track_id, []).append(T)
+    bays = np.array([bay.place for bay in scenery("town06").bays])
+    assert 8 <= len(poses) <= 40
+    for stays in poses.values():
+        assert len(stays) == len(recording)
+        np.testing.assert_array_equal(stays[0], stays[-1])
+        assert np.hypot(*(bays - stays[0][:2, 3]).T).min() < 0.5
+    boxes = [footprint(moment, i) for i, vehicle in enumerate(moment.vehicles) if vehicle.parked]
+    assert max(overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k]) < 0.05

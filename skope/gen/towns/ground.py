@@ -3,7 +3,6 @@
 No two surfaces share a place, and neighbours share their corners.
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,6 +16,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, from_triangles, quads
 from skope.gen.towns.layout import FAR, KERB_WIDTH, Layout, beside, driven, half_width, polygons, rectangle, right_of
 from skope.gen.towns.markings import crossings, markings
+from skope.gen.towns.parking import bay_lines
 from skope.gen.towns.terrain import COARSEST
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
             ("asphalt_old", layout.beside_lanes("shoulder")),
             ("sidewalk", sidewalk.union(beside_road.forecourts)),
             ("paving", unary_union([beside_road.walks, layout.walled_road.buffer(4.5), *under_decks(layout)])),
-            ("marking", _bays(beside_road.parking)),
+            ("marking", bay_lines(beside_road.parking)),
             ("asphalt_old", beside_road.parking),
             ("gravel", beside_road.drives),
             ("soil", beside_road.footings),
@@ -398,25 +398,6 @@ def _sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polyg
             if layout.camera_distance(at) > FAR:
                 continue
             yield rectangle(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)
-
-
-def _bays(parking: Any) -> Any:
-    """Lines between the bays of car parks."""
-    lines = []
-    for lot in polygons(parking):
-        box = lot.minimum_rotated_rectangle
-        corners = np.array(box.exterior.coords)[:4]
-        sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
-        if sides[0] < sides[1]:
-            corners = np.roll(corners, -1, axis=0)
-        a, along_it, across = corners[0], corners[1] - corners[0], corners[3] - corners[0]
-        length, depth = np.hypot(*along_it), np.hypot(*across)
-        along_it, across = along_it / length, across / depth
-        heading = float(np.arctan2(*across[::-1]))
-        for row in np.arange(3.4, depth - 2.4, 11.6):
-            for x in np.arange(2.0, length - 2.0, 2.6):
-                lines.append(rectangle(a + along_it * x + across * row, heading, 4.8, 0.1))
-    return unary_union(lines).intersection(parking.buffer(-0.3)) if lines else Polygon()
 
 
 def _tactile(layout: Layout, road: Any) -> Any:

@@ -15,6 +15,7 @@ from skope.gen.towns import blocks, roof
 from skope.gen.towns.facade import Shop, Style, facade
 from skope.gen.towns.ground import under_decks
 from skope.gen.towns.layout import FAR, NEAR, Layout, beside, driven, polygons, rectangle
+from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.style import Kind, Row
 
@@ -340,10 +341,23 @@ def paths(houses: list[House]) -> tuple[Any, Any]:
         walks += [
             Polygon(house.to_world(np.array([[-x + 0.6, y], [x - 0.6, y], [x - 0.6, y + 1.0], [-x + 0.6, y + 1.0]])))
         ]
-        if i % 2 and house.kind.drive:
-            side = [[x + 0.3, y - 5.0], [x + 2.7, y - 5.0], [x + 2.7, y + d], [x + 0.3, y + d]]
-            drives.append(Polygon(house.to_world(np.array(side))))
+        if _has_drive(i, house):
+            drives.append(Polygon(house.to_world(drive_ring(x, y, y + d))))
     return unary_union(walks), unary_union(drives)
+
+
+def _has_drive(i: int, house: House) -> bool:
+    return bool(i % 2 and house.kind.drive and house.kind.garden and house.setback)
+
+
+def drive_bays(houses: list[House]) -> list[Bay]:
+    """Where cars are parked beside houses."""
+    out = []
+    for i, house in enumerate(houses):
+        if _has_drive(i, house):
+            x, y = house.to_world(np.array(drive_bay(house.size[0] / 2, house.size[1] / 2)))
+            out.append(Bay((float(x), float(y)), house.heading - np.pi / 2))
+    return out
 
 
 def covered(houses: list[House]) -> Any:

@@ -15,8 +15,9 @@ from skope.gen.towns.furniture import furniture
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
 from skope.gen.towns.horizon import horizon
-from skope.gen.towns.houses import car_parks, covered, forecourts, house_meshes, paths, plots
+from skope.gen.towns.houses import car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
 from skope.gen.towns.layout import Layout, driven, right_of
+from skope.gen.towns.parking import Bay, lot_bays
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.structures import structures
 from skope.gen.towns.trees import plant, tree_meshes
@@ -50,6 +51,8 @@ class Scenery:
     """Their footprints."""
     trees: tuple[tuple[float, float, float], ...] = ()
     """x, y and reach of their crowns."""
+    bays: tuple[Bay, ...] = ()
+    """Where vehicles may be parked."""
 
 
 @cache
@@ -82,7 +85,8 @@ def scenery(town: str) -> Scenery:
         *poles,
     ]
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
-    return Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns)
+    bays = (*lot_bays(lots), *drive_bays(houses))
+    return Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns, bays)
 
 
 _PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")

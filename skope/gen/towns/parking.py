@@ -1,0 +1,74 @@
+"""Where vehicles are parked: in the bays of car parks, and on the drives beside houses."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.ops import unary_union
+
+from skope.gen.towns.layout import polygons, rectangle
+
+Array = NDArray[np.float64]
+
+BAY: Final = (4.8, 2.6)
+"""Length and width of a bay, metres."""
+AISLE: Final = 6.8
+DRIVE: Final = 2.4
+"""Width of a drive, metres."""
+_EDGE: Final = 1.0
+"""From a car park's edge to its bays, metres."""
+
+
+@dataclass(frozen=True)
+class Bay:
+    """Room for a car."""
+
+    place: tuple[float, float]
+    """Of its middle, metres."""
+    heading: float
+    """Into it, radians."""
+
+
+def lot_bays(lots: Any) -> list[Bay]:
+    """Rows of bays with aisles between them in each of the car parks."""
+    return [bay for lot in polygons(lots) for bay in _rows(lot)]
+
+
+def _rows(lot: Polygon) -> Iterator[Bay]:
+    corners = np.array(lot.minimum_rotated_rectangle.exterior.coords)[:4]
+    sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    if sides[0] < sides[1]:
+        corners = np.roll(corners, -1, axis=0)
+    a, along, across = corners[0], corners[1] - corners[0], corners[3] - corners[0]
+    length, depth = np.hypot(*along), np.hypot(*across)
+    along, across = along / length, across / depth
+    inside = lot.buffer(-0.3)
+    for row in np.arange(_EDGE + BAY[0] / 2, depth - BAY[0] / 2, BAY[0] + AISLE):
+        for x in np.arange(2.0 + BAY[1] / 2, length - 2.0 - BAY[1] / 2, BAY[1]):
+            place = a + along * x + across * row
+            bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
+            if inside.contains(rectangle(place, bay.heading, *BAY)):
+                yield bay
+
+
+def bay_lines(lots: Any) -> Any:
+    """Painted lines on both sides of each bay of the car parks."""
+    lines = []
+    for bay in lot_bays(lots):
+        side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * BAY[1] / 2
+        lines += [rectangle(np.array(bay.place) + sign * side, bay.heading, BAY[0], 0.1) for sign in (-1, 1)]
+    return unary_union(lines).intersection(lots.buffer(-0.3)) if lines else Polygon()
+
+
+def drive_ring(half_length: float, front: float, street: float) -> Array:
+    """(4, 2) corners of a drive beside a house, from its side to the street, in the house's frame."""
+    x = half_length + 0.3
+    return np.array([[x, front - 5.0], [x + DRIVE, front - 5.0], [x + DRIVE, street], [x, street]])
+
+
+def drive_bay(half_length: float, front: float) -> tuple[float, float]:
+    """The middle of the place for a car on such a drive, in the house's frame."""
+    return half_length + 0.3 + DRIVE / 2, front - 5.0 + BAY[0] / 2 + 0.3
