@@ -222,9 +222,9 @@ def arch_lip(
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     outer = chain + width * outward
     outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
-    crest = chain + 0.35 * width * outward
-    crest[:, 1] = 0.65 * chain[:, 1] + 0.35 * outer[:, 1] + 0.012
-    inner = chain + np.array([0, -0.05, 0])
+    crest = chain + 0.012 * outward + [0, 0.012, 0]
+    # Chords of the arch: a little nearer to the wheel than the edge that they hide.
+    inner = chain - 0.005 * outward + [0, -0.05, 0]
     # From behind the wheel around it to ahead of it, and inwards.
     return grid(np.stack([outer, crest, inner])[:, ::-1], [[material] * (len(chain) - 1)] * 2)
 
