@@ -104,10 +104,15 @@ source: their shares say only that plain white leads.
 """
 
 
+def palette(vehicle: Vehicle) -> list[str]:
+    """Names of the paints that a vehicle may have."""
+    kind = vehicle.style.palette if isinstance(vehicle, ParametricVehicle) else "private"
+    return [name for name, paint in PAINTS.items() if paint.palette == kind]
+
+
 def draw_paint(vehicle: Vehicle, rng: np.random.Generator) -> str:
     """The name of a paint for a vehicle, by the shares of its palette."""
-    palette = vehicle.style.palette if isinstance(vehicle, ParametricVehicle) else "private"
-    names = [name for name, paint in PAINTS.items() if paint.palette == palette]
+    names = palette(vehicle)
     shares = np.array([PAINTS[name].share for name in names])
     return names[rng.choice(len(names), p=shares / shares.sum())]
 

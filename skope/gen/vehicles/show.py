@@ -14,6 +14,7 @@ from skope.gen.conditions import Conditions
 from skope.gen.recording import RecordedVehicle, Recording
 from skope.gen.render import make_renderer
 from skope.gen.towns.scenery import STUDIO
+from skope.gen.vehicles import palette
 from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ VIEWS: Final = {
 """Where the camera stands: degrees from straight ahead towards the vehicle's left, and above the horizon."""
 _FOV: Final = math.radians(20)
 _MARGIN: Final = 1.12
+_CAR_COLOR: Final = "red"
 _CONDITIONS: Final = Conditions(
     sun_elevation_deg=50.0,
     sun_azimuth_deg=60.0,
@@ -85,6 +87,12 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
     return at(distance)
 
 
+def color_of(vehicle: Vehicle) -> str:
+    """A paint that shows a model's shape, or its livery."""
+    own = palette(vehicle)
+    return _CAR_COLOR if _CAR_COLOR in own else own[len(own) // 2]
+
+
 def parked(vehicle: Vehicle, camera: Camera) -> Recording:
     """One frame of a vehicle that stands at the origin of an empty place, heading east."""
     wheels = np.tile(np.eye(4), (1, 4, 1, 1))
@@ -100,7 +108,7 @@ def parked(vehicle: Vehicle, camera: Camera) -> Recording:
         conditions=_CONDITIONS,
         seed=0,
         versions={},
-        vehicles=(RecordedVehicle(1, vehicle.model, vehicle.shape.to_dict(), "red"),),
+        vehicles=(RecordedVehicle(1, vehicle.model, vehicle.shape.to_dict(), color_of(vehicle)),),
         times_s=np.zeros(1),
         signals=({},),
         frame=np.zeros(1, dtype=np.int32),
