@@ -91,10 +91,7 @@ class Layout:
     @cached_property
     def decks(self) -> list[Region]:
         """Carriageways of bridges."""
-        bridges = self.edges_of("bridge")
-        if not bridges:
-            return []
-        return polygons(_carriageway(bridges, []).difference(self.ground_road.difference(self.walled_road)))
+        return polygons(_carriageway(self.edges_of("bridge"), []))
 
     @cached_property
     def road(self) -> Region:

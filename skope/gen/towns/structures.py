@@ -43,7 +43,6 @@ def structures(layout: Layout) -> Iterator[Mesh]:
 def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     """A deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
     walk, kerb = deck_edge(layout), layout.style.kerb
-    ground_road = layout.ground_road.difference(layout.walled_road)
     lanes = layout.deck_lanes
 
     def height(places: Array) -> Array:
@@ -56,8 +55,6 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     yield from surfaces(
         [Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells
     )
-    # Beside the lanes, but not across the ends where the road goes on.
-    whole = deck.buffer(walk, join_style="mitre").difference(ground_road.buffer(walk + 0.5).difference(deck.buffer(walk + 0.1)))
     whole = _along_only(deck, walk, layout)
     beside_lanes = whole.difference(deck)
     stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
@@ -91,8 +88,8 @@ def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
         lane = driven(edge)[0]
         line = LineString(lane.getShape())
         if line.intersects(deck):
-            strip = line.offset_curve(-(lane.getWidth() / 2 + walk / 2 - 0.05))
-            parts.append(strip.buffer(walk / 2 + 0.05, cap_style="flat"))
+            strip = line.offset_curve(-(lane.getWidth() + walk) / 2)
+            parts.append(strip.buffer(walk / 2 + 0.005, cap_style="flat"))
     return max(polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")), key=lambda p: p.area)
 
 
@@ -138,7 +135,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
             continue  # a bank, where the deck ends soon
         ahead = np.array(axis.interpolate(spots[k] + 0.5).coords[0])
         heading = float(np.arctan2(*(ahead - places[k])[::-1]))
-        half = np.sqrt(whole.area / axis.length * 1.0) and whole.area / axis.length / 2 - 0.6
+        half = whole.area / axis.length / 2 - 0.6
         top, foot = float(height(places[k : k + 1])[0]) - DECK, float(layout.ground.beside(places[k : k + 1])[0])
         beam = box([-0.5, -half, top - foot - 0.8], [0.5, half, top - foot + 0.05], "concrete")
         columns = [
@@ -174,7 +171,7 @@ def _guard_rails(layout: Layout) -> Iterator[Mesh]:
             left = line.difference(kept_clear)
             for piece in getattr(left, "geoms", [left]):
                 if isinstance(piece, LineString) and piece.length > 8.0:
-                    near = layout.camera_distance(np.array(piece.interpolate(0.5, True).coords[0])) < 120.0
+                    near = layout.camera_distance(np.array(piece.interpolate(0.5, normalized=True).coords[0])) < 120.0
                     yield layout.draped(_rail(shapely.segmentize(piece.simplify(0.02), 4.0), near))
 
 

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 _NEAR: Final = 0.25
 """Softens the weights of lanes, metres."""
-FINEST: Final = 4.0
+FINEST: Final = 2.0
 """Smallest cells that sloped ground is cut into, metres."""
 COARSEST: Final = 64
 """Largest ones; their sides lie at multiples of that, metres."""
@@ -97,7 +97,7 @@ class Ground:
         height, _ = self._driven.near(places, 12.0)
         far = np.isnan(height)
         if far.any():
-            height[far] = self._driven.near(places[far], 60.0)[0]
+            height[far] = self.natural(places[far])
         return height
 
     def beside(self, places: Array) -> Array:
@@ -157,7 +157,7 @@ class Ground:
         out = _unevenness(self.beside(places).reshape(-1, 9)) > np.where(by_road, 0.02, 0.12)
         if by_road.any():
             near = places.reshape(-1, 9, 2)[by_road].reshape(-1, 2)
-            out[by_road] |= _unevenness(self.road(near).reshape(-1, 9)) > 0.004
+            out[by_road] |= _unevenness(self.road(near).reshape(-1, 9)) > 0.0025
         return np.asarray(out)
 
 
