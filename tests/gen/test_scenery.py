@@ -102,7 +102,7 @@ def test_cameras_see_the_road_before_them(town: str) -> None:
         assert (distances > 1).mean() > 0.85, site.name
 
 
-@pytest.mark.parametrize("town", ["town01", "town04"])
+@pytest.mark.parametrize("town", ["town04"])
 def test_the_same_town_gives_the_same_mesh(town: str) -> None:
     first, again = scenery(town), scenery.__wrapped__(town)
     np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)

@@ -1,5 +1,6 @@
 """The towns' networks are what their sources say, can be driven through, and lie where the scenery has its roads."""
 
+import itertools
 import xml.etree.ElementTree as ET
 from collections import Counter
 
@@ -43,7 +44,7 @@ def lane_pieces(town: str, step: float) -> tuple[np.ndarray, np.ndarray]:
             along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
             at = np.linspace(0, along[-1], max(2, round(along[-1] / step) + 1))
             points = np.column_stack([np.interp(at, along, line[:, k]) for k in range(3)])
-            for a, b in zip(points, points[1:], strict=False):
+            for a, b in itertools.pairwise(points):
                 half = lane.getWidth() / 2 - 0.05
                 shapes.append(LineString([a[:2], b[:2]]).buffer(half, cap_style="flat"))
                 ends.append([a, b])
@@ -101,7 +102,7 @@ def test_the_road_lies_where_vehicles_drive(town: str) -> None:
     corners = mesh.vertices[mesh.triangles[is_ground]]
     tree = shapely.STRtree(shapely.polygons(corners[..., :2]))
     _, ends = lane_pieces(town, 3.1)
-    places = ends.mean(axis=1)
+    places = ends[:, 0]
     place, triangle = tree.query(shapely.points(places[:, :2]), predicate="intersects")
     a, b, c = np.moveaxis(corners[triangle], 1, 0)
     normal = np.cross(b - a, c - a)

@@ -13,7 +13,6 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box
 from skope.gen.towns import blocks, roof
 from skope.gen.towns.facade import Shop, Style, facade
-from skope.gen.towns.ground import under_decks
 from skope.gen.towns.layout import FAR, NEAR, Layout, beside, driven, polygons, rectangle
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.style import Kind, Row
@@ -124,7 +123,7 @@ class Taken:
 
     def __init__(self, layout: Layout) -> None:
         walled = layout.walled_road.buffer(3.0) if not layout.walled_road.is_empty else layout.walled_road
-        streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *under_decks(layout)]
+        streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *layout.under_decks]
         self._kept_clear = unary_union(
             [*streets, layout.islands, layout.around_cameras.buffer(5.0), layout.sightlines(SIGHT)]
         )
@@ -314,7 +313,9 @@ def car_parks(houses: list[House]) -> tuple[Any, Any]:
         if not house.kind.parking:
             continue
         x, y, d = house.size[0] / 2, house.size[1] / 2, house.setback
-        lots.append(Polygon(house.to_world(np.array([[-x, y + 3.0], [x, y + 3.0], [x, y + d - 4.0], [-x, y + d - 4.0]]))))
+        lots.append(
+            Polygon(house.to_world(np.array([[-x, y + 3.0], [x, y + 3.0], [x, y + d - 4.0], [-x, y + d - 4.0]])))
+        )
         for at in (-x + 6.0, x - 6.0):
             ring = [[at - 3.2, y + d - 4.0], [at + 3.2, y + d - 4.0], [at + 3.2, y + d + 0.4], [at - 3.2, y + d + 0.4]]
             ways.append(Polygon(house.to_world(np.array(ring))))
@@ -327,7 +328,9 @@ def paths(houses: list[House]) -> tuple[Any, Any]:
     for i, house in enumerate(houses):
         x, y, d = house.size[0] / 2, house.size[1] / 2, house.setback + 0.3
         if house.kind.form == "barn":
-            drives.append(Polygon(house.to_world(np.array([[-4, y], [4, y], [3, y + max(d, 6.0)], [-3, y + max(d, 6.0)]]))))
+            drives.append(
+                Polygon(house.to_world(np.array([[-4, y], [4, y], [3, y + max(d, 6.0)], [-3, y + max(d, 6.0)]])))
+            )
         if not house.kind.garden or house.setback == 0.0:
             continue
         # Doors are somewhere in the front: the path leads to its middle and along it.

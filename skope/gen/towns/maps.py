@@ -39,7 +39,7 @@ def town_map(town: str) -> Image:
 
     def pixels(points: ArrayLike) -> NDArray[np.int32]:
         at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
-        return np.rint(at * 2**_SHIFT).astype(np.int32)
+        return np.asarray(np.rint(at * 2**_SHIFT), dtype=np.int32)
 
     def fill(region: Any, color: RGB) -> None:
         for polygon in polygons(region):

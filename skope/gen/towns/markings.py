@@ -59,7 +59,9 @@ def _left_line(layout: Layout, edge: Any, shape: LineString, half: float) -> Ite
 
 
 def _opposite(edge: Any) -> list[Any]:
-    return [e for e in legs(edge.getToNode()) if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()]
+    return [
+        e for e in legs(edge.getToNode()) if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()
+    ]
 
 
 def _is_divided(edge: Any) -> bool:

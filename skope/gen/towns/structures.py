@@ -11,10 +11,11 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import substring, unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
-from skope.gen.towns.ground import Part, deck_edge, parapet, rings, surfaces
+from skope.gen.towns.ground import Part, surfaces
 from skope.gen.towns.layout import BARRIER, KERB_WIDTH, Layout, beside, driven, half_width, polygons, right_of
 from skope.gen.towns.markings import markings
 from skope.gen.towns.solid import Solid
+from skope.gen.towns.walls import left_of, parapet, rings, runs
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def structures(layout: Layout) -> Iterator[Mesh]:
 
 def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     """A deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
-    walk, kerb = deck_edge(layout), layout.style.kerb
+    walk, kerb = layout.deck_edge, layout.style.kerb
     lanes = layout.deck_lanes
 
     def height(places: Array) -> Array:
@@ -52,9 +53,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     xs, ys = (np.arange(low, high + _CELL, _CELL) for low, high in ((x0, x1), (y0, y1)))
     cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
-    yield from surfaces(
-        [Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells
-    )
+    yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     whole = _along_only(deck, walk, layout)
     beside_lanes = whole.difference(deck)
     stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
@@ -76,8 +75,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     soffit = [Part("concrete", whole, False)]
     for part in surfaces(soffit, lambda places: height(places) - DECK, cells):
         yield Mesh(part.vertices, -part.normals, part.triangles[:, ::-1], part.materials, part.material)
-    for piece in _end_faces(deck, height):
-        yield piece
+    yield from _end_faces(deck, height)
     yield from _piers(layout, deck, whole, height)
 
 
@@ -90,7 +88,10 @@ def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
         if line.intersects(deck):
             strip = line.offset_curve(-(lane.getWidth() + walk) / 2)
             parts.append(strip.buffer(walk / 2 + 0.005, cap_style="flat"))
-    return max(polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")), key=lambda p: p.area)
+    return max(
+        polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")),
+        key=lambda p: p.area,
+    )
 
 
 def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
@@ -104,8 +105,7 @@ def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], mate
 
 
 def _along_edge(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
-    edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
-    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, last in runs(chosen):
         piece = slice(first, last + 1)
         if LineString(line[piece]).length > 2.0:
             # The ring has its inside on its right, a parapet stands to the left of its line.
@@ -128,8 +128,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
     places = np.array([axis.interpolate(s).coords[0] for s in spots])
     drop = height(places) - layout.ground.beside(places)
     fits = (drop > 4.5) & ~shapely.intersects(kept_clear, shapely.points(places))
-    edges = np.diff(np.concatenate([[0], fits.astype(np.int8), [0]]))
-    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, last in runs(fits):
         k = (first + last - 1) // 2
         if spots[last - 1] - spots[first] > 6.0:
             continue  # a bank, where the deck ends soon
@@ -180,10 +179,8 @@ def _rail(path: LineString, near: bool) -> Mesh:
     line = np.array(path.coords)
     profile = [(0.45, 0.0), (0.50, 0.08), (0.58, 0.02), (0.66, 0.08), (0.75, 0.0)]
     faces = []
-    forward = np.gradient(line, axis=0)
-    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    for (z0, y0), (z1, y1) in zip(profile, profile[1:], strict=False):
+    left = left_of(line)
+    for (z0, y0), (z1, y1) in itertools.pairwise(profile):
         low = np.column_stack([line + y0 * left, np.full(len(line), z0)])
         high = np.column_stack([line + y1 * left, np.full(len(line), z1)])
         faces.append(np.stack([low[1:], low[:-1], high[:-1], high[1:]], axis=1))
@@ -207,7 +204,16 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
             continue
         path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
         z = layout.ground.road(path)
-        profile = [(0.3, 0.0), (0.3, 0.08), (0.12, 0.33), (0.08, 0.85), (-0.08, 0.85), (-0.12, 0.33), (-0.3, 0.08), (-0.3, 0.0)]
+        profile = [
+            (0.3, 0.0),
+            (0.3, 0.08),
+            (0.12, 0.33),
+            (0.08, 0.85),
+            (-0.08, 0.85),
+            (-0.12, 0.33),
+            (-0.3, 0.08),
+            (-0.3, 0.0),
+        ]
         left = right_of(np.pi / 2 + np.arctan2(*(path[-1] - path[0])[::-1])) * -1.0
         rows = [np.column_stack([path - y * left, z + h]) for y, h in profile]
         faces = [np.stack([a[:-1], a[1:], b[1:], b[:-1]], axis=1) for a, b in itertools.pairwise(rows)]
@@ -229,7 +235,9 @@ def _barriers(layout: Layout) -> Iterator[Mesh]:
             heading = float(np.arctan2(*(b - a)[::-1]))
             part = Solid()
             part.box("concrete", (-2.0, -0.1, -0.3), (2.0, 0.1, 0.5), without="-z")
-            part.box("cladding_sand" if int(s / 4) % 5 else "door_green", (-2.0, -0.06, 0.5), (2.0, 0.06, 3.4), without="-z")
+            part.box(
+                "cladding_sand" if int(s / 4) % 5 else "door_green", (-2.0, -0.06, 0.5), (2.0, 0.06, 3.4), without="-z"
+            )
             part.box("zinc", (-2.09, -0.12, -0.3), (-1.91, 0.12, 3.55), without="-z")
             yield part.mesh().moved(layout.on_ground((a + b) / 2), heading)
 

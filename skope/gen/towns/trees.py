@@ -158,7 +158,9 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
         middle = np.array([0.0, 0.0, height / 2])
         stretch = np.array([1.0, 1.0, max(1.0, 1.7 * (height - bare) / (2 * size * count))])
         for center, grown in zip(centers, swell, strict=True):
-            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch)
+            clump = _clump(
+                center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch
+            )
             parts.append(_of(clump, species.leaves))
         return merged(parts)
     up = (height - bare) / 2
@@ -194,7 +196,9 @@ def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> I
         rim[-1] = rim[0]
         rows = []
         for share, z in ((1.0, low - 0.25 * step), (0.55, low + 0.55 * step), (0.04, low + 1.5 * step)):
-            rows.append(np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)]))
+            rows.append(
+                np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)])
+            )
         yield grid(np.array(rows), [[tree.species.leaves] * sides] * 2)
 
 
@@ -279,5 +283,3 @@ def hedge(length: float, height: float, depth: float, rng: np.random.Generator) 
         triangles = [[0, i, i + 1] for i in range(1, 5)]
         parts.append(from_triangles(cap, np.array(triangles)[:, :: -1 if end else 1], "leaves"))
     return merged(parts)
-
-
