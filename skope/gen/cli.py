@@ -75,8 +75,8 @@ def gen(
     console = Console(quiet)
     count = check_workers(default_workers() if workers is None else workers)
     console.say(
-        f"preset {preset}: {parameters.images} images of {parameters.size} from {len(parameters.sites)} sites, seed {seed}, "
-        f"{count} workers, {why}"
+        f"preset {preset}: {parameters.images} images of {parameters.size} from {len(parameters.sites)} sites, "
+        f"seed {seed}, {count} workers, {why}"
     )
     made = produce(parameters, out, count, console)
     done = f"wrote {out}" if made else f"{out} is complete already"

@@ -30,7 +30,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "meadow": (0.42, 0.43, 0.24),
     "field_wheat": (0.58, 0.52, 0.36),
     "field_green": (0.31, 0.36, 0.20),
-    "field_ploughed": (0.38, 0.30, 0.23),
+    "field_ploughed": (0.35, 0.30, 0.25),
     "grass": (0.35, 0.38, 0.24),
     # walls; patterns go by the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"
     "brick": (0.55, 0.31, 0.24),

@@ -44,7 +44,9 @@ def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Gen
         out.box(wall, (*low, top), (*high, top + 1.0), without="-z")
     out.box("cladding_grey", (-0.5 * x, -0.5 * y, top), (0.3 * x, 0.4 * y, top + 3.2), without="-z")
     for k in range(3):
-        out.box("zinc", (0.45 * x, (0.25 * k - 0.5) * y, top), (0.7 * x, (0.25 * k - 0.35) * y, top + 1.4), without="-z")
+        out.box(
+            "zinc", (0.45 * x, (0.25 * k - 0.5) * y, top), (0.7 * x, (0.25 * k - 0.35) * y, top + 1.4), without="-z"
+        )
     return out
 
 
@@ -72,10 +74,17 @@ def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int,
     count = max(2, round(width / bay))
     pier = 0.7 if style == "grid" else 0.22
     for x in np.linspace(pier / 2, width - pier / 2, count + 1):
-        out.box(wall, (x - pier / 2, 0.0, 0.0), (x + pier / 2, kind.ground + kind.storey * storeys, 0.3), without="-z -y")
+        out.box(
+            wall, (x - pier / 2, 0.0, 0.0), (x + pier / 2, kind.ground + kind.storey * storeys, 0.3), without="-z -y"
+        )
     if detail == 2:
         for x in np.linspace(0.0, width, max(2, round(width / 1.5)) + 1)[1:-1]:
-            out.box("frame_dark", (x - 0.03, 0.5, 0.0), (x + 0.03, kind.ground + kind.storey * storeys, 0.06), without="-z -y")
+            out.box(
+                "frame_dark",
+                (x - 0.03, 0.5, 0.0),
+                (x + 0.03, kind.ground + kind.storey * storeys, 0.06),
+                without="-z -y",
+            )
         for x in np.arange(2.0, width - 3.0, 9.0):
             out.box("frame_dark", (x, kind.ground - 1.3, 0.0), (x + 2.6, kind.ground - 1.15, 1.4), without="-z")
     return out
@@ -137,14 +146,19 @@ def _entrance(width: float, top: float, rng: np.random.Generator) -> Solid:
 def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Solid:
     """Boards under a steep roof, with a gate in the gable and in the long side."""
     wall, covering = str(rng.choice(kind.walls)), str(rng.choice(kind.roofs))
-    (x, y), eaves = half, kind.ground * rng.uniform(0.85, 1.1)
-    out = roof.gabled(half, eaves, rng.uniform(0.62, 0.9) * y, 0.4, covering, wall)
+    eaves = kind.ground * rng.uniform(0.85, 1.1)
+    out = roof.gabled(half, eaves, rng.uniform(0.62, 0.9) * half[1], 0.4, covering, wall)
     for i, ((origin, width), axes) in enumerate(zip(_walls(half), _AXES, strict=True)):
         part = Solid()
         part.pane(wall, (0.0, width), (0.0, eaves), 0.0)
         part.box("stone", (0.0, -0.4, 0.0), (width, 0.5, 0.08), without="-z -y")
         gate, high = (width / 2, 0.8 * eaves) if i != 1 else (width / 3, 0.7 * eaves)
-        part.box("frame" if wall == "cladding_red" else "timber", (gate - 2.1, 0.0, 0.0), (gate + 2.1, high, 0.1), without="-z -y")
+        part.box(
+            "frame" if wall == "cladding_red" else "timber",
+            (gate - 2.1, 0.0, 0.0),
+            (gate + 2.1, high, 0.1),
+            without="-z -y",
+        )
         part.pane("timber" if wall != "timber" else "shutter_brown", (gate - 1.9, gate + 1.9), (0.1, high - 0.2), 0.11)
         for at in np.arange(2.0, width - 1.5, 4.2):
             if abs(at - gate) > 2.8:

@@ -17,7 +17,7 @@ from skope.gen.towns.trees import bush, hedge
 
 Array = NDArray[np.float64]
 
-SHRUBS: Final = 32
+SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""
 OPEN_GROUND: Final = 46.0
 """Open ground is enclosed as far as that from a camera, metres."""
@@ -26,7 +26,7 @@ OPEN_GROUND: Final = 46.0
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Boundaries and bushes of all plots that have a garden."""
     built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
-    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), layout.sidewalk.buffer(0.05)])
+    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), layout.sidewalk.buffer(layout.style.plaza + 0.05)])
     taken = unary_union([covered(houses).buffer(0.25), street])
     for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
         yield layout.draped(part)
@@ -86,8 +86,8 @@ def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator
         for _ in range(SHRUBS):
             angle = np.radians(site.yaw_deg + rng.uniform(-60.0, 60.0))
             at = site.position[:2] + rng.uniform(9.0, OPEN_GROUND) * np.array([np.cos(angle), np.sin(angle)])
-            group = int(rng.integers(1, 5))
-            places = at + rng.normal(0.0, 0.8, (group, 2)) * (group > 1)
+            group = int(rng.integers(1, 7))
+            places = at + rng.normal(0.0, 0.5 + 0.16 * group, (group, 2)) * [1.4, 1.0]
             for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
                 if free(taken, place, 0.4):
                     yield bush(float(size), rng).moved([*place, 0.0])
@@ -102,7 +102,8 @@ def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator
 def _margin(layout: Layout, edge: Any, beyond: float) -> float:
     """From the kerb to what encloses the land beside a road, metres."""
     kind = layout.kind(edge)
-    return KERB_WIDTH + max(kind.sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
+    sidewalk = kind.sidewalk + layout.style.plaza
+    return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
 
 
 def _fence(layout: Layout, rng: np.random.Generator) -> str:

@@ -38,7 +38,14 @@ def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
     swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
     size = layout.style.hill_height
     rows = []
-    for share, height in ((0.70, -1.5), (0.71, 4.5), (0.76, 7.0), (0.88, 14.0 * size), (0.89, 17.0 * size), (1.0, 22.0 * size)):
+    for share, height in (
+        (0.70, -1.5),
+        (0.71, 4.5),
+        (0.76, 7.0),
+        (0.88, 14.0 * size),
+        (0.89, 17.0 * size),
+        (1.0, 22.0 * size),
+    ):
         crowns = np.resize(rng.uniform(-1.8, 1.2, count), count + 1)
         places = centre + share * half * ring
         foot = layout.ground.natural(places)
@@ -60,7 +67,10 @@ def _skyline(layout: Layout, rng: np.random.Generator) -> Mesh:
         out.box("felt", (x - width / 4, y - depth / 4, top), (x + width / 5, y + depth / 5, top + 3.0), without="-z")
         for storey in range(storeys):
             z = 3.2 * storey + 1.2
-            low, high = (x - width / 2 - 0.15, y - depth / 2 - 0.15, z), (x + width / 2 + 0.15, y + depth / 2 + 0.15, z + 1.5)
+            low, high = (
+                (x - width / 2 - 0.15, y - depth / 2 - 0.15, z),
+                (x + width / 2 + 0.15, y + depth / 2 + 0.15, z + 1.5),
+            )
             out.box("window", low, high, without="-z +z")
         for share in np.linspace(-0.5, 0.5, 5 + k % 3):
             at = x + share * width

@@ -13,7 +13,6 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box
 from skope.gen.towns import blocks, roof
 from skope.gen.towns.facade import Shop, Style, facade
-from skope.gen.towns.ground import under_decks
 from skope.gen.towns.layout import FAR, NEAR, Layout, beside, driven, polygons, rectangle
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.solid import Solid
@@ -125,7 +124,7 @@ class Taken:
 
     def __init__(self, layout: Layout) -> None:
         walled = layout.walled_road.buffer(3.0) if not layout.walled_road.is_empty else layout.walled_road
-        streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *under_decks(layout)]
+        streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *layout.under_decks]
         self._kept_clear = unary_union(
             [*streets, layout.islands, layout.around_cameras.buffer(5.0), layout.sightlines(SIGHT)]
         )

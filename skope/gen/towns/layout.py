@@ -21,6 +21,8 @@ from skope.gen.towns.terrain import Ground, Lanes
 Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
 
+GRID: Final = 1e-4
+"""Polygons' corners are rounded to that, so that parts cut out of each other keep common corners, metres."""
 KERB_WIDTH: Final = 0.15
 CAMERA_CLEARANCE: Final = 8.0
 """Around a camera nothing stands higher than 1 m, metres."""
@@ -87,10 +89,17 @@ class Layout:
     @cached_property
     def decks(self) -> list[Region]:
         """Carriageways of bridges."""
-        bridges = self.edges_of("bridge")
-        if not bridges:
-            return []
-        return polygons(_carriageway(bridges, []).difference(self.ground_road.difference(self.walled_road)))
+        return polygons(_carriageway(self.edges_of("bridge"), []))
+
+    @cached_property
+    def deck_edge(self) -> float:
+        """Width of decks beside their lanes, metres."""
+        return max([self.kind(edge).sidewalk for edge in self.edges_of("bridge")], default=0.0) + 0.45
+
+    @property
+    def under_decks(self) -> list[Any]:
+        """Bridges' shadows on the ground, which are paved."""
+        return [deck.buffer(2.0, cap_style="square") for deck in self.decks]
 
     @cached_property
     def road(self) -> Region:
@@ -112,9 +121,8 @@ class Layout:
                 for lane in driven(edge):
                     line = LineString(lane.getShape())
                     parts.append(line.buffer(lane.getWidth() / 2 + beyond, cap_style="flat"))
-                for node in (edge.getFromNode(), edge.getToNode()):
-                    if len(node.getShape()) > 2:
-                        parts.append(Polygon(node.getShape()).buffer(beyond))
+                ends = [node.getShape() for node in (edge.getFromNode(), edge.getToNode())]
+                parts += [Polygon(shape).buffer(beyond) for shape in ends if len(shape) > 2]
         return unary_union(parts).difference(self.islands) if parts else Polygon()
 
     @cached_property

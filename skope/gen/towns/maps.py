@@ -39,7 +39,7 @@ def town_map(town: str) -> Image:
 
     def pixels(points: ArrayLike) -> NDArray[np.int32]:
         at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
-        return np.rint(at * 2**_SHIFT).astype(np.int32)
+        return np.asarray(np.rint(at * 2**_SHIFT), dtype=np.int32)
 
     def fill(region: Any, color: RGB) -> None:
         for polygon in polygons(region):
@@ -66,11 +66,11 @@ def town_map(town: str) -> Image:
         x, y = (pixels(site.position) // 2**_SHIFT).tolist()
         cv2.circle(image, (x, y), 7, SPLITS[site.split], -1, cv2.LINE_AA)
         cv2.circle(image, (x, y), 7, (255, 255, 255), 2, cv2.LINE_AA)
-        left = x > image.shape[1] * 0.6
         label = f"{site.name} ({site.split})"
         width = cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)[0][0]
+        left = x + width + 16 > image.shape[1]
         at = (x - width - 12 if left else x + 12, y - 8)
-        cv2.putText(image, label, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 4, cv2.LINE_AA)
+        cv2.rectangle(image, (at[0] - 3, at[1] - 15), (at[0] + width + 3, at[1] + 5), (255, 255, 255), -1)
         cv2.putText(image, label, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _TEXT, 1, cv2.LINE_AA)
     cv2.putText(image, f"{town}: {layout.style.title}", (16, 38), cv2.FONT_HERSHEY_SIMPLEX, 0.9, _TEXT, 2, cv2.LINE_AA)
     bar = round(100 * scale)

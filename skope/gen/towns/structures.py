@@ -11,10 +11,11 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import substring, unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
-from skope.gen.towns.ground import Part, deck_edge, parapet, rings, surfaces
+from skope.gen.towns.ground import Part, surfaces
 from skope.gen.towns.layout import BARRIER, KERB_WIDTH, Layout, beside, driven, half_width, polygons, right_of
 from skope.gen.towns.markings import markings
 from skope.gen.towns.solid import Solid
+from skope.gen.towns.walls import left_of, parapet, rings, runs
 
 Array = NDArray[np.float64]
 
@@ -42,8 +43,7 @@ def structures(layout: Layout) -> Iterator[Mesh]:
 
 def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     """A deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
-    walk, kerb = deck_edge(layout), layout.style.kerb
-    ground_road = layout.ground_road.difference(layout.walled_road)
+    walk, kerb = layout.deck_edge, layout.style.kerb
     lanes = layout.deck_lanes
 
     def height(places: Array) -> Array:
@@ -54,10 +54,6 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
-    # Beside the lanes, but not across the ends where the road goes on.
-    whole = deck.buffer(walk, join_style="mitre").difference(
-        ground_road.buffer(walk + 0.5).difference(deck.buffer(walk + 0.1))
-    )
     whole = _along_only(deck, walk, layout)
     beside_lanes = whole.difference(deck)
     stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
@@ -79,8 +75,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     soffit = [Part("concrete", whole, False)]
     for part in surfaces(soffit, lambda places: height(places) - DECK, cells):
         yield Mesh(part.vertices, -part.normals, part.triangles[:, ::-1], part.materials, part.material)
-    for piece in _end_faces(deck, height):
-        yield piece
+    yield from _end_faces(deck, height)
     yield from _piers(layout, deck, whole, height)
 
 
@@ -91,8 +86,8 @@ def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
         lane = driven(edge)[0]
         line = LineString(lane.getShape())
         if line.intersects(deck):
-            strip = line.offset_curve(-(lane.getWidth() / 2 + walk / 2 - 0.05))
-            parts.append(strip.buffer(walk / 2 + 0.05, cap_style="flat"))
+            strip = line.offset_curve(-(lane.getWidth() + walk) / 2)
+            parts.append(strip.buffer(walk / 2 + 0.005, cap_style="flat"))
     return max(
         polygons(unary_union(parts).buffer(0.02, join_style="mitre").buffer(-0.02, join_style="mitre")),
         key=lambda p: p.area,
@@ -110,8 +105,7 @@ def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], mate
 
 
 def _along_edge(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
-    edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
-    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, last in runs(chosen):
         piece = slice(first, last + 1)
         if LineString(line[piece]).length > 2.0:
             # The ring has its inside on its right, a parapet stands to the left of its line.
@@ -134,14 +128,13 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
     places = np.array([axis.interpolate(s).coords[0] for s in spots])
     drop = height(places) - layout.ground.beside(places)
     fits = (drop > 4.5) & ~shapely.intersects(kept_clear, shapely.points(places))
-    edges = np.diff(np.concatenate([[0], fits.astype(np.int8), [0]]))
-    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, last in runs(fits):
         k = (first + last - 1) // 2
         if spots[last - 1] - spots[first] > 6.0:
             continue  # a bank, where the deck ends soon
         ahead = np.array(axis.interpolate(spots[k] + 0.5).coords[0])
         heading = float(np.arctan2(*(ahead - places[k])[::-1]))
-        half = np.sqrt(whole.area / axis.length * 1.0) and whole.area / axis.length / 2 - 0.6
+        half = whole.area / axis.length / 2 - 0.6
         top, foot = float(height(places[k : k + 1])[0]) - DECK, float(layout.ground.beside(places[k : k + 1])[0])
         beam = box([-0.5, -half, top - foot - 0.8], [0.5, half, top - foot + 0.05], "concrete")
         columns = [
@@ -177,7 +170,7 @@ def _guard_rails(layout: Layout) -> Iterator[Mesh]:
             left = line.difference(kept_clear)
             for piece in getattr(left, "geoms", [left]):
                 if isinstance(piece, LineString) and piece.length > 8.0:
-                    near = layout.camera_distance(np.array(piece.interpolate(0.5, True).coords[0])) < 120.0
+                    near = layout.camera_distance(np.array(piece.interpolate(0.5, normalized=True).coords[0])) < 120.0
                     yield layout.draped(_rail(shapely.segmentize(piece.simplify(0.02), 4.0), near))
 
 
@@ -186,10 +179,8 @@ def _rail(path: LineString, near: bool) -> Mesh:
     line = np.array(path.coords)
     profile = [(0.45, 0.0), (0.50, 0.08), (0.58, 0.02), (0.66, 0.08), (0.75, 0.0)]
     faces = []
-    forward = np.gradient(line, axis=0)
-    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    for (z0, y0), (z1, y1) in zip(profile, profile[1:], strict=False):
+    left = left_of(line)
+    for (z0, y0), (z1, y1) in itertools.pairwise(profile):
         low = np.column_stack([line + y0 * left, np.full(len(line), z0)])
         high = np.column_stack([line + y1 * left, np.full(len(line), z1)])
         faces.append(np.stack([low[1:], low[:-1], high[:-1], high[1:]], axis=1))

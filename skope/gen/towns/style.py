@@ -146,6 +146,8 @@ class Style:
     median_rails: bool = False
     open_ground: tuple[str, ...] = ("grass",)
     """Ground away from the streets; more than one gives fields."""
+    plaza: float = 0.0
+    """Width of the paved ground beside sidewalks where nothing is built, metres."""
     fields_from: float = 60.0
     """Distance of fields from roads, metres."""
     fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})

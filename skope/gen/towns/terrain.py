@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 _NEAR: Final = 0.25
 """Softens the weights of lanes, metres."""
-FINEST: Final = 4.0
+FINEST: Final = 2.0
 """Smallest cells that sloped ground is cut into, metres."""
 COARSEST: Final = 64
 """Largest ones; their sides lie at multiples of that, metres."""
@@ -55,7 +55,7 @@ class Lanes:
         return float(z[0]) if np.ptp(z) < 1e-6 else None
 
     def near(self, places: Array, reach: float) -> tuple[Array, Array]:
-        """Places (N, 2) -> (N,) height of the lanes there, (N,) distance from what runs beside them; nan, inf if far."""
+        """Places (N, 2) -> (N,) height of lanes there, (N,) distance from what runs beside them; nan, inf if far."""
         place, segment = self._tree.query(shapely.points(places), predicate="dwithin", distance=reach)
         a, along = self._a[segment], self._b[segment] - self._a[segment]
         squared = np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12)
@@ -97,11 +97,11 @@ class Ground:
         height, _ = self._driven.near(places, 12.0)
         far = np.isnan(height)
         if far.any():
-            height[far] = self._driven.near(places[far], 60.0)[0]
+            height[far] = self.natural(places[far])
         return height
 
     def beside(self, places: Array) -> Array:
-        """(N,) heights of the ground at places (N, 2), without kerbs: a bank leads from the road to what lies around."""
+        """(N,) heights of the ground at places (N, 2), without kerbs: banks lead from roads to what lies around."""
         if self.flat:
             return np.zeros(len(places))
         around = self.natural(places)
@@ -157,7 +157,7 @@ class Ground:
         out = _unevenness(self.beside(places).reshape(-1, 9)) > np.where(by_road, 0.02, 0.12)
         if by_road.any():
             near = places.reshape(-1, 9, 2)[by_road].reshape(-1, 2)
-            out[by_road] |= _unevenness(self.road(near).reshape(-1, 9)) > 0.004
+            out[by_road] |= _unevenness(self.road(near).reshape(-1, 9)) > 0.0025
         return np.asarray(out)
 
 
@@ -175,7 +175,7 @@ def _unevenness(heights: Array) -> Array:
         axis=1,
     )
     twist = np.abs(corners[:, 0] + corners[:, 3] - corners[:, 1] - corners[:, 2]) / 4
-    return np.maximum(np.abs(heights[:, [1, 3, 4, 5, 7]] - flat).max(axis=1), twist)
+    return np.asarray(np.maximum(np.abs(heights[:, [1, 3, 4, 5, 7]] - flat).max(axis=1), twist))
 
 
 def _with_corners(leaves: NDArray[np.int64], low: Array, unit: float) -> NDArray[np.object_]:

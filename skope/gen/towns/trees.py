@@ -139,7 +139,10 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     """A trunk with branches that carry a crown of many overlapping clumps of leaves."""
     species, height = tree.species, tree.height
     bare = height * species.bare * rng.uniform(0.88, 1.12)
-    reach = min(height * species.reach * rng.uniform(0.88, 1.12), tree.room / 1.3)
+    clumps, share = ((4, 0.85), (6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
+    # How much farther than their centres' distance the crown's rims reach.
+    rims = {"cone": 1.12, "column": 1.5}.get(species.form, 0.8 + 1.5 * share)
+    reach = min(height * species.reach * rng.uniform(0.88, 1.12), tree.room / rims)
     top = 0.42 * height if species.form == "shrub" else height - 0.6 * reach
     stem = lathe(
         [(-0.4, 1.4 * species.stem), (0.3, species.stem), (0.9 * top, 0.5 * species.stem)], [species.bark] * 2, 6, "z"
@@ -155,17 +158,18 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
         middle = np.array([0.0, 0.0, height / 2])
         stretch = np.array([1.0, 1.0, max(1.0, 1.7 * (height - bare) / (2 * size * count))])
         for center, grown in zip(centers, swell, strict=True):
-            clump = _clump(center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch)
+            clump = _clump(
+                center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch
+            )
             parts.append(_of(clump, species.leaves))
         return merged(parts)
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    count, share = ((4, 0.85), (6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
     if tree.detail > 1 and reach > WIDE:  # more of them in wide crowns, or they would be lumps
         more = reach / WIDE
-        count, share = round(count * more), share / more**0.5
-    centers = middle + spread * _spread(count, rng)
+        clumps, share = round(clumps * more), share / more**0.5
+    centers = middle + spread * _spread(clumps, rng)
     if tree.detail > 1 and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
     for center in centers:
@@ -183,6 +187,8 @@ def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> I
     count, sides = (4, 5, 8, 11)[tree.detail], (6, 8, 11, 16)[tree.detail]
     levels = np.linspace(bare, 0.9 * tree.height, count)
     step = levels[1] - levels[0]
+    core = [(bare, 0.0), (bare + 0.1, 0.7 * reach), (0.95 * tree.height, 0.02)]
+    yield lathe(core, ["hedge"] * 2, sides, "z")
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     for k, low in enumerate(levels):
         radius = reach * (1 - 0.86 * k / count)
@@ -190,7 +196,9 @@ def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> I
         rim[-1] = rim[0]
         rows = []
         for share, z in ((1.0, low - 0.25 * step), (0.55, low + 0.55 * step), (0.04, low + 1.5 * step)):
-            rows.append(np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)]))
+            rows.append(
+                np.column_stack([rim * share * np.cos(angle), rim * share * np.sin(angle), np.full(sides + 1, z)])
+            )
         yield grid(np.array(rows), [[tree.species.leaves] * sides] * 2)
 
 
@@ -275,5 +283,3 @@ def hedge(length: float, height: float, depth: float, rng: np.random.Generator) 
         triangles = [[0, i, i + 1] for i in range(1, 5)]
         parts.append(from_triangles(cap, np.array(triangles)[:, :: -1 if end else 1], "leaves"))
     return merged(parts)
-
-
