@@ -42,7 +42,7 @@ def lane_pieces(town: str, step: float) -> tuple[np.ndarray, np.ndarray]:
         for lane in driven(edge):
             line = np.array(lane.getShape3D())
             along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
-            at = np.linspace(0, along[-1], max(2, round(along[-1] / step) + 1))
+            at = np.linspace(0.5, along[-1] - 0.5, max(2, round(along[-1] / step) + 1))
             points = np.column_stack([np.interp(at, along, line[:, k]) for k in range(3)])
             for a, b in itertools.pairwise(points):
                 half = lane.getWidth() / 2 - 0.05
