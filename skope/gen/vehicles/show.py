@@ -90,7 +90,7 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
 def color_of(vehicle: Vehicle) -> str:
     """A paint that shows a model's shape, or its livery."""
     own = palette(vehicle)
-    return _CAR_COLOR if _CAR_COLOR in own else own[len(own) // 2]
+    return _CAR_COLOR if _CAR_COLOR in own else own[1]
 
 
 def parked(vehicle: Vehicle, camera: Camera) -> Recording:
