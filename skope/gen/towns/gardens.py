@@ -26,7 +26,8 @@ OPEN_GROUND: Final = 46.0
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Boundaries and bushes of all plots that have a garden."""
     built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
-    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), layout.sidewalk.buffer(layout.style.plaza + 0.05)])
+    paved = [layout.sidewalk.buffer(layout.style.plaza + 0.05), layout.beside_lanes("shoulder").buffer(0.3)]
+    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), *paved])
     taken = unary_union([covered(houses).buffer(0.25), street])
     for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
         yield layout.draped(part)

@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box
 from skope.gen.towns import blocks, roof
 from skope.gen.towns.facade import Shop, Style, facade
-from skope.gen.towns.layout import FAR, NEAR, Layout, beside, driven, polygons, rectangle
+from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout, beside, driven, polygons, rectangle
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.style import Kind, Row
@@ -126,7 +126,12 @@ class Taken:
         walled = layout.walled_road.buffer(3.0) if not layout.walled_road.is_empty else layout.walled_road
         streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *layout.under_decks]
         self._kept_clear = unary_union(
-            [*streets, layout.islands, layout.around_cameras.buffer(5.0), layout.sightlines(SIGHT)]
+            [
+                *streets,
+                layout.enclosed(max(layout.style.interchange, ISLAND)),
+                layout.around_cameras.buffer(5.0),
+                layout.sightlines(SIGHT),
+            ]
         )
         shapely.prepare(self._kept_clear)
         self._houses: list[tuple[Polygon, bool]] = []

@@ -109,8 +109,12 @@ class Layout:
     @cached_property
     def islands(self) -> Region:
         """Medians and islands."""
-        holes = [Polygon(hole) for part in polygons(self.ground_road) for hole in part.interiors]
-        return unary_union([hole.difference(self.road) for hole in holes if hole.buffer(-ISLAND).is_empty])
+        return self.enclosed(ISLAND).difference(self.road)
+
+    def enclosed(self, reach: float) -> Region:
+        """Ground within the carriageway that is nowhere farther than `reach` metres from it."""
+        holes = [Polygon(hole) for part in polygons(self.road) for hole in part.interiors]
+        return unary_union([hole for hole in holes if hole.buffer(-reach).is_empty])
 
     def beside_lanes(self, width: str) -> Region:
         """The strips beside the carriageway that are as wide as the road's `width` ("sidewalk" or "shoulder")."""

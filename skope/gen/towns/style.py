@@ -148,6 +148,8 @@ class Style:
     """Ground away from the streets; more than one gives fields."""
     plaza: float = 0.0
     """Width of the paved ground beside sidewalks where nothing is built, metres."""
+    interchange: float = 0.0
+    """Nothing is built on ground between roads that is nowhere farther than that from one, metres."""
     fields_from: float = 60.0
     """Distance of fields from roads, metres."""
     fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})

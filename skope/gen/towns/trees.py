@@ -119,15 +119,16 @@ def _any(shares: Mapping[str, float], rng: np.random.Generator) -> str:
 
 
 def _scattered(region: Polygon, spacing: float) -> Iterator[Array]:
-    """Places along a region's long axis."""
+    """Places along a region's long axis, and across it where it is wide."""
     ring = np.array(region.minimum_rotated_rectangle.exterior.coords)
     sides = np.diff(ring, axis=0)[:2]
     lengths = np.hypot(*sides.T)
     a, along_it, across = ring[0], sides[lengths.argmax()], sides[lengths.argmin()]
     for share in (np.arange(int(lengths.max() // spacing)) + 0.5) * spacing / lengths.max():
         chord = region.intersection(LineString([a + share * along_it, a + share * along_it + across]))
-        if not chord.is_empty:
-            yield np.array(chord.centroid.coords[0])
+        count = max(1, int(chord.length // spacing))
+        for k in range(count) if not chord.is_empty else ():
+            yield np.array(chord.interpolate((k + 0.5) / count, normalized=True).coords[0])
 
 
 def tree_meshes(layout: Layout, trees: list[Tree], rng: np.random.Generator) -> Iterator[Mesh]:
