@@ -113,7 +113,9 @@ class Layout:
 
     def enclosed(self, reach: float) -> Region:
         """Ground within the carriageway that is nowhere farther than `reach` metres from it."""
-        holes = [Polygon(hole) for part in polygons(self.road) for hole in part.interiors]
+        # Decks only touch what they lead to.
+        closed = self.road.buffer(0.1, join_style="mitre").buffer(-0.1, join_style="mitre")
+        holes = [Polygon(hole) for part in polygons(closed) for hole in part.interiors]
         return unary_union([hole for hole in holes if hole.buffer(-reach).is_empty])
 
     def beside_lanes(self, width: str) -> Region:
