@@ -14,7 +14,7 @@ from skope.gen.vehicles import FleetEntry, draw_paint
 
 OCCUPIED: Final = 0.5
 """Share of the bays that are taken."""
-MOST: Final = 24
+MOST: Final = 14
 """Vehicles parked in view; in larger car parks fewer bays are taken."""
 
 
