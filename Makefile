@@ -28,7 +28,7 @@ demo: $(STAMP)
 	SKOPE=$(SKOPE) bash scripts/demo.sh
 
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: $(STAMP)
 	$(VENV)/bin/python -m pytest -m slow
