@@ -20,6 +20,8 @@ SURFACE_TOLERANCE: Final = 0.01
 """Metres that a keypoint may be off the surface."""
 SYMMETRY_TOLERANCE: Final = 0.005
 GROUND_TOLERANCE: Final = 0.01
+RAYS: Final = 300
+"""Cast at the surface from each of four sides, to different triangles."""
 BACK_SHARE: Final = 0.002
 """Share of rays from outside that may meet a triangle's back first."""
 PARTS: Final = {
@@ -117,7 +119,7 @@ def _orientation(vehicle: Vehicle) -> Iterator[str]:
     back = total = 0
     for azimuth in np.radians([20, 110, 200, 290]):
         eye = 15 * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
-        aims = corners[rng.choice(len(corners), 150, p=area / area.sum())].mean(axis=1)
+        aims = corners[rng.choice(len(corners), RAYS, replace=False, p=area / area.sum())].mean(axis=1)
         reach, front = Fan(corners - eye).first_hits(aims - eye)
         back += int((np.isfinite(reach) & ~front).sum())
         total += int(np.isfinite(reach).sum())
