@@ -220,10 +220,10 @@ def _array(path: Path, name: str, value: Any) -> Array:
 
 
 def _intrinsics(path: Path, name: str, value: Any) -> Array:
-    K = _array(path, name, value)
+    K: Array = _array(path, name, value)
     if K.ndim != 2 or K.shape not in ((3, 3), (3, 4)) or K[2, 2] == 0:
         raise UserError(f"{path}: {name}: expected a 3x3 matrix, not singular")
-    K = K[:, :3] / K[2, 2]
+    K = np.asarray(K[:, :3] / K[2, 2])
     K[:2, 2] += 0.5
     return K
 

@@ -98,7 +98,7 @@ def _refined(fit: Fit, uv: Array, xyz: Array, *, focal: bool) -> Fit:
         residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
         normal = jacobian.T @ jacobian
         step = np.linalg.solve(normal + weight * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual)
-        moved = _measured(_moved(fit.camera, step, middle), uv, xyz)
+        moved = _measured(_moved(fit.camera, step.astype(np.float64), middle), uv, xyz)
         if moved is not None and moved.rms_px <= fit.rms_px:
             done = fit.rms_px - moved.rms_px < 1e-12 and weight < 1e-6
             fit, weight = moved, max(weight / 5, 1e-12)
@@ -117,9 +117,9 @@ def _linearised(camera: Camera, uv: Array, xyz: Array, middle: Array, focal: boo
     distance = float(np.linalg.norm(camera.to_camera(middle)))
     columns = []
     for k in range(7 if focal else 6):
-        step = np.zeros(7 if focal else 6)
+        step: Array = np.zeros(7 if focal else 6)
         step[k] = 1e-6 * (distance if 3 <= k < 6 else 1.0)
-        ahead, behind = (_moved(camera, sign * step, middle).project(xyz)[0] for sign in (1, -1))
+        ahead, behind = (_moved(camera, np.asarray(sign * step), middle).project(xyz)[0] for sign in (1, -1))
         columns.append((ahead - behind).ravel() / (2 * step[k]))
     return residual, np.stack(columns, axis=1)
 

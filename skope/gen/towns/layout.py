@@ -213,6 +213,12 @@ class Layout:
         seen = places[shapely.contains_xy(self.ground_road, places)]
         return float(np.median(self.ground.road(seen)))
 
+    def road_level(self, center: ArrayLike) -> float:
+        """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
+        points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
+        away = np.hypot(*(points[:, :2] - self.world(center)).T)
+        return float(np.median(points[away <= max(NEAR, away.min()), 2]))
+
     def height(self, place: ArrayLike) -> float:
         """Of what one stands on at a place (2,) beside the carriageway, metres."""
         return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
@@ -259,8 +265,9 @@ def joins(edge: Any) -> int:
 
 def is_minor(edge: Any) -> bool:
     """Whether an edge's traffic gives way where it ends."""
-    lane = driven(edge)[0]
-    return any(connection.getState() in ("m", "s", "w") for connection in lane.getOutgoing())
+    connections = driven(edge)[0].getOutgoing()
+    # Whoever turns left from a main road gives way too.
+    return bool(connections) and all(connection.getState() in ("m", "s", "w") for connection in connections)
 
 
 def is_signalled(edge: Any) -> bool:

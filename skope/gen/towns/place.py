@@ -1,4 +1,4 @@
-"""A road of a user's own: all that its traffic and scenery come from, small enough for plans and recordings to carry."""
+"""A road of a user's own: what its traffic and scenery come from, small enough for plans and recordings to carry."""
 
 import hashlib
 import json
