@@ -9,7 +9,7 @@ equidistant fisheye model of Kannala and Brandt).
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -256,6 +256,11 @@ class Camera:
             "distortion": {"model": self.distortion.model, "coefficients": list(self.distortion.coefficients)},
             "T_camera_world": self.T_camera_world.tolist(),
         }
+
+    def resized(self, size: tuple[int, int]) -> "Camera":
+        """The same view at another image size (width, height)."""
+        scale = np.array([[size[0] / self.width], [size[1] / self.height], [1.0]])
+        return replace(self, width=size[0], height=size[1], K=self.K * scale)
 
     @property
     def position(self) -> Array:

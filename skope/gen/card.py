@@ -10,6 +10,8 @@ from skope.gen.store import Counts
 
 LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own; do with them what you like."
 
+PHOTOGRAPH = "What is drawn is CC0 1.0; the background is the user's photograph, whose rights are as they were."
+
 
 def card(parameters: Parameters, counts: Counts, localizer_difference: dict[str, float | None]) -> dict[str, Any]:
     """What dataset.json holds."""
@@ -32,7 +34,7 @@ def card(parameters: Parameters, counts: Counts, localizer_difference: dict[str,
         "foliage": "solid in depth and visibility" if parameters.renderer == "pybullet" else "cut out leaf by leaf",
         "versions": values["versions"],
         "parameters": values,
-        "licence": LICENCE,
+        "licence": PHOTOGRAPH if parameters.own and parameters.own.place.photograph else LICENCE,
     }
 
 
@@ -41,9 +43,11 @@ def command(parameters: Parameters) -> str:
     p = parameters
     same = len(counts := set(p.frames.values())) == 1
     frames = f" --frames {counts.pop()}" if same else ""  # else they are the preset's
+    sites = f"--site {p.own.path.name}" if p.own else f"--sites {','.join(p.sites)}"
+    fov = "" if p.own else f" --fov {p.fov_deg}"
     return (
-        f"skope gen --preset {p.preset} --seed {p.seed} --sites {','.join(p.sites)}{frames}"
-        f" --interval {p.interval_s} --size {p.size} --fov {p.fov_deg} --renderer {p.renderer}"
+        f"skope gen --preset {p.preset} --seed {p.seed} {sites}{frames}"
+        f" --interval {p.interval_s} --size {p.size}{fov} --renderer {p.renderer}"
         f" --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}"
         f" --min-visible {p.rules.min_visible} --min-box {p.rules.min_box}"
         + (f" --vehicles {','.join(p.vehicles)}" if p.vehicles else "")

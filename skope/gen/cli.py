@@ -22,6 +22,9 @@ def gen(
     workers: Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")] = None,
     renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
     sites: Annotated[str | None, typer.Option(help="Comma-separated sites instead of the preset's.")] = None,
+    own: Annotated[
+        Path | None, typer.Option("--site", help="A site file: your own road and camera instead of --sites.")
+    ] = None,
     frames: Annotated[int | None, typer.Option(help="Frames per site.")] = None,
     interval: Annotated[float | None, typer.Option(help="Seconds between frames.")] = None,
     size: Annotated[str | None, typer.Option(help="Image size, WIDTHxHEIGHT.")] = None,
@@ -48,13 +51,17 @@ def gen(
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
     if ctx.invoked_subcommand is not None:
         return
+    from skope.errors import UserError
     from skope.gen.annotate import Rules
     from skope.gen.conditions import parse_settings
+    from skope.gen.own.site import read_site
     from skope.gen.plan import from_preset
     from skope.gen.produce import check_workers, default_workers, produce
     from skope.gen.render import choose_renderer
     from skope.gen.vehicles.added import load
 
+    if own and (sites or fov is not None):
+        raise UserError(f"--site: {own} says where the camera is and what it sees: leave --sites and --fov out")
     chosen, driver, why = choose_renderer(renderer)
     rules = Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box)
     parameters = from_preset(
@@ -71,12 +78,16 @@ def gen(
         settings=parse_settings(settings or []),
         vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
         shape_jitter=shape_jitter,
+        own=read_site(own) if own else None,
     )
     console = Console(quiet)
+    for line in parameters.own.said if parameters.own else ():
+        console.say(line)
     count = check_workers(default_workers() if workers is None else workers)
+    source = str(own) if own else f"preset {preset}"
+    places = "1 site" if own else f"{len(parameters.sites)} sites"
     console.say(
-        f"preset {preset}: {parameters.images} images of {parameters.size} from {len(parameters.sites)} sites, "
-        f"seed {seed}, {count} workers, {why}"
+        f"{source}: {parameters.images} images of {parameters.size} from {places}, seed {seed}, {count} workers, {why}"
     )
     made = produce(parameters, out, count, console)
     done = f"wrote {out}" if made else f"{out} is complete already"

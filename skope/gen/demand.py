@@ -102,19 +102,25 @@ def trips(
     riders = sum(_RIDER_SHARE.values()) * sum(entry.share for entry in models.values())
     users = {name: entry.share for name, entry in models.items()}
     users |= {name: riders * share / sum(_RIDER_SHARE.values()) for name, share in _RIDER_SHARE.items()}
-    drivers = {name: row["share"] for name, row in _tables()["drivers"].items()}
+    drivers = driver_shares()
     time = 0.0
     for i in range(1_000_000):
         time += rng.exponential(3600 / vehicles_per_hour)
         if time > duration:
             return
         edges = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
-        model, driver = _drawn(users, rng), _drawn(drivers, rng)
+        model, driver = drawn(users, rng), drawn(drivers, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
         yield Trip(f"v{i:05d}", model, driver, color, time, edges)
 
 
-def _drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+def driver_shares() -> dict[str, float]:
+    """How often drivers of each kind are at the wheel."""
+    return {name: row["share"] for name, row in _tables()["drivers"].items()}
+
+
+def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+    """One of the names, by their shares."""
     p = np.array(list(shares.values()))
     return list(shares)[rng.choice(len(p), p=p / p.sum())]
 
@@ -126,8 +132,9 @@ def ways(network: Path) -> list[tuple[tuple[str, ...], float]]:
 
     net = sumolib.net.readNet(str(network))
     edges = [edge for edge in net.getEdges() if edge.allows("passenger")]
-    ways_in = [edge for edge in edges if not edge.getIncoming()]
-    ways_out = [edge for edge in edges if not edge.getOutgoing()]
+    # Where a road ends, turning back may be allowed.
+    ways_in = [e for e in edges if all(other.getFromNode() is e.getToNode() for other in e.getIncoming())]
+    ways_out = [e for e in edges if all(other.getToNode() is e.getFromNode() for other in e.getOutgoing())]
     out = []
     for start in ways_in:
         for end in ways_out:

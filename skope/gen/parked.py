@@ -50,6 +50,6 @@ def parked(town: str, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng
 def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
     """A vehicle that stands on the ground beside the road, level across."""
     ahead = 1.3 * np.array([math.cos(yaw), math.sin(yaw)])
-    front, rear = layout.height(place + ahead), layout.height(place - ahead)
+    front, rear = (layout.height(layout.world(at)) for at in (place + ahead, place - ahead))
     position = (float(place[0]), float(place[1]), (front + rear) / 2)
     return Driven(position, yaw, math.atan2(front - rear, 2.6), 0.0, 0)

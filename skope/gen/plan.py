@@ -1,5 +1,6 @@
 """What a dataset will hold: presets, the parameters that decide every byte, and the recordings they ask for."""
 
+import math
 import re
 import tomllib
 import zlib
@@ -14,11 +15,15 @@ import numpy as np
 from skope.errors import UserError, one_of
 from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
+from skope.gen.own.site import OwnSite
 from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import versions
 from skope.gen.towns import Site, site, sites
 from skope.gen.traffic import STEP
+
+_SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
+"""Conditions that belong to a light."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +49,13 @@ class Parameters:
     vehicles: Mapping[str, str] = field(default_factory=dict)
     """Models that were added and drive by too, with the digests of their files."""
     shape_jitter: bool = False
+    own: OwnSite | None = None
+    """A user's own site, in place of those of the package."""
 
     def __post_init__(self) -> None:
         self.pixels()
         for name in self.sites:
-            site(name)
+            self.site(name)
         if not self.sites or len(set(self.sites)) < len(self.sites):
             raise UserError("--sites: expected one or more different sites")
         for frames in self.frames.values():
@@ -63,7 +70,19 @@ class Parameters:
         check_settings(self.settings)
         for k1 in self.settings.get("k1", ()):
             if k1:
-                pinhole_of(site(self.sites[0]).camera(self.pixels(), self.fov_deg, k1))
+                pinhole_of(self.site(self.sites[0]).camera(self.pixels(), self.fov_deg, k1))
+        if self.own:
+            self._check_own(self.own)
+
+    def _check_own(self, own: OwnSite) -> None:
+        camera, photograph, (width, height) = own.place.camera, own.place.photograph, self.pixels()
+        if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
+            raise UserError(
+                f"--size {self.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
+                "only sizes of that shape can be had"
+            )
+        if "k1" in self.settings and (photograph or camera.distortion.model != "none"):
+            raise UserError(f"--set k1: {own.path} says already how its camera distorts")
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images."""
@@ -72,11 +91,15 @@ class Parameters:
             raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
         return int(match[1]), int(match[2])
 
+    def site(self, name: str) -> Site:
+        """The site of that name, or a UserError that lists those of the package."""
+        return self.own.site if self.own else site(name)
+
     def plans(self) -> list[RecordingPlan]:
         """The recordings, site by site; a site's frames are shared out evenly."""
         return [
             RecordingPlan(
-                site=in_its_light(site(name), index, self.seed),
+                site=self._in_its_light(name, index),
                 index=index,
                 frames=frames,
                 interval=self.interval_s,
@@ -91,9 +114,17 @@ class Parameters:
             for index, frames in enumerate(_shared(self.frames_of(name), self.recordings))
         ]
 
+    def _in_its_light(self, name: str, index: int) -> Site:
+        """A site as its recording `index` has it."""
+        if self.own is None:
+            return in_its_light(site(name), index, self.seed)
+        own = replace(self.own.site, split=self.own.splits[index])
+        # A photograph has its own light.
+        return own if self.own.place.photograph else in_its_light(own, index, self.seed)
+
     def frames_of(self, name: str) -> int:
         """How many frames a site has; one of a split that the preset has not, as many as the first one."""
-        return self.frames.get(site(name).split, next(iter(self.frames.values())))
+        return self.frames.get(self.site(name).split, next(iter(self.frames.values())))
 
     @property
     def images(self) -> int:
@@ -102,8 +133,12 @@ class Parameters:
 
     def to_dict(self) -> dict[str, Any]:
         """As the card holds them, with the versions that decide the content too."""
-        values = asdict(self)
-        return {**values, "sites": list(self.sites), "versions": versions()}
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        own = self.own.to_dict() if self.own else None
+        return {
+            **values,
+            **{"own": own, "rules": asdict(self.rules), "sites": list(self.sites), "versions": versions()},
+        }
 
 
 def _shared(frames: int, recordings: int) -> list[int]:
@@ -116,11 +151,17 @@ def in_its_light(own: Site, index: int, seed: int) -> Site:
     """A site in the light and with the traffic of its recording `index`, as its split has them; its own at 0."""
     if index == 0:
         return own
-    split = _tables()["splits"][own.split]
-    weather, time_of_day = split["light"][(index - 1) % len(split["light"])].split()
+    splits = _tables()["splits"]
+    split = splits.get(own.split, splits["train"])
+    lights = split["light"]
+    if own.place:
+        # Its first recording may be in any light: the others are at other hours.
+        lights = [light for light in lights if light.split()[1] != own.time_of_day]
+    weather, time_of_day = lights[(index - 1) % len(lights)].split()
     rng = np.random.default_rng([seed, zlib.crc32(own.name.encode()), index, 2])
     traffic = own.vehicles_per_hour * rng.uniform(*split["traffic"])
-    return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1))
+    fixed = {name: pair for name, pair in own.conditions.items() if name not in _SUN}
+    return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1), conditions=fixed)
 
 
 @cache
@@ -135,15 +176,35 @@ def presets() -> Mapping[str, Mapping[str, Any]]:
 
 
 def from_preset(
-    preset: str, *, seed: int, renderer: str, driver: str, rules: Rules, frames: int | None = None, **overrides: Any
+    preset: str,
+    *,
+    seed: int,
+    renderer: str,
+    driver: str,
+    rules: Rules,
+    frames: int | None = None,
+    own: OwnSite | None = None,
+    **overrides: Any,
 ) -> Parameters:
-    """A preset's parameters with those `overrides` that are not None in their place; `frames` are per site."""
+    """A preset's parameters with those `overrides` that are not None in their place; `frames` are per site.
+
+    An `own` site comes in place of the preset's sites, with its camera and its number of recordings.
+    """
     row = presets()[one_of("--preset", preset, tuple(presets()))]
     if "ranges" in row:
         raise UserError(f"--preset {preset}: cameras that differ between recordings cannot be simulated yet")
     known = {f.name for f in fields(Parameters)}
     values = {name: value for name, value in row.items() if name in known}
     values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
+    if own is not None:
+        own, camera = own.with_recordings(row["recordings"]), own.place.camera
+        values |= {
+            "own": own,
+            "sites": (own.site.name,),
+            "recordings": len(own.splits),
+            "size": f"{camera.width}x{camera.height}",
+            "fov_deg": round(math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])), 3),
+        }
     values |= {name: value for name, value in overrides.items() if value is not None}
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)

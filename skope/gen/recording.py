@@ -18,6 +18,7 @@ from skope.errors import UserError
 from skope.files import replacing
 from skope.gen.conditions import Conditions, Range
 from skope.gen.towns import Site
+from skope.gen.towns.place import Place, know
 
 Array = NDArray[np.float64]
 
@@ -114,6 +115,16 @@ class Recording:
     """(R, 3)"""
     lamps: NDArray[np.uint8]
     """(R,)"""
+    place: Place | None = None
+    """What the scenery of a user's own road comes from."""
+    photograph: NDArray[np.uint8] | None = None
+    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery: the place's, unless given."""
+
+    def __post_init__(self) -> None:
+        know(self.place)
+        if self.photograph is None and self.place and self.place.photograph:
+            picture = self.place.picture((self.camera.width, self.camera.height))
+            object.__setattr__(self, "photograph", picture)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -137,6 +148,8 @@ class Recording:
 
 
 _ARRAYS: Final = ("times_s", "frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+_FILES: Final = ("network", "photograph")
+"""Of a place."""
 _HEADER: Final = (*("town", "site", "name", "split", "weather", "time_of_day", "seed", "versions"),)
 
 
@@ -151,8 +164,11 @@ def save(path: Path, recording: Recording) -> None:
         "vehicles": [asdict(vehicle) for vehicle in recording.vehicles],
         "signals": [dict(states) for states in recording.signals],
     }
+    arrays = {name: getattr(recording, name) for name in _ARRAYS}
+    if place := recording.place:
+        header["place"] = place.header()
+        arrays |= {name: np.frombuffer(getattr(place, name), dtype=np.uint8) for name in _FILES}
     with replacing(path) as temporary, temporary.open("wb") as file:
-        arrays = {name: getattr(recording, name) for name in _ARRAYS}
         np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
 
 
@@ -162,6 +178,8 @@ def load(path: Path) -> Recording:
         with np.load(path, allow_pickle=False) as file:
             header: dict[str, Any] = json.loads(str(file["header"]))
             arrays = {name: file[name] for name in _ARRAYS}
+            own = header.get("place")
+            place = Place.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except Exception as error:  # zip, header and array errors of a damaged file come in a dozen types
@@ -176,5 +194,6 @@ def load(path: Path) -> Recording:
         conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
+        place=place,
         **arrays,
     )

@@ -18,6 +18,7 @@ from skope.gen.parked import Parked, parked
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
 from skope.gen.towns.parking import Bay
+from skope.gen.towns.place import know
 from skope.gen.towns.scenery import scenery
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
@@ -59,9 +60,10 @@ def versions() -> dict[str, str]:
 def simulate(plan: RecordingPlan) -> Recording:
     """Run traffic and physics, and record every frame of the plan."""
     site = plan.site
+    know(site.place)
     rng = np.random.default_rng([plan.seed, zlib.crc32(site.name.encode()), plan.index])
     warm_up = round(rng.uniform(*WARM_UP) / STEP)
-    conditions = Conditions.drawn(ranges(site.weather, site.time_of_day, plan.settings), rng)
+    conditions = Conditions.drawn(ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings}), rng)
     camera = site.camera(plan.size, plan.fov_deg, conditions.k1)
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
     models = _models(plan)
@@ -73,7 +75,12 @@ def simulate(plan: RecordingPlan) -> Recording:
     duration = (warm_up + settle + plan.frames * stride) * STEP
     with (
         Traffic(
-            network(site.town), models, vehicles_per_hour=site.vehicles_per_hour, duration=duration, rng=rng
+            network(site.town),
+            models,
+            vehicles_per_hour=site.vehicles_per_hour,
+            duration=duration,
+            rng=rng,
+            flows=site.flows,
         ) as traffic,
         World(STEP) as world,
     ):
@@ -238,4 +245,5 @@ class _Log:
             T_world_wheels=np.array([pose.T_world_wheels for pose in poses]).reshape(-1, 4, 4, 4),
             velocity=np.array([pose.velocity for pose in poses]).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
+            place=site.place,
         )

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.demand import RIDERS, Trip, trips, write_types
+from skope.gen.flows import scheduled
 from skope.gen.vehicles import FleetEntry
 
 STEP: Final = 0.025
@@ -102,9 +103,15 @@ class Traffic:
         vehicles_per_hour: float,
         duration: float,
         rng: np.random.Generator,
+        flows: str = "",
     ) -> None:
+        """`flows` is a route file's text, in place of a density."""
         self._network, self._fleet, self._rng = network, fleet, rng
-        planned = trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng)
+        planned = (
+            scheduled(flows, network, fleet, duration=duration, rng=rng)
+            if flows
+            else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng)
+        )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._trails: dict[str, _Trail] = {}
 

@@ -60,6 +60,20 @@ class Lens:
         self._jacobian = np.stack([np.gradient(source, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float32)
         """(H, W, 2, 2) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
 
+    def straightened(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What the pinhole camera would show where `rgb` (H, W, 3) is what the lens shows; its rim goes on outwards."""
+        pinhole, camera = self.pinhole, self._camera
+        columns, rows = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
+        ideal, _ = pinhole.rays(np.stack([columns, rows], axis=-1))
+        distorted, monotonic = camera.distortion.distort(ideal[..., :2])
+        source = np.where(monotonic[..., None], distorted @ camera.K[:2, :2].T + camera.K[:2, 2], -1.0)
+        x, y = (source[..., k].astype(np.float32) - np.float32(0.5) for k in (0, 1))
+        return np.asarray(cv2.remap(rgb, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
+
+    def bent(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A picture of the pinhole camera as the lens shows it."""
+        return np.asarray(cv2.remap(rgb, self._columns, self._rows, cv2.INTER_LINEAR), dtype=np.uint8)
+
     def bend(self, view: View) -> View:
         """The view as the lens shows it; depth and ids are those of the nearest pixel, depth carried on its slope."""
         depth = view.depth.reshape(-1)[self._nearest]
@@ -70,7 +84,7 @@ class Lens:
         shift = np.where(finite, (slope * self._off).sum(-1), np.float32(0))
         moved = np.where(finite, z / np.maximum(1 - shift / z, np.float32(0.5)), depth)
         return View(
-            rgb=np.asarray(cv2.remap(view.rgb, self._columns, self._rows, cv2.INTER_LINEAR), dtype=np.uint8),
+            rgb=self.bent(view.rgb),
             depth=moved,
             slope=np.einsum("hwi,hwij->hwj", slope, self._jacobian),
             ids=view.ids.reshape(-1)[self._nearest],

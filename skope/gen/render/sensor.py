@@ -16,6 +16,8 @@ from skope.gen.render.lens import Lens
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""
 _SLACK: Final = 256
+_ROUNDING: Final = 2
+"""A picture that differs by less was not drawn over, of 255."""
 
 
 class Sensor:
@@ -25,13 +27,23 @@ class Sensor:
         """`make` is given the recording with a camera that has no distortion."""
         self._recording = recording
         self._lens = None if recording.camera.distortion.model == "none" else Lens(recording.camera)
-        self._clean = make(replace(recording, camera=self._lens.pinhole) if self._lens else recording)
+        seen, self._bent = recording, None
+        if self._lens:
+            photograph = recording.photograph
+            straight = None if photograph is None else self._lens.straightened(photograph)
+            self._bent = None if straight is None else self._lens.bent(straight)
+            seen = replace(recording, camera=self._lens.pinhole, photograph=straight)
+        self._clean = make(seen)
 
     def render(self, frame: int) -> View:
         """Draw a frame; its contrast is in units of the noise's sigma."""
         view = self._clean.render(frame)
         if self._lens:
             view = self._lens.bend(view)
+        if self._recording.photograph is not None and self._bent is not None:
+            # The photograph itself where nothing was drawn over it, for going through two warps blurs it.
+            untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= _ROUNDING
+            view = replace(view, rgb=np.where(untouched, self._recording.photograph, view.rgb))
         sigma = max(self._recording.conditions.noise, LEAST_NOISE)
         return replace(view, rgb=with_noise(view.rgb, self._recording, frame), contrast=view.contrast / sigma)
 

@@ -162,6 +162,9 @@ class TinyRenderer:
         stage.close()
         is_ground = np.array([*(name in GROUND for name in stage.parts), False])  # part -1, the sky, is the last
         ground = is_ground[layer.part]
+        if (photograph := self._recording.photograph) is not None:
+            fine = photograph.repeat(FINE, axis=0).repeat(FINE, axis=1)
+            return _Layer(0, 0, fine, layer.depth, layer.part), ground
         rows, columns = np.mgrid[: layer.depth.shape[0], : layer.depth.shape[1]]
         pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
         rgb = layer.rgb.astype(np.float32)

@@ -4,13 +4,16 @@ import hashlib
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
+from skope.gen.towns import place as places
+from skope.gen.towns.place import Place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +37,21 @@ class Site:
     """Over all ways into the town."""
     weather: str
     time_of_day: str
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges of conditions in place of those of weather and hour."""
+    flows: str = ""
+    """Traffic as a SUMO route file has it, in place of `vehicles_per_hour`."""
+    place: Place | None = None
+    """Of a user's own site."""
 
     def camera(self, size: tuple[int, int], fov_deg: float, k1: float = 0.0) -> Camera:
-        """The site's camera for an image size (width, height), a field of view and a radial distortion."""
+        """The site's camera for an image size (width, height), a field of view and a radial distortion.
+
+        A user's own camera has its own field of view, and its own distortion where that is known.
+        """
+        if self.place:
+            own = self.place.camera.resized(size)
+            return replace(own, distortion=Distortion("brown", (k1, 0.0, 0.0, 0.0))) if k1 else own
         return Camera.looking(
             self.position,
             yaw=math.radians(self.yaw_deg),
@@ -83,6 +98,30 @@ def site(name: str) -> Site:
     return sites()[name]
 
 
+def sites_of(town: str) -> tuple[Site, ...]:
+    """The cameras whose views a town's scenery keeps clear."""
+    own = places.known(town)
+    if own is None:
+        return tuple(site for site in sites().values() if site.town == town)
+    return (site_of(own, split="", vehicles_per_hour=0.0, weather="", time_of_day=""),)
+
+
+def site_of(own: Place, **values: Any) -> Site:
+    """The site of a user's own camera."""
+    x, y, z = own.camera.position.tolist()
+    return Site(
+        name=own.title,
+        town=own.name,
+        mounting="",
+        sees="",
+        position=(x, y, z),
+        yaw_deg=math.degrees(own.yaw),
+        pitch_deg=math.degrees(own.pitch_down),
+        place=own,
+        **values,
+    )
+
+
 def network(town: str) -> Path:
     """The town's compiled SUMO network."""
-    return folder(town) / "town.net.xml"
+    return places.network_file(town) if places.known(town) else folder(town) / "town.net.xml"

@@ -156,7 +156,9 @@ class Taken:
 
 def _row(layout: Layout, edge: Any, s: float) -> Row | None:
     distance = layout.centre_distance(beside(edge, s, 0.0)[0])
-    rows = (row for row in layout.style.rows if edge.getType() in row.roads and distance < row.within)
+    rows = (
+        row for row in layout.style.rows if (not row.roads or edge.getType() in row.roads) and distance < row.within
+    )
     return next(rows, None)
 
 

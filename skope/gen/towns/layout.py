@@ -1,9 +1,11 @@
 """Where things may stand in a town: the carriageway, what lies beside it, and what its cameras must see."""
 
 import itertools
+import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -14,7 +16,9 @@ from shapely import LineString, MultiPolygon, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.towns import Site, network, sites
+from skope.gen.towns import Site, network, sites_of
+from skope.gen.towns.lefthand import is_lefthand, mirrored
+from skope.gen.towns.place import known
 from skope.gen.towns.style import Road, Style, style
 from skope.gen.towns.terrain import Ground, Lanes
 
@@ -35,6 +39,8 @@ BARRIER: Final = 1.5
 """Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
 ISLAND: Final = 20.0
 """Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
+REACH: Final = 600.0
+"""Of a user's own network, roads nearer to the camera than this get scenery, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +51,40 @@ class Layout:
     net: Any
     style: Style
     sites: tuple[Site, ...]
+    mirrored: bool = False
+    """Whether all this is seen in the mirror of left-hand traffic (see `lefthand`)."""
 
     @classmethod
     def of(cls, town: str) -> "Layout":
-        net = sumolib.net.readNet(str(network(town)), withInternal=True)
-        return cls(town, net, style(town), tuple(site for site in sites().values() if site.town == town))
+        path, cameras = network(town), sites_of(town)
+        if not is_lefthand(path.read_bytes()):
+            return cls(town, _read(path), style(town), cameras)
+        with tempfile.TemporaryDirectory() as folder:
+            seen = Path(folder) / path.name
+            seen.write_bytes(mirrored(path.read_bytes()))
+            return cls(town, _read(seen), style(town), tuple(map(_mirrored_site, cameras)), mirrored=True)
+
+    def world(self, places: ArrayLike) -> Array:
+        """Places (..., 2 or 3) or directions of the layout in the world, or the other way round."""
+        out = np.array(places, dtype=np.float64)
+        if self.mirrored:
+            out[..., 1] *= -1
+        return out
 
     # ------------------------------------------------------------------------------------------------------- network
 
     @cached_property
     def edges(self) -> list[Any]:
         """Edges that vehicles drive on."""
-        return [edge for edge in self.net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
+        edges = [edge for edge in self.net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
+        if known(self.town) is None:
+            return edges
+        around = unary_union([Point(site.position[:2]).buffer(REACH) for site in self.sites])
+        return [edge for edge in edges if any(LineString(lane.getShape()).intersects(around) for lane in driven(edge))]
 
     def kind(self, edge: Any) -> Road:
         """What belongs to an edge."""
-        return self.style.roads[edge.getType()]
+        return self.style.roads.get(edge.getType(), self.style.road)
 
     def edges_of(self, form: str) -> list[Any]:
         return [edge for edge in self.edges if self.kind(edge).form == form]
@@ -68,7 +92,12 @@ class Layout:
     @cached_property
     def _ground_nodes(self) -> list[Any]:
         """Nodes that are not on a deck."""
-        return [node for node in self.net.getNodes() if any(self.kind(edge).form != "bridge" for edge in legs(node))]
+        near = set(self.edges)
+        return [
+            node
+            for node in self.net.getNodes()
+            if any(self.kind(edge).form != "bridge" and edge in near for edge in legs(node))
+        ]
 
     # ------------------------------------------------------------------------------------------------------- regions
 
@@ -184,6 +213,12 @@ class Layout:
         seen = places[shapely.contains_xy(self.ground_road, places)]
         return float(np.median(self.ground.road(seen)))
 
+    def road_level(self, center: ArrayLike) -> float:
+        """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
+        points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
+        away = np.hypot(*(points[:, :2] - self.world(center)).T)
+        return float(np.median(points[away <= max(NEAR, away.min()), 2]))
+
     def height(self, place: ArrayLike) -> float:
         """Of what one stands on at a place (2,) beside the carriageway, metres."""
         return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
@@ -204,6 +239,15 @@ class Layout:
         )
 
 
+def _read(path: Path) -> Any:
+    return sumolib.net.readNet(str(path), withInternal=True)
+
+
+def _mirrored_site(site: Site) -> Site:
+    x, y, z = site.position
+    return replace(site, position=(x, -y, z), yaw_deg=-site.yaw_deg)
+
+
 def driven(edge: Any) -> list[Any]:
     """An edge's lanes that cars may drive on, from right to left."""
     return [lane for lane in edge.getLanes() if lane.allows("passenger")]
@@ -221,8 +265,9 @@ def joins(edge: Any) -> int:
 
 def is_minor(edge: Any) -> bool:
     """Whether an edge's traffic gives way where it ends."""
-    lane = driven(edge)[0]
-    return any(connection.getState() in ("m", "s", "w") for connection in lane.getOutgoing())
+    connections = driven(edge)[0].getOutgoing()
+    # Whoever turns left from a main road gives way too.
+    return bool(connections) and all(connection.getState() in ("m", "s", "w") for connection in connections)
 
 
 def is_signalled(edge: Any) -> bool:

@@ -1,16 +1,18 @@
 """Scenery grown from a SUMO network, the same for the same network: roads, houses, trees, street furniture, signals."""
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
+from skope.gen.towns.backdrop import backdrop
 from skope.gen.towns.furniture import furniture
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
@@ -18,6 +20,7 @@ from skope.gen.towns.horizon import horizon
 from skope.gen.towns.houses import car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
 from skope.gen.towns.layout import Layout, driven, right_of
 from skope.gen.towns.parking import Bay, lot_bays
+from skope.gen.towns.place import known
 from skope.gen.towns.solid import Solid
 from skope.gen.towns.structures import structures
 from skope.gen.towns.trees import plant, tree_meshes
@@ -61,7 +64,9 @@ def scenery(town: str) -> Scenery:
     if town == STUDIO:
         r = STUDIO_RADIUS
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
-    layout = Layout.of(town)
+    layout, own = Layout.of(town), known(town)
+    if own and own.photograph:
+        return Scenery(backdrop(layout, own), ())
     # A generator of its own for each part, so that a change of one leaves the others as they are.
     rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.encode())).spawn(len(_PARTS)), strict=True))
     houses = plots(layout, rng["plots"])
@@ -86,7 +91,20 @@ def scenery(town: str) -> Scenery:
     ]
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses))
-    return Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns, bays)
+    grown = Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns, bays)
+    return _out_of_mirror(grown) if layout.mirrored else grown
+
+
+def _out_of_mirror(seen: Scenery) -> Scenery:
+    """Scenery as the world has it, of scenery that was grown in the mirror of left-hand traffic."""
+    flip = np.array([1.0, -1.0, 1.0])
+    return Scenery(
+        seen.mesh.mirrored(),
+        tuple(replace(signal, lamps=signal.lamps * flip, facing=signal.facing * flip) for signal in seen.signals),
+        tuple(shapely.affinity.scale(footprint, 1.0, -1.0, origin=(0, 0)) for footprint in seen.buildings),
+        tuple((x, -y, reach) for x, y, reach in seen.trees),
+        tuple(Bay((bay.place[0], -bay.place[1]), -bay.heading) for bay in seen.bays),
+    )
 
 
 _PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")
@@ -120,6 +138,8 @@ def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
     for program in layout.net.getTrafficLights():
         links = {lane.getEdge().getID(): (lane.getEdge(), link) for lane, _, link in reversed(program.getConnections())}
         for edge, link in links.values():
+            if edge not in layout.edges:
+                continue
             lanes = driven(edge)
             shape = np.array(lanes[0].getShape())
             heading = float(np.arctan2(*(shape[-1] - shape[-2])[::-1]))

@@ -20,7 +20,8 @@ _SPACING: Final = 5.0
 
 def sidewalks(town: str, center: tuple[float, float], reach: float) -> list[Array]:
     """Middles (N, 3) of the sidewalks within `reach` metres of a place."""
-    layout, around = Layout.of(town), Point(center).buffer(reach)
+    layout = Layout.of(town)
+    around = Point(layout.world(center)).buffer(reach)
     out = []
     widths = sorted({layout.kind(edge).sidewalk for edge in layout.edges} - {0.0})
     for width in widths:
@@ -34,7 +35,7 @@ def sidewalks(town: str, center: tuple[float, float], reach: float) -> list[Arra
         ]
         own = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
         middle = shapely.line_merge(layout.road.buffer(beyond).boundary.intersection(own))
-        out += [_path(layout, line) for line in _lines(middle) if line.length > _SHORTEST]
+        out += [layout.world(_path(layout, line)) for line in _lines(middle) if line.length > _SHORTEST]
     return out
 
 

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any, Literal
 
 from skope.gen.towns import folder
+from skope.gen.towns.place import known
 
 Range = tuple[float, float]
 
@@ -84,8 +85,8 @@ class Kind:
 class Row:
     """What lines some of the roads; of a town's rows the first that fits a place counts."""
 
-    roads: tuple[str, ...]
-    """SUMO edge types."""
+    roads: tuple[str, ...] = ()
+    """SUMO edge types; none for all."""
     within: float = 1e9
     """Distance from the nearest signalled junction, metres."""
     kinds: Mapping[str, float]
@@ -132,6 +133,9 @@ class Style:
     """Height of kerbs, metres; 0 for roads without."""
     terrain: Terrain = Terrain()
     roads: Mapping[str, Road]
+    """By SUMO edge type."""
+    road: Road = Road()
+    """What belongs to all other edges."""
     rows: tuple[Row, ...]
     behind: Mapping[str, float] = field(default_factory=dict)
     """Shares of building kinds behind the rows."""
@@ -172,20 +176,23 @@ def style(town: str) -> Style:
     row = _read(town)
     own = row.pop("kinds", {})
     shared = tomllib.loads(folder("buildings.toml").read_text(encoding="utf-8"))
-    used = {name for part in (*row["rows"], {"kinds": row.get("behind", {})}) for name in part["kinds"]}
+    used = {name for part in (*row.get("rows", []), {"kinds": row.get("behind", {})}) for name in part["kinds"]}
     return Style(
         terrain=Terrain(**_fixed(row.pop("terrain", {}))),
-        roads={name: Road(**values) for name, values in row.pop("roads").items()},
+        roads={name: Road(**values) for name, values in row.pop("roads", {}).items()},
+        road=Road(**row.pop("road", {})),
         kinds={name: Kind(**_fixed({**shared.get(name, {}), **own.get(name, {})})) for name in sorted(used)},
-        rows=tuple(Row(**_fixed(values)) for values in row.pop("rows")),
-        planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting")),
+        rows=tuple(Row(**_fixed(values)) for values in row.pop("rows", [])),
+        planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting", [])),
         gantries=tuple(Gantry(**_fixed(values)) for values in row.pop("gantries", [])),
         **_fixed(row),
     )
 
 
 def _read(town: str) -> dict[str, Any]:
-    return tomllib.loads((folder(town) / "town.toml").read_text(encoding="utf-8"))
+    own = known(town)
+    path = folder(town) / "town.toml" if own is None else folder("bare.toml" if own.photograph else "generic.toml")
+    return tomllib.loads((own and own.style) or path.read_text(encoding="utf-8"))
 
 
 def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -88,7 +88,13 @@ class Ground:
     @cached_property
     def flat(self) -> bool:
         """Whether everything is at height 0."""
-        return self._driven.level == 0.0 and not self._style.waves and self._style.level == 0.0
+        return self.level == 0.0
+
+    @property
+    def level(self) -> float | None:
+        """The height of everything, when there is only one."""
+        same = self._driven.level == self._style.level and not self._style.waves
+        return self._style.level if same else None
 
     def road(self, places: Array) -> Array:
         """(N,) heights of the carriageway at places (N, 2)."""

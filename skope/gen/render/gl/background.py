@@ -13,6 +13,7 @@ from skope.gen.recording import Recording
 from skope.gen.render import SKY, STATIC
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import light as lighting
+from skope.gen.render.gl import photograph
 from skope.gen.render.gl.cache import cached
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
@@ -50,9 +51,10 @@ class Background:
 def light_the_scenery(device: Device, recording: Recording) -> Background:
     """Work out the light of a recording's scenery."""
     camera, daylight = recording.camera, Daylight.of(recording.conditions)
+    if recording.place and recording.place.photograph:
+        daylight = photograph.fitted(device, daylight, recording.place)
     size = (camera.width, camera.height)
     stage = Stage(device, scenery(recording.town).mesh, camera, daylight)
-    light = cached(_digest(device, recording), stage.light)
 
     geometry = device.target(size, ["4f4"])
     stage.draw_geometry(geometry)
@@ -62,8 +64,14 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
     sun_map = device.shadow_map(sun_map_size(camera))
     clip, sun_map_from = light_projection(daylight.sun_direction, stage.focus, SHADOW_RADIUS)
-    stage.draw_depth(sun_map, clip)
-    ambient, sunlit = _develop(stage, light, geometry.color_attachments[0])
+    if recording.photograph is None:
+        stage.draw_depth(sun_map, clip)
+        light = cached(_digest(device, recording), stage.light)
+        ambient, sunlit = _develop(stage, light, geometry.color_attachments[0])
+    else:
+        # Its shadows are in the picture already.
+        sun_map.clear()
+        ambient, sunlit = photograph.shown(device, recording, daylight)
     textures = {
         "u_ambient": ambient,
         "u_sunlit": sunlit,

@@ -1,0 +1,137 @@
+"""A camera's pose, and its focal length where that is unknown, from points that are known in image and world."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope.camera import Camera, Distortion
+from skope.errors import UserError
+
+Array = NDArray[np.float64]
+
+FEWEST: Final = 4
+_FOCAL: Final = np.geomspace(0.3, 8.0, 48)
+"""Focal lengths that are tried first, as multiples of the image's width: fields of view from 118 to 7 degrees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A camera fitted to control points."""
+
+    camera: Camera
+    errors_px: Array
+    """(N,) how far each point is from where the camera projects it."""
+
+    @property
+    def rms_px(self) -> float:
+        return float(np.sqrt((self.errors_px**2).mean()))
+
+
+def fit_camera(
+    pixels: ArrayLike,
+    points_world: ArrayLike,
+    size: tuple[int, int],
+    *,
+    K: Array | None = None,
+    distortion: Distortion | None = None,
+) -> Fit:
+    """The camera that projects world points (N, 3) to pixels (N, 2) with the least sum of squared distances.
+
+    Without `K` the principal point is the image's middle and the focal length is estimated too. Raises UserError for
+    fewer than four points, points on one line, or points that no camera sees so.
+    """
+    uv, xyz = np.asarray(pixels, dtype=np.float64), np.asarray(points_world, dtype=np.float64)
+    lens = distortion or Distortion()
+    if len(uv) < FEWEST:
+        raise UserError(f"control points: expected {FEWEST} or more, got {len(uv)}")
+    if np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] < 1e-3:
+        raise UserError("control points: they lie on one line")
+    known = K is not None
+    tried = [K] if K is not None else [_centred(size, share * size[0]) for share in _FOCAL]
+    fits = [fit for own in tried if (fit := _posed(uv, xyz, size, own, lens)) is not None]
+    if not fits:
+        raise UserError("control points: no camera sees them so; are some swapped?")
+    best = min(fits, key=lambda fit: fit.rms_px)
+    return _refined(best, uv, xyz, focal=not known)
+
+
+def _centred(size: tuple[int, int], focal: float) -> Array:
+    return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
+
+
+def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: Distortion) -> Fit | None:
+    """The best pose for given intrinsics; None when there is none."""
+    rays, valid = Camera(*size, K, np.eye(4), distortion).rays(uv)
+    if not valid.all():
+        raise UserError("control points: a pixel lies beyond what the distortion can undo")
+    middle = xyz.mean(axis=0)
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            xyz - middle, rays[:, :2].copy(), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+        )
+    except cv2.error:
+        return None
+    fits = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        T = np.eye(4)
+        T[:3, :3] = cv2.Rodrigues(turn)[0]
+        T[:3, 3] = shift.ravel() - T[:3, :3] @ middle
+        fit = _measured(Camera(*size, K, T, distortion), uv, xyz)
+        if fit is not None:
+            fits.append(fit)
+    return min(fits, key=lambda fit: fit.rms_px, default=None)
+
+
+def _measured(camera: Camera, uv: Array, xyz: Array) -> Fit | None:
+    pixels, _, valid = camera.project(xyz)
+    return Fit(camera, np.linalg.norm(pixels - uv, axis=1)) if valid.all() else None
+
+
+def _refined(fit: Fit, uv: Array, xyz: Array, *, focal: bool) -> Fit:
+    """Levenberg and Marquardt's method on the distances in the image, over pose and (with `focal`) focal length."""
+    middle, weight = xyz.mean(axis=0), 1e-3
+    for _ in range(200):
+        residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + weight * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual)
+        moved = _measured(_moved(fit.camera, step.astype(np.float64), middle), uv, xyz)
+        if moved is not None and moved.rms_px <= fit.rms_px:
+            done = fit.rms_px - moved.rms_px < 1e-12 and weight < 1e-6
+            fit, weight = moved, max(weight / 5, 1e-12)
+            if done:
+                break
+        else:
+            weight *= 5
+            if weight > 1e9:
+                break
+    return fit
+
+
+def _linearised(camera: Camera, uv: Array, xyz: Array, middle: Array, focal: bool) -> tuple[Array, Array]:
+    """(2N,) residuals in pixels and their (2N, 6 or 7) derivatives."""
+    residual = (camera.project(xyz)[0] - uv).ravel()
+    distance = float(np.linalg.norm(camera.to_camera(middle)))
+    columns = []
+    for k in range(7 if focal else 6):
+        step: Array = np.zeros(7 if focal else 6)
+        step[k] = 1e-6 * (distance if 3 <= k < 6 else 1.0)
+        ahead, behind = (_moved(camera, np.asarray(sign * step), middle).project(xyz)[0] for sign in (1, -1))
+        columns.append((ahead - behind).ravel() / (2 * step[k]))
+    return residual, np.stack(columns, axis=1)
+
+
+def _moved(camera: Camera, step: Array, middle: Array) -> Camera:
+    """A camera turned by a small vector about the points' middle, shifted, and with its focal length scaled."""
+    T = camera.T_camera_world.copy()
+    u, _, v = np.linalg.svd(cv2.Rodrigues(step[:3])[0] @ T[:3, :3])
+    shifted = T[:3, :3] @ middle + T[:3, 3] + step[3:6]
+    T[:3, :3] = u @ v
+    T[:3, 3] = shifted - T[:3, :3] @ middle
+    K = camera.K.copy()
+    if len(step) > 6:
+        K[[0, 1], [0, 1]] *= math.exp(float(step[6]))
+    return Camera(camera.width, camera.height, K, T, camera.distortion)

@@ -1,0 +1,103 @@
+"""A photograph of the empty road in place of lit scenery, and the light that vehicles need to fit into it."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from skope.gen.recording import Recording
+from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl.context import Device, linear, put
+from skope.gen.render.materials import MATERIALS
+from skope.gen.towns.layout import Layout
+from skope.gen.towns.place import Place
+
+Array = NDArray[np.float64]
+
+_ROAD: Final = linear(np.array(MATERIALS["asphalt_worn"]))
+"""(3,) share of the light that a road returns."""
+_NEAR: Final = 80.0
+"""The road is measured nearer to the camera than this, metres."""
+_STOPS: Final = (-16.0, 4.0)
+"""Range of the light that the camera's curve is tabulated for, powers of two."""
+_STEPS: Final = 4096
+_TINT: Final = (0.6, 1.6)
+"""How far the colour of the light may be from that of the hour."""
+
+
+def fitted(device: Device, daylight: Daylight, place: Place) -> Daylight:
+    """Daylight whose colour and exposure give the road the brightness that it has in the photograph.
+
+    Where the photograph shows no road nearby, its whole lower half counts as one.
+    """
+    picture = place.picture((place.camera.width, place.camera.height))
+    seen = light_of(device, picture[_road_pixels(place)])
+    gain = np.maximum(np.median(seen, axis=0), 1e-4) * np.pi / (_ROAD * daylight.ground_irradiance)
+    tint = np.clip(gain / gain.mean(), *_TINT)
+    light = replace(
+        daylight,
+        sun=daylight.sun * tint,
+        zenith=daylight.zenith * tint,
+        horizon=daylight.horizon * tint,
+        exposure_ev=0.0,
+        vignetting=0.0,
+    )
+    wanted = np.median(seen, axis=0).mean() * np.pi / (_ROAD * light.ground_irradiance).mean()
+    return replace(light, exposure_ev=float(np.log2(wanted / light.exposure)))
+
+
+def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any, Any]:
+    """Textures of the photograph's light from sky and sun: as much from each as level ground has under that daylight.
+
+    Together they show the photograph; where a vehicle takes the sun, what the sky gives is left.
+    """
+    assert recording.photograph is not None
+    light = light_of(device, recording.photograph)
+    sun = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
+    one = np.ones((*light.shape[:2], 1))
+    parts = (np.concatenate([light * share, one], axis=-1) for share in (1 - sun, sun))
+    ambient, sunlit = (device.texture(part, "f2") for part in parts)
+    return ambient, sunlit
+
+
+def light_of(device: Device, rgb: NDArray[np.uint8]) -> Array:
+    """(..., 3) exposed light, before the camera's curve, that is shown as these colours."""
+    return _inverse_curve(device)[rgb]
+
+
+@cache
+def _inverse_curve(device: Device) -> Array:
+    """(256,) light for each value of a picture: the shaders' own curve, turned round."""
+    program = device.program("screen.vert.glsl", "curve.frag.glsl")
+    target = device.target((_STEPS, 1), ["4f4"], depth=False)
+    low, high = _STOPS
+    put(program, {"u_size": [_STEPS, 1], "u_jitter": [0.0, 0.0], "u_low": low, "u_high": high})
+    target.use()
+    device.context.enable_only(device.gl.NOTHING)
+    device.screen(program)
+    values = np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(-1, 4)[:, 0]
+    stops = np.interp(np.minimum(np.arange(256), 254.6) / 255, values, np.linspace(low, high, _STEPS))
+    return np.concatenate([[0.0], 2.0 ** stops[1:]])
+
+
+def _road_pixels(place: Place) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of pixels, some in each direction, that show the carriageway."""
+    camera, layout = place.camera, Layout.of(place.name)
+    step = max(1, camera.width // 320)
+    rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
+    rays, valid = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+    directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
+    level = layout.road_level(eye[:2])
+    down = valid & (directions[:, 2] < -1e-3)
+    reach = (level - eye[2]) / np.where(down, directions[:, 2], -1.0)
+    places = eye[:2] + reach[:, None] * directions[:, :2]
+    near = down & (np.linalg.norm(places - eye[:2], axis=1) < _NEAR)
+    on_road = near & shapely.contains_xy(layout.ground_road, layout.world(places))
+    hidden = shapely.unary_union([shapely.Polygon(one.polygon) for one in place.occluders])
+    chosen = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)
+    if not chosen.any():
+        chosen = rows >= camera.height / 2
+    return rows[chosen], columns[chosen]

@@ -1,0 +1,36 @@
+"""Where the sun stands at a moment and a place on earth."""
+
+import math
+from datetime import UTC, datetime
+from typing import Final
+
+_EPOCH: Final = datetime(2000, 1, 1, 12, tzinfo=UTC)
+
+
+def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+    """Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
+
+    `when` knows its time zone. Formulas: the Astronomical Almanac's low-precision sun (0.01 degrees until 2050),
+    without refraction.
+    """
+    days = (when - _EPOCH).total_seconds() / 86400
+    anomaly = math.radians(357.528 + 0.9856003 * days)
+    longitude = math.radians(280.460 + 0.9856474 * days + 1.915 * math.sin(anomaly) + 0.020 * math.sin(2 * anomaly))
+    tilt = math.radians(23.439 - 4e-7 * days)
+    declination = math.asin(math.sin(tilt) * math.sin(longitude))
+    ascension = math.atan2(math.cos(tilt) * math.sin(longitude), math.cos(longitude))
+    sidereal = math.radians(280.46062 + 360.985647366 * days + longitude_deg)
+    hour, latitude = sidereal - ascension, math.radians(latitude_deg)
+    up = math.sin(latitude) * math.sin(declination) + math.cos(latitude) * math.cos(declination) * math.cos(hour)
+    east = -math.cos(declination) * math.sin(hour)
+    north = math.cos(latitude) * math.sin(declination) - math.sin(latitude) * math.cos(declination) * math.cos(hour)
+    return math.degrees(math.asin(up)), math.degrees(math.atan2(north, east)) % 360
+
+
+def time_of_day(elevation_deg: float, azimuth_deg: float) -> str:
+    """What annotations call the hour at which the sun stands so."""
+    if elevation_deg < 0:
+        return "night"
+    if elevation_deg < 10:
+        return "dawn" if azimuth_deg < 90 or azimuth_deg >= 270 else "dusk"
+    return "low_sun" if elevation_deg < 30 else "noon"

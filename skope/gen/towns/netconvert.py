@@ -1,0 +1,70 @@
+"""SUMO's netconvert: compiles the towns' networks and converts maps of others."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from skope.errors import UserError
+
+COMMON: Final[Mapping[str, str]] = {
+    "output.street-names": "false",
+    "offset.disable-normalization": "true",
+    "default.lanewidth": "3.3",
+    "tls.yellow.time": "3",
+    "no-turnarounds": "true",
+    "junctions.corner-detail": "8",
+    "junctions.internal-link-detail": "12",
+}
+_MAP: Final[Mapping[str, str]] = {
+    "geometry.remove": "true",
+    "ramps.guess": "true",
+    "junctions.join": "true",
+    "tls.discard-simple": "true",
+    "roundabouts.guess": "true",
+    "keep-edges.by-vclass": "passenger",
+}
+_HEADER: Final = re.compile(r"<!--.*?-->", re.DOTALL)
+
+
+def program() -> str | None:
+    """The netconvert beside this Python, or the one in the path; None without any."""
+    beside = Path(sys.executable).with_name("netconvert")
+    return str(beside) if beside.is_file() else shutil.which("netconvert")
+
+
+def netconvert(options: Mapping[str, str], header: str = "") -> str:
+    """The network that netconvert makes with some options, a comment in place of its header with date and paths.
+
+    Raises UserError with what it says when it fails, and when it is not there.
+    """
+    command = program()
+    if command is None:
+        raise UserError('netconvert is not installed: pip install "skope[maps]"')
+    with tempfile.TemporaryDirectory() as scratch:
+        made = Path(scratch) / "made.net.xml"
+        flags = [f"--{name}={value}" for name, value in {**options, "output-file": str(made)}.items()]
+        done = subprocess.run([command, *flags], capture_output=True, text=True, check=False)
+        if done.returncode or not made.is_file():
+            errors = [line for line in done.stderr.splitlines() if line.startswith("Error")]
+            raise UserError(f"netconvert: {(errors or ['Error: failed'])[0].removeprefix('Error: ')}")
+        return _HEADER.sub(f"<!-- {header} -->" if header else "", made.read_text(encoding="utf-8"), count=1)
+
+
+def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool) -> str:
+    """The network of an OpenStreetMap ("osm") or OpenDRIVE ("opendrive") file.
+
+    World coordinates of the former are metres east and north of `origin` (latitude, longitude in degrees).
+    """
+    options = {**COMMON, **_MAP, f"{kind}-files": str(path)}
+    if lefthand:
+        options["lefthand"] = "true"
+    if kind == "osm":
+        assert origin is not None
+        latitude, longitude = origin
+        options["proj"] = f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +ellps=WGS84 +units=m +no_defs"
+    return netconvert(options)

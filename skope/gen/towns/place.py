@@ -1,0 +1,124 @@
+"""A road of a user's own: what its traffic and scenery come from, small enough for plans and recordings to carry."""
+
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """Something in the photograph that stands before the traffic."""
+
+    polygon: tuple[tuple[float, float], ...]
+    """Its outline, pixels of the camera's image."""
+    distance: float
+    """Planar depth, metres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """One camera's road. Its name holds a digest of all the rest: equal names, equal places."""
+
+    title: str
+    network: bytes
+    """A SUMO network (.net.xml)."""
+    style: str
+    """A `town.toml`; empty for the generic one."""
+    camera: Camera
+    photograph: bytes = b""
+    """Of the empty road, as an image file of the camera's size or a multiple; empty to grow scenery instead."""
+    occluders: tuple[Occluder, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What recordings and annotations call the town."""
+        return _name(self)
+
+    @property
+    def yaw(self) -> float:
+        """Viewing direction, counter-clockwise from east, radians."""
+        ahead = self.camera.T_camera_world[2, :3]
+        return math.atan2(ahead[1], ahead[0])
+
+    @property
+    def pitch_down(self) -> float:
+        return math.asin(float(np.clip(-self.camera.T_camera_world[2, 2], -1, 1)))
+
+    def picture(self, size: tuple[int, int]) -> Image:
+        """(H, W, 3) RGB photograph at an image size (width, height)."""
+        bgr = cv2.imdecode(np.frombuffer(self.photograph, dtype=np.uint8), cv2.IMREAD_COLOR)
+        assert bgr is not None
+        smaller = size[0] < bgr.shape[1]
+        sized = cv2.resize(bgr, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
+        return np.asarray(cv2.cvtColor(sized, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+    def header(self) -> dict[str, Any]:
+        """What JSON can hold of it."""
+        return {
+            "title": self.title,
+            "style": self.style,
+            "size": [self.camera.width, self.camera.height],
+            "camera": self.camera.to_dict(),
+            "occluders": [[one.polygon, one.distance] for one in self.occluders],
+        }
+
+    @classmethod
+    def of(cls, header: Mapping[str, Any], network: bytes, photograph: bytes) -> Self:
+        """The place of a `header` and its two files."""
+        return cls(
+            title=header["title"],
+            network=network,
+            style=header["style"],
+            camera=Camera.from_dict(header["camera"], *header["size"]),
+            photograph=photograph,
+            occluders=tuple(Occluder(tuple(map(tuple, polygon)), depth) for polygon, depth in header["occluders"]),
+        )
+
+
+@cache
+def _name(place: Place) -> str:
+    digest = hashlib.sha256(json.dumps(place.header(), sort_keys=True).encode())
+    for data in (place.network, place.photograph):
+        digest.update(hashlib.sha256(data).digest())
+    return f"{place.title}-{digest.hexdigest()[:10]}"
+
+
+_known: Final[dict[str, Place]] = {}
+
+
+def know(place: Place | None) -> None:
+    """From now on this process finds the place by its name."""
+    if place:
+        _known.setdefault(place.name, place)
+
+
+def known(town: str) -> Place | None:
+    """The place of that name; None for the towns of the package."""
+    return _known.get(town)
+
+
+@cache
+def network_file(town: str) -> Path:
+    """A known place's network as a file, for as long as the process lives: SUMO reads nothing else."""
+    path = Path(_scratch().name) / f"{town}.net.xml"
+    path.write_bytes(_known[town].network)
+    return path
+
+
+@cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="skope-")
