@@ -197,6 +197,29 @@ def test_recordings_of_a_site_are_for_training_but_one(own: OwnSite) -> None:
         parameters(own, settings={"k1": (-0.1, 0.0)})
 
 
+@pytest.mark.parametrize("flags", [["--fov", "60"], ["--sites", "t01_mill_corner"]])
+def test_a_site_file_rules_out_what_it_says_itself(
+    flags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*command(tmp_path / "d"), *flags) == 2
+    assert "site.toml" in capsys.readouterr().err
+    assert not (tmp_path / "d").exists()
+
+
+def test_lanes_are_drawn_over_the_photograph(tmp_path: Path, capsys: pytest.CaptureFixture[str], own: OwnSite) -> None:
+    assert run("gen", "sites", "--site", str(EXAMPLE / "site.toml"), "--out", str(tmp_path)) == 0
+    assert "7.6 m over the road" in capsys.readouterr().out
+    drawn = cv2.imread(str(tmp_path / "site.png"))[..., ::-1]
+    lane = Layout.of(own.place.name).net.getLane("-10#0_0")
+    a, b = (np.array(point) for point in lane.getShape3D()[:2])
+    across = np.array([a[1] - b[1], b[0] - a[0], 0]) / np.linalg.norm(b - a) * lane.getWidth() / 2
+    for edge in (a + 0.3 * (b - a) + side * across for side in (-1, 1)):
+        column, row = own.place.camera.project(edge)[0].astype(int)
+        red, _, blue = drawn[row, column].tolist()
+        assert red > 200
+        assert blue < 120
+
+
 # ------------------------------------------------------------------------------------------------- without a photograph
 
 
