@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from skope.errors import UserError
 from skope.gen import recording as recordings
 from skope.gen.annotate import Rules
 from skope.gen.check import check
+from skope.gen.demand import trips
 from skope.gen.flows import scheduled, streams
 from skope.gen.own.site import OwnSite, read_site
 from skope.gen.plan import Parameters, from_preset
@@ -272,7 +274,14 @@ def toml(values: dict) -> str:
 def inline(value: object) -> str:
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key} = {inline(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
     return json.dumps(value)
+
+
+def raised(shape: re.Match[str]) -> str:
+    """A shape in a network, 115 m higher."""
+    return shape[1] + " ".join(f"{point},115.00" for point in shape[2].split())
 
 
 def camera(**change: object) -> dict:
@@ -280,6 +289,7 @@ def camera(**change: object) -> dict:
     return {"camera": {key: value for key, value in values.items() if value is not None}}
 
 
+POLE = {"polygon": [[10, 10], [20, 10], [15, 300]]}
 HUNG = {"position": None, "look_at": None}
 
 
@@ -295,6 +305,11 @@ HUNG = {"position": None, "look_at": None}
         ({"background": "gone.jpg"}, ["background", "gone.jpg"]),
         ({"background": "junction.osm"}, ["background", "not a readable image"]),
         ({"background": "square.png"}, ["background", "100x100", "640x360"]),
+        ({"occluders": [{**POLE, "distance": 9}]}, ["occluders", "background is missing"]),
+        ({"background": "wide.png", "occluders": [{**POLE, "foot": [300, 3]}]}, ["occluders.foot", "ground"]),
+        ({"background": "wide.png", "occluders": [{**POLE, "distance": 9, "hight": 2}]}, ["hight", "unknown"]),
+        ({"lefthand": True}, ["lefthand", "maps"]),
+        ({"network": "high.net.xml"}, ["network", "115 m", "--offset.z -115"]),
         ({"name": "my road"}, ["name", "my road"]),
         ({"splits": []}, ["splits"]),
         ({"flows": "flows.rou.xml"}, ["vehicles_per_hour", "flows"]),
@@ -329,6 +344,9 @@ def test_a_bad_site_gets_one_line(
     for name in ("junction.net.xml", "junction.osm", "flows.rou.xml"):
         shutil.copy(EXAMPLE / name, tmp_path / name)
     (tmp_path / "broken.net.xml").write_text("<net><edge")
+    net = (EXAMPLE / "junction.net.xml").read_text()
+    (tmp_path / "high.net.xml").write_text(re.sub(r"(shape=\")([^\"]+)", raised, net))
+    cv2.imwrite(str(tmp_path / "wide.png"), np.zeros((180, 320, 3), np.uint8))
     cv2.imwrite(str(tmp_path / "square.png"), np.zeros((100, 100, 3), np.uint8))
     (tmp_path / "site.toml").write_text(toml({**BASE, **change}))
     assert (
@@ -454,17 +472,25 @@ def routed(body: str) -> str:
 def test_flows_become_trips_of_the_fleet() -> None:
     text = (EXAMPLE / "flows.rou.xml").read_text()
     rng = np.random.default_rng(1)
-    trips = list(scheduled(text, EXAMPLE / "junction.net.xml", fleet(), duration=1200, rng=rng))
-    times = [trip.depart for trip in trips]
+    planned = list(scheduled(text, EXAMPLE / "junction.net.xml", fleet(), duration=1200, rng=rng))
+    times = [trip.depart for trip in planned]
     assert times == sorted(times)
     assert 0 <= times[0] <= times[-1] < 1200
-    of = {edges: sum(trip.edges == edges for trip in trips) for edges in {trip.edges for trip in trips}}
+    of = {edges: sum(trip.edges == edges for trip in planned) for edges in {trip.edges for trip in planned}}
     assert of["10#0", "10#1"] == pytest.approx(150, abs=1)
     assert of["10#0", "11"] == pytest.approx(72, abs=25)
-    lorries = [trip for trip in trips if trip.edges == ("-10#1", "-10#0")]
+    lorries = [trip for trip in planned if trip.edges == ("-10#1", "-10#0")]
     kinds = {fleet()[trip.model].vehicle.vehicle_type for trip in lorries}
     assert kinds & {"truck", "box_truck"}
     assert not kinds & {"bus", "van"}
+
+
+def test_density_is_that_of_ways_that_pass() -> None:
+    net, rng = EXAMPLE / "junction.net.xml", np.random.default_rng(1)
+    passing = frozenset({"11"})
+    through = list(trips(net, fleet(), vehicles_per_hour=900, duration=400, rng=rng, passing=passing))
+    assert 70 < len(through) < 130
+    assert {trip.edges[-1] for trip in through} == {"11"}
 
 
 def test_single_vehicles_and_named_routes() -> None:
@@ -473,10 +499,10 @@ def test_single_vehicles_and_named_routes() -> None:
         '<vehicle id="a" type="b" depart="5" route="east"/>'
         '<vehicle id="c" depart="7.5"><route edges="-11 -10#0"/></vehicle><trip id="d" depart="9" from="10#0" to="11"/>'
     )
-    trips = list(scheduled(text, EXAMPLE / "junction.net.xml", fleet(), duration=60, rng=np.random.default_rng(0)))
-    assert [trip.depart for trip in trips] == [0, 2.5, 4]
-    assert [trip.edges for trip in trips] == [("10#0", "10#1"), ("-11", "-10#0"), ("10#0", "11")]
-    assert trips[0].model == "cyclist"
+    planned = list(scheduled(text, EXAMPLE / "junction.net.xml", fleet(), duration=60, rng=np.random.default_rng(0)))
+    assert [trip.depart for trip in planned] == [0, 2.5, 4]
+    assert [trip.edges for trip in planned] == [("10#0", "10#1"), ("-11", "-10#0"), ("10#0", "11")]
+    assert planned[0].model == "cyclist"
 
 
 @pytest.mark.parametrize(

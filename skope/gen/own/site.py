@@ -32,7 +32,7 @@ from skope.gen.towns.style import style
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
 """A camera looks at a road when lanes nearer than this are in its image, metres."""
-_LEVEL: Final = 50.0
+_LEVEL: Final = 5.0
 """World heights are counted from about the road: farther from 0 it may not lie, metres."""
 _PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
 """What a photograph has of its own is not added to it."""
@@ -140,11 +140,11 @@ def _network(table: Table) -> bytes:
     path = table.file("network")
     if path is None:
         raise table.wrong("network", "missing")
-    lefthand = table.flag("lefthand")
+    lefthand, height = table.flag("lefthand"), table.number("ground_height", 0.0)
     if path.name.endswith(".net.xml"):
         data = read_bytes(path)
-        if lefthand:
-            raise table.wrong("lefthand", "is for maps; a network says so itself")
+        if lefthand or height:
+            raise table.wrong("lefthand" if lefthand else "ground_height", "is for maps that are converted")
         return data
     suffixes = "".join(path.suffixes).lower()
     kind = "osm" if ".osm" in suffixes else "opendrive" if suffixes.endswith(".xodr") else ""
@@ -152,7 +152,7 @@ def _network(table: Table) -> bytes:
         raise table.wrong("network", f"{path}: expected .net.xml (SUMO), .osm or .osm.xml (OpenStreetMap), .xodr")
     origin = _origin(table, path) if kind == "osm" else None
     try:
-        return from_map(path, kind, origin, lefthand=lefthand).encode()
+        return from_map(path, kind, origin, lefthand=lefthand, height=height).encode()
     except UserError as error:
         raise table.wrong("network", f"{path}: {error}") from None
 
@@ -284,7 +284,11 @@ def _layout(table: Table, place: Place) -> Layout:
         )
     level = layout.road_level(camera.position[:2])
     if abs(level) > _LEVEL:
-        raise table.wrong("network", f"its road is at {level:.0f} m; netconvert --offset.z {-level:.0f} brings it to 0")
+        raise table.wrong(
+            "network",
+            f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "
+            f"--offset.z {-level:.0f}, and count the camera's height from there",
+        )
     if camera.position[2] < level + 0.5:
         raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
     if not layout.seen_by(camera, _SEEN):
