@@ -1,6 +1,6 @@
 """Make camera.yml and empty.jpg of this example: skope draws the road that a photograph would show.
 
-    python make_files.py
+python make_files.py
 """
 
 from dataclasses import replace

@@ -95,9 +95,13 @@ def trips(
     vehicles_per_hour: float,
     duration: float,
     rng: np.random.Generator,
+    passing: frozenset[str] = frozenset(),
 ) -> Iterator[Trip]:
-    """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back."""
-    routes = ways(network)
+    """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back.
+
+    With `passing`, all on ways over one of these edges.
+    """
+    routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
     weights = np.array([weight for _, weight in routes])
     riders = sum(_RIDER_SHARE.values()) * sum(entry.share for entry in models.values())
     users = {name: entry.share for name, entry in models.items()}

@@ -152,7 +152,7 @@ class _Ways:
         import sumolib
 
         self._net: Any = sumolib.net.readNet(str(network))
-        self._routes = {route.get("id"): route for route in root.iter("route")}
+        self._routes = {route.get("id"): route for route in root.iterfind("route")}
 
     def of(self, element: ElementTree.Element) -> tuple[str, ...]:
         route = element.find("route")

@@ -17,6 +17,7 @@ from skope.gen.demand import in_town
 from skope.gen.parked import Parked, parked
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
+from skope.gen.towns.layout import Layout
 from skope.gen.towns.parking import Bay
 from skope.gen.towns.place import know
 from skope.gen.towns.scenery import scenery
@@ -81,6 +82,7 @@ def simulate(plan: RecordingPlan) -> Recording:
             duration=duration,
             rng=rng,
             flows=site.flows,
+            passing=Layout.of(site.town).seen_by(site.place.camera, REACH) if site.place else frozenset(),
         ) as traffic,
         World(STEP) as world,
     ):

@@ -10,7 +10,10 @@ from skope.console import Console, QuietOption, VersionOption
 
 def sites(
     maps: Annotated[bool, typer.Option("--map", help="Draw every town's plan to a PNG file.")] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the plans.")] = Path("runs/sites"),
+    site: Annotated[
+        Path | None, typer.Option(help="Check a site file, and draw its lanes over its photograph to a PNG file.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("runs/sites"),
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
@@ -20,27 +23,43 @@ def sites(
     from skope.gen.towns.layout import Layout
 
     console = Console(quiet)
+    if site:
+        _show(site, out, console)
+        return
     if maps:
-        import cv2
-
-        from skope.files import replacing
+        from skope import draw
         from skope.gen.towns.maps import town_map
 
-        out.mkdir(parents=True, exist_ok=True)
         for town in towns():
-            ok, data = cv2.imencode(".png", town_map(town)[..., ::-1])
-            assert ok
-            with replacing(out / f"{town}.png") as temporary:
-                temporary.write_bytes(data.tobytes())
+            draw.write(out / f"{town}.png", town_map(town))
             console.say(f"drew {out / f'{town}.png'}")
         console.result(f"wrote {len(towns())} plans to {out}")
         return
     console.result(f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees")
     for town in towns():
         layout = Layout.of(town)
-        for site in layout.sites:
-            height = site.position[2] - layout.road_below(site)
-            console.result(
-                f"{site.name:<20} {town:<7} {height:5.1f} m {site.pitch_deg:4.0f}° {site.split:<7} {site.sees}"
-            )
+        for one in layout.sites:
+            height = one.position[2] - layout.road_below(one)
+            console.result(f"{one.name:<20} {town:<7} {height:5.1f} m {one.pitch_deg:4.0f}° {one.split:<7} {one.sees}")
     console.result(f"{len(all_sites())} sites; plans of the towns: skope gen sites --map")
+
+
+def _show(path: Path, out: Path, console: Console) -> None:
+    from skope import draw
+    from skope.gen.own.overlay import overlay
+    from skope.gen.own.site import read_site
+    from skope.gen.towns.layout import Layout
+
+    own = read_site(path)
+    place, layout = own.place, Layout.of(own.place.name)
+    height = place.camera.position[2] - layout.road_level(place.camera.position[:2])
+    picture = out / f"{place.title}.png"
+    draw.write(picture, overlay(place))
+    for line in own.said:
+        console.result(line)
+    traffic = "left" if layout.mirrored else "right"
+    console.result(
+        f"{place.title}: {place.camera.width}x{place.camera.height}, {height:.1f} m over the road, "
+        f"{own.site.pitch_deg:.0f} degrees down, traffic on the {traffic}; wrote {picture}; "
+        f"next: skope gen --site {path}"
+    )

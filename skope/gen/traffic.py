@@ -104,13 +104,14 @@ class Traffic:
         duration: float,
         rng: np.random.Generator,
         flows: str = "",
+        passing: frozenset[str] = frozenset(),
     ) -> None:
-        """`flows` is a route file's text, in place of a density."""
+        """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges."""
         self._network, self._fleet, self._rng = network, fleet, rng
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
             if flows
-            else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng)
+            else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng, passing=passing)
         )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._trails: dict[str, _Trail] = {}

@@ -1,6 +1,7 @@
 """A site file: `skope gen --site FILE.toml`. All that can be wrong with it is said before anything is written."""
 
 import hashlib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from skope.gen.own.table import Table
 from skope.gen.render.lens import pinhole_of
 from skope.gen.sun import sun_direction, time_of_day
 from skope.gen.towns import Site, network, site_of
-from skope.gen.towns.layout import REACH, Layout, driven
+from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map
 from skope.gen.towns.place import Occluder, Place, know
 from skope.gen.towns.style import style
@@ -31,7 +32,7 @@ from skope.gen.towns.style import style
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
 """A camera looks at a road when lanes nearer than this are in its image, metres."""
-_LEVEL: Final = 50.0
+_LEVEL: Final = 5.0
 """World heights are counted from about the road: farther from 0 it may not lie, metres."""
 _PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
 """What a photograph has of its own is not added to it."""
@@ -90,15 +91,19 @@ def read_site(path: Path) -> OwnSite:
         style=read_bytes(styled).decode() if styled else "",
         camera=camera,
         photograph=read_bytes(background) if background else b"",
-        occluders=tuple(_occluder(row) for row in table.tables("occluders")),
     )
-    if place.occluders and not background:
-        raise table.wrong("occluders", "are for a photograph: background is missing")
-    _check_place(table, place)
+    layout = _layout(table, place)
+    level = layout.road_level(camera.position[:2])
+    occluders = tuple(_occluder(row, camera, level) for row in table.tables("occluders"))
+    if occluders:
+        if not background:
+            raise table.wrong("occluders", "are for a photograph: background is missing")
+        place = replace(place, occluders=occluders)
+        know(place)
     light = table.table("light")
     weather, hour, sun = _light(light)
     conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
-    vehicles, text = _traffic(table, place)
+    vehicles, text = _traffic(table, place, layout)
     splits = _splits(table)
     table.done()
     site = site_of(
@@ -135,11 +140,11 @@ def _network(table: Table) -> bytes:
     path = table.file("network")
     if path is None:
         raise table.wrong("network", "missing")
-    lefthand = table.flag("lefthand")
+    lefthand, height = table.flag("lefthand"), table.number("ground_height", 0.0)
     if path.name.endswith(".net.xml"):
         data = read_bytes(path)
-        if lefthand:
-            raise table.wrong("lefthand", "is for maps; a network says so itself")
+        if lefthand or height:
+            raise table.wrong("lefthand" if lefthand else "ground_height", "is for maps that are converted")
         return data
     suffixes = "".join(path.suffixes).lower()
     kind = "osm" if ".osm" in suffixes else "opendrive" if suffixes.endswith(".xodr") else ""
@@ -147,7 +152,7 @@ def _network(table: Table) -> bytes:
         raise table.wrong("network", f"{path}: expected .net.xml (SUMO), .osm or .osm.xml (OpenStreetMap), .xodr")
     origin = _origin(table, path) if kind == "osm" else None
     try:
-        return from_map(path, kind, origin, lefthand=lefthand).encode()
+        return from_map(path, kind, origin, lefthand=lefthand, height=height).encode()
     except UserError as error:
         raise table.wrong("network", f"{path}: {error}") from None
 
@@ -168,14 +173,21 @@ def _origin(table: Table, path: Path) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _occluder(table: Table) -> Occluder:
+def _occluder(table: Table, camera: Camera, level: float) -> Occluder:
     points = table.value("polygon")
     if not isinstance(points, list) or len(points) < 3:
         raise table.wrong("polygon", "expected three or more [column, row]")
     polygon = tuple((x, y) for x, y in table.matrix("polygon", len(points), 2))
-    distance = table.number("distance", low=0.5, high=2000)
+    if "distance" in table:
+        distance = table.number("distance", low=0.5, high=2000)
+    else:
+        rays, valid = camera.rays(table.numbers("foot", 2))
+        down = float(rays @ camera.T_camera_world[:3, 2])
+        distance = (level - camera.position[2]) / down if valid and down < 0 else math.inf
+        if not distance < 2000:
+            raise table.wrong("foot", "is no pixel of the ground")
     table.done()
-    return Occluder(polygon, distance)
+    return Occluder(polygon, round(distance, 3))
 
 
 def _light(table: Table) -> tuple[str, str, dict[str, Range]]:
@@ -218,12 +230,13 @@ def _conditions(table: Table) -> dict[str, Range]:
         raise table.wrong("", str(error).removeprefix("--set ")) from None
 
 
-def _traffic(table: Table, place: Place) -> tuple[float, str]:
+def _traffic(table: Table, place: Place, layout: Layout) -> tuple[float, str]:
     """Vehicles per hour, or a route file's text."""
     path = table.file("flows")
     if path is None:
-        if not ways(network(place.name)):
-            raise table.wrong("network", "no way leads through it from rim to rim; give flows")
+        seen = layout.seen_by(place.camera, _SEEN)
+        if all(seen.isdisjoint(edges) for edges, _ in ways(network(place.name))):
+            raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
     if "vehicles_per_hour" in table:
         raise table.wrong("vehicles_per_hour", "flows says it already")
@@ -247,8 +260,8 @@ def _splits(table: Table) -> tuple[str, ...]:
 # -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _check_place(table: Table, place: Place) -> None:
-    """Raises UserError when no picture could come of it."""
+def _layout(table: Table, place: Place) -> Layout:
+    """The place's layout. Raises UserError when no picture could come of it."""
     know(place)
     camera = place.camera
     if camera.distortion.model != "none":
@@ -271,11 +284,16 @@ def _check_place(table: Table, place: Place) -> None:
         )
     level = layout.road_level(camera.position[:2])
     if abs(level) > _LEVEL:
-        raise table.wrong("network", f"its road is at {level:.0f} m; netconvert --offset.z {-level:.0f} brings it to 0")
+        raise table.wrong(
+            "network",
+            f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "
+            f"--offset.z {-level:.0f}, and count the camera's height from there",
+        )
     if camera.position[2] < level + 0.5:
         raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
-    if not _sees_road(camera, layout):
+    if not layout.seen_by(camera, _SEEN):
         raise table.wrong("camera", f"no lane of the network nearer than {_SEEN:g} m is in its image")
+    return layout
 
 
 def _span(layout: Layout) -> str:
@@ -283,11 +301,3 @@ def _span(layout: Layout) -> str:
     if layout.mirrored:
         y0, y1 = -y1, -y0
     return f"; the network spans x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f}"
-
-
-def _sees_road(camera: Camera, layout: Layout) -> bool:
-    lines = [np.array(lane.getShape3D()) for edge in layout.edges for lane in driven(edge)]
-    steps = np.linspace(0, 1, 100)[:, None, None]
-    points = np.concatenate([(line[:-1] + steps * (line[1:] - line[:-1])).reshape(-1, 3) for line in lines])
-    pixels, depth, valid = camera.project(layout.world(points))
-    return bool((valid & camera.inside(pixels) & (depth < _SEEN)).any())

@@ -34,7 +34,7 @@ class Site:
     pitch_deg: float
     """Downwards from the horizon."""
     vehicles_per_hour: float
-    """Over all ways into the town."""
+    """Over all ways into the town; over all ways that pass a user's own camera."""
     weather: str
     time_of_day: str
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import LineString, MultiPolygon, Point, Polygon
 from shapely.ops import unary_union
 
+from skope.camera import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.towns import Site, network, sites_of
 from skope.gen.towns.lefthand import is_lefthand, mirrored
@@ -212,6 +213,18 @@ class Layout:
         places = (np.array(site.position[:2]) + np.arange(12.0, 45.0, 3.0)[:, None, None] * rays).reshape(-1, 2)
         seen = places[shapely.contains_xy(self.ground_road, places)]
         return float(np.median(self.ground.road(seen)))
+
+    def seen_by(self, camera: Camera, reach: float) -> frozenset[str]:
+        """Edges of which a place nearer than `reach` metres is in a camera's image."""
+        out = set()
+        for edge in self.edges:
+            for lane in driven(edge):
+                line = LineString(lane.getShape3D())
+                points = np.array(shapely.segmentize(line, 1.0).coords)
+                pixels, depth, valid = camera.project(self.world(points))
+                if (valid & camera.inside(pixels) & (depth < reach)).any():
+                    out.add(str(edge.getID()))
+        return frozenset(out)
 
     def road_level(self, center: ArrayLike) -> float:
         """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""

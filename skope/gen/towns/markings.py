@@ -145,25 +145,48 @@ def _arrow(ways: set[str]) -> Any:
 
 
 def crossings(layout: Layout) -> Iterator[Polygon]:
-    """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction."""
-    road = layout.ground_road
-    for edge in layout.edges:
-        if not is_signalled(edge) or not layout.kind(edge).sidewalk:
-            continue
-        lane = driven(edge)[-1]
-        line = LineString(lane.getShape())
-        end, before = (np.array(line.interpolate(t).coords[0]) for t in (line.length, line.length - 1.0))
-        along = (end - before) / np.hypot(*(end - before))
-        across = np.array([along[1], -along[0]])
-        middle = end + along * sum(CROSSING) / 2 - across * lane.getWidth() / 2
-        chord = road.intersection(LineString([middle - 32 * across, middle + 32 * across]))
-        pieces = [piece for piece in getattr(chord, "geoms", [chord]) if piece.distance(shapely.Point(middle)) < 0.1]
-        if not pieces:
-            continue
-        offsets = (np.array(pieces[0].coords) - middle) @ across
-        low, high = offsets.min() + 0.3, offsets.max() - 0.3
-        count = int((high - low) // (2 * STRIPE))
-        start = (low + high) / 2 - (count - 0.5) * STRIPE
-        for i in range(count):
-            at = middle + across * (start + 2 * STRIPE * i + STRIPE / 2)
-            yield rectangle(at, float(np.arctan2(along[1], along[0])), CROSSING[1] - CROSSING[0], STRIPE)
+    """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
+
+    In the corner of a narrow junction, where two crossings would meet, there are none.
+    """
+    zebras = [zebra for edge in layout.edges if (zebra := _zebra(layout, edge))]
+    hulls = [shapely.MultiPolygon([stripe for stripe, _ in zebra]).convex_hull for zebra in zebras]
+    for number, zebra in enumerate(zebras):
+        others = unary_union([hull for k, hull in enumerate(hulls) if k != number])
+        yield from (stripe for stripe, before_lanes in zebra if before_lanes or not stripe.intersects(others))
+
+
+def _zebra(layout: Layout, edge: Any) -> list[tuple[Polygon, bool]]:
+    """An edge's stripes, and which of them lie before lanes that begin or end there."""
+    if not is_signalled(edge) or not layout.kind(edge).sidewalk:
+        return []
+    road, lane = layout.ground_road, driven(edge)[-1]
+    line = LineString(lane.getShape())
+    end, before = (np.array(line.interpolate(t).coords[0]) for t in (line.length, line.length - 1.0))
+    along = (end - before) / np.hypot(*(end - before))
+    across = np.array([along[1], -along[0]])
+    middle = end + along * sum(CROSSING) / 2 - across * lane.getWidth() / 2
+    span = _chord(road, middle, across)
+    if span is None:
+        return []
+    low, high = span[0] + 0.3, span[1] - 0.3
+    arm = _chord(road, before - across * lane.getWidth() / 2, across) or span
+    count = int((high - low) // (2 * STRIPE))
+    start = (low + high) / 2 - (count - 0.5) * STRIPE
+    out = []
+    for i in range(count):
+        offset = start + 2 * STRIPE * i + STRIPE / 2
+        turned = float(np.arctan2(along[1], along[0]))
+        stripe = rectangle(middle + across * offset, turned, CROSSING[1] - CROSSING[0], STRIPE)
+        out.append((stripe, arm[0] < offset < arm[1]))
+    return out
+
+
+def _chord(road: Any, middle: Array, across: Array) -> tuple[float, float] | None:
+    """How far the road reaches to both sides of a place on it, along a direction, metres; None beside it."""
+    chord = road.intersection(LineString([middle - 32 * across, middle + 32 * across]))
+    pieces = [piece for piece in getattr(chord, "geoms", [chord]) if piece.distance(shapely.Point(middle)) < 0.1]
+    if not pieces:
+        return None
+    offsets = (np.array(pieces[0].coords) - middle) @ across
+    return float(offsets.min()), float(offsets.max())

@@ -55,12 +55,15 @@ def netconvert(options: Mapping[str, str], header: str = "") -> str:
         return _HEADER.sub(f"<!-- {header} -->" if header else "", made.read_text(encoding="utf-8"), count=1)
 
 
-def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool) -> str:
+def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool, height: float = 0.0) -> str:
     """The network of an OpenStreetMap ("osm") or OpenDRIVE ("opendrive") file.
 
-    World coordinates of the former are metres east and north of `origin` (latitude, longitude in degrees).
+    World coordinates of the former are metres east and north of `origin` (latitude, longitude in degrees); the world's
+    z = 0 is a `height` of the map.
     """
     options = {**COMMON, **_MAP, f"{kind}-files": str(path)}
+    if height:
+        options["offset.z"] = repr(-height)
     if lefthand:
         options["lefthand"] = "true"
     if kind == "osm":

@@ -5,7 +5,7 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
@@ -34,12 +34,12 @@ class Place:
     """One camera's road. Its name holds a digest of all the rest: equal names, equal places."""
 
     title: str
-    network: bytes
+    network: bytes = field(repr=False)
     """A SUMO network (.net.xml)."""
     style: str
     """A `town.toml`; empty for the generic one."""
     camera: Camera
-    photograph: bytes = b""
+    photograph: bytes = field(default=b"", repr=False)
     """Of the empty road, as an image file of the camera's size or a multiple; empty to grow scenery instead."""
     occluders: tuple[Occluder, ...] = ()
 
