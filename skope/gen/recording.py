@@ -21,7 +21,7 @@ from skope.gen.towns import Site
 
 Array = NDArray[np.float64]
 
-VERSION: Final = 2
+VERSION: Final = 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,6 +90,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "balustrade": (0.55, 0.60, 0.62),
     "timber": (0.46, 0.34, 0.23),
     "cabinet": (0.36, 0.43, 0.37),
+    "luminaire": (0.90, 0.89, 0.85),
     "sign_red": (0.74, 0.08, 0.08),
     "sign_white": (0.91, 0.91, 0.90),
     "sign_blue": (0.08, 0.24, 0.58),
