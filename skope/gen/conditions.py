@@ -181,7 +181,7 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
         "sun_azimuth_deg": (30.0, 150.0),
         "white_balance_k": (3600.0, 5000.0),
         "shutter_s": (0.008, 0.02),
-        "gain_db": (15.0, 30.0),
+        "gain_db": (12.0, 24.0),
     },
 }
 

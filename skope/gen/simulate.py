@@ -120,7 +120,9 @@ def flashed(lamps: int, time: float, name: str) -> int:
 class _Log:
     """Collects frames; vehicles are numbered in the order in which they come near."""
 
-    def __init__(self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool) -> None:
+    def __init__(
+        self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool
+    ) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
         self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]

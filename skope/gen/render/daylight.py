@@ -145,6 +145,8 @@ class Daylight:
 
     @property
     def lamp_radiance(self) -> float:
-        """Of vehicles' lamps, over what they have by day: what is far brighter than the rest saturates in the sensor and
-        spreads in the lens, and would be white; this keeps its colour."""
+        """Of vehicles' lamps, over what they have by day.
+
+        What is far brighter than the rest saturates in the sensor and would be white; this keeps its colour.
+        """
         return float((self.exposure.mean() / 0.33) ** -0.72) if self.dark else 1.0

@@ -1,6 +1,6 @@
-"""Light that lens and air spread around bright lamps, drawn over a picture; only when it is dark or foggy does it show.
+"""Light that lens and air spread around bright lamps, drawn over a picture: it shows when it is dark or foggy.
 
-It is worked out on a grid coarser than the image, in linear light as the camera exposes it, and screened over the picture.
+It is worked out on a grid coarser than the image, in linear light as the camera exposes it.
 """
 
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ from skope.gen.recording import Moment
 from skope.gen.render.daylight import temperature_color
 from skope.gen.render.lamps import Lit, lit_lamps
 from skope.gen.render.signals import lit_signals
-from skope.gen.towns.scenery import Signal
+from skope.gen.towns.scenery import Scenery
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ COARSE: Final = 4
 HAZY: Final = 2000.0
 """By day too lamps glare when one sees less far than this, metres."""
 _STREET_LIGHT: Final = 0.9
-_SIGNAL: Final = 0.16
+_SIGNAL: Final = 0.4
 _FULL: Final = 15.0
 """Up to so many metres lamps glare at their strongest."""
 _LEAST: Final = 0.006
@@ -38,11 +38,9 @@ _SLACK: Final = 0.35
 class Glare:
     """Spreads the lamps of a recording."""
 
-    def __init__(
-        self, camera: Camera, conditions: Conditions, lamps: Array, signals: tuple[Signal, ...], depth: NDArray[np.float32]
-    ) -> None:
-        """`lamps` (N, 3) are the street lights, `depth` that of the scenery."""
-        self._camera, self._signals = camera, signals
+    def __init__(self, camera: Camera, conditions: Conditions, town: Scenery, depth: NDArray[np.float32]) -> None:
+        """`depth` is that of the scenery."""
+        self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
         self.seen = self._dark or conditions.visibility_m < HAZY
         self._strength = 1.0 if self._dark else 0.25
@@ -52,13 +50,13 @@ class Glare:
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
-            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in lamps]
+            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in town.lamps]
             self._add(self._still, lit, depth, None)
 
     def spread(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.int32], moment: Moment
     ) -> NDArray[np.uint8]:
-        """The picture (H, W, 3) with the glare of what is lit at a moment."""
+        """Put the glare of what is lit at a moment into the picture (H, W, 3), and return it."""
         if not self.seen:
             return rgb
         light = self._still.copy()
@@ -71,9 +69,14 @@ class Glare:
         if not light.any():
             return rgb
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
+        rows = np.flatnonzero(veil.any(axis=(1, 2)))
+        first, end = COARSE * int(rows[0]), min(COARSE * int(rows[-1] + 1), rgb.shape[0])
+        veil = veil[rows[0] : rows[-1] + 1]
         veil = cv2.resize(veil, (COARSE * veil.shape[1], COARSE * veil.shape[0]), interpolation=cv2.INTER_LINEAR)
-        veil = veil[: rgb.shape[0], : rgb.shape[1]]
-        return np.asarray(cv2.add(rgb, cv2.multiply(veil, cv2.bitwise_not(rgb), scale=1 / 255)), dtype=np.uint8)
+        veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
+        # Screened: what is bright already has less to gain.
+        cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
+        return rgb
 
     def _add(
         self, light: NDArray[np.float32], lit: Iterable[Lit], depth: NDArray[np.float32], ids: NDArray[np.int32] | None
@@ -100,9 +103,7 @@ class Glare:
             _sprite(light, pixel[0] / COARSE, 11.0 * scale, halo * color)
 
     @staticmethod
-    def _hidden(
-        lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None
-    ) -> bool:
+    def _hidden(lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None) -> bool:
         column, row = pixel.astype(int)
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False

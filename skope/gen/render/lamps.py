@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Moment
 from skope.gen.bodies import body_of
+from skope.gen.recording import Moment
 from skope.gen.traffic import LAMPS
 from skope.gen.vehicles.model import Body
 
@@ -19,14 +19,14 @@ _WHITE: Final = (1.0, 0.96, 0.88)
 _RED: Final = (1.0, 0.06, 0.03)
 _AMBER: Final = (1.0, 0.45, 0.03)
 _KINDS: Final = {
-    "headlight": ("low_beam", _WHITE, 1.0),
-    "taillight": ("low_beam", _RED, 0.10),
-    "brake_light": ("brake", _RED, 0.32),
-    "indicator_left": ("indicator_left", _AMBER, 0.28),
-    "indicator_right": ("indicator_right", _AMBER, 0.28),
+    "headlight": ("low_beam", _WHITE, 1.6),
+    "taillight": ("low_beam", _RED, 0.3),
+    "brake_light": ("brake", _RED, 0.8),
+    "indicator_left": ("indicator_left", _AMBER, 0.5),
+    "indicator_right": ("indicator_right", _AMBER, 0.5),
     "reverse_light": ("reverse", _WHITE, 0.25),
 }
-"""By material: what lights it, its colour, its luminous intensity straight ahead, of a headlight's towards oncoming eyes."""
+"""By material: what lights it, its colour, its luminous intensity straight ahead."""
 _SIDE: Final = 0.12
 """Lamps nearer to the middle than this are one, metres."""
 

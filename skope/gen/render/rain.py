@@ -1,7 +1,7 @@
 """Rain as a camera sees it: streaks in the air before it and drops on its glass."""
 
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -13,9 +13,9 @@ Image = NDArray[np.uint8]
 
 _FIELD: Final = 1.25
 """Streaks are drawn on a field so many times as large as the image; each frame takes a window of it."""
-_STREAKS: Final = 7000
+_STREAKS: Final = 12000
 """In the field of a 1920x1080 image, in rain of 10 mm/h."""
-_EXPOSED: Final = (0.006, 0.025)
+_EXPOSED: Final = (0.012, 0.025)
 """Streaks are as long as in exposures within this range, seconds: cameras expose longer in rain."""
 _DROPS: Final = 9
 """On the glass, in rain of 10 mm/h."""
@@ -42,13 +42,18 @@ class Rain:
             return rgb
         height, width = rgb.shape[:2]
         rng = np.random.default_rng([*self._seed, 12, frame])
-        y, x = (int(rng.integers(0, field - side + 1)) for field, side in zip(self._streaks.shape, (height, width)))
+        y, x = (
+            int(rng.integers(0, field - side + 1))
+            for field, side in zip(self._streaks.shape, (height, width), strict=True)
+        )
         window = self._streaks[y : y + height, x : x + width]
         # Drops show what is around them: bright before the sky and near lamps, hardly anything in the dark.
-        small = cv2.resize(rgb, (width // 16, height // 16), interpolation=cv2.INTER_AREA)
+        small = cv2.cvtColor(
+            cv2.resize(rgb, (width // 16, height // 16), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY
+        )
         around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1])
         light = cv2.resize(cv2.addWeighted(around, 0.8, around, 0.0, 6.0), (width, height))
-        fallen = cv2.add(rgb, cv2.multiply(cv2.merge([window] * 3), light, scale=1 / 255))
+        fallen = cv2.add(rgb, cv2.cvtColor(cv2.multiply(window, light, scale=1 / 255), cv2.COLOR_GRAY2RGB))
         return self._on_glass(np.asarray(fallen, dtype=np.uint8), frame)
 
     def _on_glass(self, rgb: Image, frame: int) -> Image:
@@ -58,7 +63,7 @@ class Rain:
         span = float(self._recording.times_s[-1]) + 2 * _STAYS
         count = int(rng.poisson(_DROPS * (self._rate / 10) ** 0.5 * max(span / _STAYS, 1.0)))
         height, width = rgb.shape[:2]
-        soft = None
+        soft: Image | None = None
         for x, y, size, flat, born in rng.uniform(0, 1, (count, 5)).tolist():
             if not 0 <= time + _STAYS - born * span < _STAYS:
                 continue
@@ -75,12 +80,12 @@ def _streaks(size: tuple[int, int], rate: float, slant: float, shutter: float) -
     scale = size[0] / 1920
     rng = np.random.default_rng(17)
     count = int(_STREAKS * (rate / 10) ** 0.6)
-    field = np.zeros((height, width), dtype=np.uint8)
+    field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
     # How near: most of what falls is far away.
     near = rng.uniform(0, 1, count) ** 3
-    # Drops fall at about 7 m/s, seen by a lens of 672 pixels' focal length from 2 to 20 m.
-    length = np.clip(7.0 * shutter * 672 / (20 - 18 * near), 2, 140) * scale
-    strength = (26 + 70 * near) * np.clip(14 / np.maximum(length / scale, 1), 0.35, 1.4)
+    # Drops fall at about 8 m/s, seen by a lens of 672 pixels' focal length from 1.5 to 12 m.
+    length = np.clip(8.0 * shutter * 672 / (12 - 10.5 * near), 4, 140) * scale
+    strength = (24 + 46 * near) * np.clip(22 / np.maximum(length / scale, 1), 0.45, 1.2)
     x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
     lean = slant + rng.normal(0, 0.03, count)
     for group in range(3):
@@ -91,7 +96,7 @@ def _streaks(size: tuple[int, int], rate: float, slant: float, shutter: float) -
             (x0, y0), (x1, y1) = np.rint(ends * 16).astype(int).tolist()
             color = int(min(255, strength[k]))
             cv2.line(layer, (x0, y0), (x1, y1), color, 1 if group < 2 or scale < 0.6 else 2, cv2.LINE_AA, 4)
-        blur = (0.5 + 0.7 * group) * max(scale, 0.4)
+        blur = (0.45 + 0.45 * group) * max(scale, 0.5)
         field = cv2.add(field, cv2.GaussianBlur(layer, (0, 0), blur))
     return np.asarray(field, dtype=np.uint8)
 

@@ -1,4 +1,4 @@
-"""What the camera adds to a clean picture: the lens' distortion, rain before it, the sensor's noise, the stream's loss."""
+"""What the camera adds to a clean picture: the lens' distortion, rain before it, noise, the stream's losses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.conditions import DARK_DEG, Conditions
 from skope.gen.recording import Recording
 from skope.gen.render import Renderer, View
-from skope.gen.conditions import DARK_DEG, Conditions
 from skope.gen.render.lens import Lens
 from skope.gen.render.rain import Rain
 from skope.gen.render.stream import streamed
@@ -64,9 +64,9 @@ def _field(height: int, width: int, sigma: float, gain_db: float, mono: bool) ->
     noise = rng.standard_normal((height + _SLACK, width + _SLACK, 1 if mono else 3), dtype=np.float32)
     if not mono and gain_db > 0:
         noise = 0.5 * noise + 0.5 * noise.mean(axis=-1, keepdims=True)
-    share = min(gain_db / 60, 0.5)
+    share = min(gain_db / 80, 0.5)
     if share > 0:
-        blotches = cv2.GaussianBlur(noise, (0, 0), 1.4).reshape(noise.shape)
+        blotches = cv2.GaussianBlur(noise, (0, 0), 1.1).reshape(noise.shape)
         noise = (1 - share) * noise + share * blotches / blotches.std()
         noise /= noise.std()
     noise = np.broadcast_to(sigma * noise, (*noise.shape[:2], 3))

@@ -29,7 +29,9 @@ def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
         # Red and blue are swapped for both ways, so that the codec's chroma is that of the right colours.
         quality = [cv2.IMWRITE_JPEG_QUALITY, round(conditions.compression_quality)]
         _, data = cv2.imencode(".jpg", small[..., ::-1], quality)
-        small = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+        decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+        assert decoded is not None
+        small = np.asarray(decoded[..., ::-1], dtype=np.uint8)
     if small.shape != rgb.shape:
         small = cv2.resize(np.ascontiguousarray(small), (width, height), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(small, dtype=np.uint8)
@@ -45,7 +47,10 @@ def _write(rgb: Image, recording: Recording, frame: int) -> None:
     scale = width / 1920 * 1.3
     edge, line = max(1, round(5 * scale)), max(1, round(2 * scale))
     margin = round(0.02 * width)
-    lines = {f"{day:%Y-%m-%d} {clock}": margin + round(30 * scale), recording.site.upper().replace("_", " "): height - margin}
+    lines = {
+        f"{day:%Y-%m-%d} {clock}": margin + round(30 * scale),
+        recording.site.upper().replace("_", " "): height - margin,
+    }
     for text, y in lines.items():
         for color, thick in (((20, 20, 20), edge), ((245, 245, 245), line)):
             cv2.putText(rgb, text, (margin, y), _FONT, scale, color, thick, cv2.LINE_AA)

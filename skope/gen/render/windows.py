@@ -52,14 +52,14 @@ def beam_corners(reach: float) -> Array:
 
 
 def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: float) -> Array:
-    """(N, 2) convex polygon around the pixels of road that a vehicle's headlights may light, and of what stands there."""
+    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light."""
     ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
     points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
     return _hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
 def mirror_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, mirror: Array) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror, of positions relative to the camera."""
+    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
     world = _corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
     return _hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
 

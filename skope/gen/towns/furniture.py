@@ -137,7 +137,8 @@ def _luminaire(y: float, z: float) -> Mesh:
 def lamp_positions(meshes: Iterable[Mesh]) -> Array:
     """(N, 3) middles of the luminaires' panes, each of which is a box of 24 vertices."""
     panes = [mesh.by_material()["luminaire"].vertices for mesh in meshes if "luminaire" in mesh.materials]
-    return np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)]).mean(axis=1)
+    boxes = np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)])
+    return np.asarray(boxes.mean(axis=1))
 
 
 def delineator() -> Mesh:

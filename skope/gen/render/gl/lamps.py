@@ -45,7 +45,9 @@ class StreetLights:
     """(3,) of the map, relative to the camera."""
 
     @classmethod
-    def of(cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array) -> "StreetLights":
+    def of(
+        cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
+    ) -> "StreetLights":
         """Those that burn where a camera looks."""
         infrared = daylight.dark and conditions.infrared >= 0.5
         intensity = daylight.street_light * (_INFRARED_SHARE if infrared else 1.0)

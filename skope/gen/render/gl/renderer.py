@@ -15,33 +15,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
-from skope.gen.recording import Moment, Recording
+from skope.gen.recording import Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
+from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, projection, put
 from skope.gen.render.gl.lamps import MAP_RADIUS
+from skope.gen.render.gl.motion import Moving, moving
 from skope.gen.render.gl.placer import PARTS, Placed, Placer
+from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.glare import Glare
-from skope.gen.render.lamps import has_headlights
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import (
     CONTACT,
-    TILE,
     Window,
-    beam_corners,
-    beam_hull_of,
     crossing,
     hull_of,
     inside,
-    mirror_hull_of,
     runs,
     shadow_hull_of,
     tiles,
     union,
 )
 from skope.gen.towns.scenery import scenery
-from skope.gen.traffic import LAMPS
 from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
@@ -51,28 +47,8 @@ FAR: Final = 30.0
 """Vehicles farther from the camera than this are drawn coarsely in colour, and nobody sees through their windows."""
 SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
-LEAST_BLUR: Final = 1.5
-"""Vehicles that move less than that while the shutter is open are sharp, pixels."""
-BEAM: Final = 0.07
-"""Irradiance of the road by a headlight, in `Daylight`'s units, where nothing weakens it yet."""
-BEAM_REACH: Final = 40.0
-"""How far headlights light the road, metres."""
-_BEAM_COLOR: Final = np.array([1.0, 0.9, 0.74])
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
-
-
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """A vehicle that moves visibly while the shutter is open."""
-
-    vehicle: Placed
-    way: Array
-    """(2,) pixels."""
-    nearest: float
-    """Least depth of it, metres."""
-    hull: Array
-    """(N, 2) convex polygon around all pixels that it may blur into."""
 
 
 class GLRenderer:
@@ -110,49 +86,26 @@ class GLRenderer:
             "u_eye_height": float(camera.position[2]),
             "u_texel": 0.04 * 0.5 / SHADOW_RADIUS,
         }
-        self._lamps = ("LAMPS",) if self._background.daylight.dark else ()
-        self._options = self._lamps
-        """What programs are compiled for, for this recording's light."""
-        if self._lamps:
-            self._set_lamps()
-        self._reflections: Any = None
-        if self._background.mirrored_depth:
-            self._set_water()
-        self._glare = Glare(
-            camera, recording.conditions, scenery(recording.town).lamps, scenery(recording.town).signals, self._background.depth
-        )
+        self._options: tuple[str, ...] = ()
+        """What vehicles' programs are compiled for, for this recording's light."""
+        background, middle = self._background, camera.position + self._background.focus
+        self._beams = self._reflections = None
+        if background.daylight.dark:
+            self._options = ("LAMPS",)
+            self._beams = Beams(self._device, middle, SHADOW_RADIUS, background.daylight.exposure)
+            self._uniforms |= {
+                **self._beams.uniforms,
+                "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
+                "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
+                "u_plane": background.road.uniform,
+            }
+        if background.mirrored_depth:
+            self._reflections = Reflections(
+                self._device, camera, background.road, background.mirrored_depth, *self._options
+            )
+        self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
         self._compose([self._image])
         self._plain = self._read_display()
-
-    def _set_lamps(self) -> None:
-        """What it takes to draw in the light of lamps."""
-        background = self._background
-        self._beams = self._device.target((CONTACT_MAP, CONTACT_MAP), ["1f2"], depth=False)
-        texture = self._beams.color_attachments[0]
-        texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
-        texture.repeat_x = texture.repeat_y = False
-        self._uniforms |= {
-            "u_beam": BEAM,
-            "u_beam_light": BEAM * background.daylight.exposure * _BEAM_COLOR / np.pi,
-            "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
-            "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
-            "u_plane": background.road.uniform,
-        }
-
-    def _set_water(self) -> None:
-        """What it takes to draw what wet ground mirrors."""
-        width, height = self._background.mirrored_depth.size
-        self._reflections = self._device.target((width, height), ["4f2"])
-        texture = self._reflections.color_attachments[0]
-        texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
-        texture.repeat_x = texture.repeat_y = False
-        self._options += ("WET",)
-        mirror = self._background.road.mirror
-        self._mirrored = {
-            "u_plane": self._background.road.uniform,
-            "u_viewer": mirror[:3, 3],
-            "u_project": self._project @ _rotation(self._camera) @ mirror,
-        }
 
     # --------------------------------------------------------------------------------------------------------- frames
 
@@ -165,15 +118,15 @@ class GLRenderer:
         contrast = np.zeros(len(moment.vehicles))
         rgb = self._plain.copy()
         if placed:
-            moving = self._moving(placed, moment)
-            self._draw_geometry(placed, whole=bool(moving))
+            blurred = moving(reversed(placed), moment.velocity, self._recording.conditions.shutter_s, camera)
+            self._draw_geometry(placed, whole=bool(blurred))
             shown = []
             for vehicle in placed:
                 layer = _read(self._geometry, inside(vehicle.window, camera), np.float32)
                 shown.append(self._put(layer, vehicle, depth, slope, ids))
                 alone = not any(crossing(vehicle.window, other.window) for other in placed if other is not vehicle)
                 silhouettes[vehicle.index] = self._silhouette(vehicle, layer if alone else None)
-            self._draw_color(placed, moving, rgb)
+            self._draw_color(placed, blurred, rgb)
             others = self._draw_behind(placed)
             for vehicle, own, other in zip(placed, shown, others, strict=True):
                 x0, y0, x1, y1 = inside(vehicle.window, camera)
@@ -193,25 +146,13 @@ class GLRenderer:
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
         if whole:
             self._geometry.clear(0, 0, 0, 0)
-        self._prepare(self._geometry, [inside(vehicle.window, self._camera) for vehicle in placed])
+        windows = [inside(vehicle.window, self._camera) for vehicle in placed]
+        self._device.prepare(self._geometry, windows, self._uniforms)
         self._device.context.enable_only(self._device.gl.DEPTH_TEST | self._device.gl.CULL_FACE)
         put(program, {"u_project": self._project})
         for vehicle in placed:
             put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
             vehicle.mesh.draw(program)
-
-    def _prepare(self, target: Any, places: Sequence[Window], *options: str, scenery: Any = None) -> None:
-        """Make parts of a target ready for drawing; `scenery` is a depth to take instead of the view's own."""
-        device = self._device
-        program = device.program("tiles.vert.glsl", "prepare.frag.glsl", *options)
-        own = {"u_scenery": scenery} if scenery else {}
-        size = {"u_size": list(target.size)} if scenery else {}
-        put(program, {**self._background.bind(), **self._uniforms, **size, **self._bind(own)})
-        target.use()
-        device.context.enable_only(device.gl.DEPTH_TEST)
-        device.context.depth_func = "1"
-        device.tiles(program, places)
-        device.context.depth_func = "<"
 
     def _put(
         self,
@@ -249,49 +190,35 @@ class GLRenderer:
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _moving(self, placed: Sequence[Placed], moment: Moment) -> list[Moving]:
-        """The vehicles whose pictures blur, from far to near."""
-        camera, shutter = self._camera, self._recording.conditions.shutter_s
-        out = []
-        for vehicle in reversed(placed):
-            T = vehicle.T_world_chassis
-            middle = T[:3, 3] + 0.5 * vehicle.vehicle.size_lwh[2] * T[:3, 2]
-            step = 0.5 * shutter * moment.velocity[vehicle.index]
-            pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
-            length = vehicle.vehicle.size_lwh[0]
-            if valid.all() and depth.min() > length and (way := pixels[1] - pixels[0]) @ way > LEAST_BLUR**2:
-                hull = hull_of(vehicle.vehicle, T, camera)
-                swept = cv2.convexHull(np.concatenate([hull - 0.5 * way, hull + 0.5 * way]).astype(np.float32))
-                nearest = float(depth.min()) - 0.6 * length
-                out.append(Moving(vehicle, way, nearest, swept[:, 0].astype(np.float64)))
-        return out
-
-    def _draw_color(self, placed: Sequence[Placed], moving: Sequence[Moving], rgb: NDArray[np.uint8]) -> None:
+    def _draw_color(self, placed: Sequence[Placed], blurred: Sequence[Moving], rgb: NDArray[np.uint8]) -> None:
         """Draw the vehicles, their shadows, their lamps' light and their mirror images into the picture."""
-        size = (self._camera.width, self._camera.height)
-        sun = self._background.daylight.sun_direction
-        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in placed], size)
-        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, self._camera, sun) for v in placed], size)
+        camera, sun = self._camera, self._background.daylight.sun_direction
+        size = (camera.width, camera.height)
+        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, camera) for v in placed], size)
+        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, camera, sun) for v in placed], size)
         self._draw_shadows(placed)
-        if self._lamps:
-            shaded |= tiles(self._draw_beams(placed), size)
-        swept = [tiles([one.hull], size) for one in moving]
-        covered |= np.any(swept, axis=0) if swept else False
+        if self._beams:
+            shaded |= tiles(self._beams.draw(placed, camera), size)
+        swept = [tiles([one.hull], size) for one in blurred]
+        for places in swept:
+            covered |= places
         self._draw_vehicles(self._color, placed, runs(covered, size))
-        more: tuple[str, ...] = ()
+        mirrored = np.zeros_like(covered)
         if self._reflections:
-            hulls = [mirror_hull_of(v.vehicle, v.T_world_chassis, self._camera, self._background.road.mirror) for v in placed]
-            shaded |= self._draw_reflections(placed, tiles(hulls, size))
-            more = ("REFLECTIONS",)
-        self._compose(runs(shaded & ~covered, size), "SHADOWS", *more)
-        self._compose(runs(covered, size), "SHADOWS", "VEHICLES", *more)
-        for one, places in zip(moving, swept, strict=True):
+            units = self._vehicle_textures()
+            uniforms = {**self._background.bind(), **self._uniforms, **self._bind(units)}
+            mirrored = self._reflections.draw(placed, uniforms, {**self._background.textures, **units})
+        for there, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
+            self._compose(runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
+            self._compose(runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
+        more = ("REFLECTIONS",) if self._reflections else ()
+        for one, places in zip(blurred, swept, strict=True):
             way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
             self._compose(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
-        places = runs(covered | shaded, size)
-        window = union(places)
+        changed = runs(covered | shaded | mirrored, size)
+        window = union(changed)
         picture = _read(self._display, window, np.uint8)
-        for x0, y0, x1, y1 in places:
+        for x0, y0, x1, y1 in changed:
             rgb[y0:y1, x0:x1] = picture[y0 - window[1] : y1 - window[1], x0 - window[0] : x1 - window[0], :3]
 
     def _draw_shadows(self, placed: Sequence[Placed]) -> None:
@@ -304,7 +231,10 @@ class GLRenderer:
         put(program, {"u_project": self._sun_clip})
         middle = self._camera.position + self._background.focus
         for vehicle in placed:
-            if np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10:
+            if (
+                self._background.daylight.dark
+                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10
+            ):
                 continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
             (vehicle.mesh if vehicle.distance < FAR else vehicle.coarse).draw(program)
@@ -316,43 +246,10 @@ class GLRenderer:
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
-    def _draw_beams(self, placed: Sequence[Placed]) -> list[Array]:
-        """The map of the road's light from headlights; returns polygons around it in the image."""
-        device, middle = self._device, self._camera.position + self._background.focus
-        lit = [v for v in placed if v.look["u_lamps"] & LAMPS["low_beam"] and has_headlights(v.vehicle)]
-        self._beams.use()
-        self._beams.clear(0, 0, 0, 0)
-        if not lit:
-            return []
-        device.context.enable_only(device.gl.BLEND)
-        device.context.blend_func = device.gl.ONE, device.gl.ONE
-        corners = np.concatenate([_beam(v.vehicle, v.T_world_chassis, middle) for v in lit])
-        program = device.program("contact.vert.glsl", "beam.frag.glsl")
-        device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
-        return [beam_hull_of(v.vehicle, v.T_world_chassis, self._camera, BEAM_REACH) for v in lit]
-
-    def _draw_reflections(self, placed: Sequence[Placed], places: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The vehicles' mirror images on the road; returns the tiles that these may touch once they are blurred."""
-        device, gl = self._device, self._device.gl
-        size = (self._camera.width, self._camera.height)
-        reach = -(-round(64 * size[0] / 1920) // TILE)
-        around = cv2.dilate(places.astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
-        half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in runs(around, size)]
-        self._prepare(self._reflections, half, "SCENERY", "STEP 1", scenery=self._background.mirrored_depth)
-        device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        device.context.front_face = "ccw"
-        program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, "REFLECTION", *self._lamps)
-        put(program, {**self._background.bind(), **self._uniforms, **self._bind(self._maps()), **self._mirrored})
-        for vehicle in placed:
-            put(program, {**vehicle.matrices, "u_model": vehicle.matrices["u_world"], **vehicle.look})
-            vehicle.coarse.draw(program)
-        device.context.front_face = "cw"
-        return np.asarray(around)
-
-    def _maps(self) -> dict[str, Any]:
-        """Textures of the vehicles' shadows and headlights."""
-        maps = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
-        return maps | ({"u_beams": self._beams.color_attachments[0]} if self._lamps else {})
+    def _vehicle_textures(self) -> dict[str, Any]:
+        """What vehicles' programs sample besides the background: their shadows, the light of their lamps."""
+        own = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
+        return own | ({"u_beams": self._beams.texture} if self._beams else {})
 
     def _draw_vehicles(
         self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *, peel: bool = False
@@ -363,13 +260,13 @@ class GLRenderer:
         """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
-        self._prepare(target, places, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
+        device.prepare(target, places, uniforms, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        units = {**self._maps(), "u_front": self._geometry.color_attachments[0]}
+        units = {**self._vehicle_textures(), "u_front": self._geometry.color_attachments[0]}
         uniforms |= {**self._bind(units), "u_project": self._project}
 
         def draw(option: str, meshes: Iterable[tuple[Placed, DeviceMesh | None]]) -> None:
-            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._lamps)
+            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._options)
             put(program, uniforms)
             for vehicle, mesh in meshes:
                 if mesh:
@@ -394,11 +291,13 @@ class GLRenderer:
         self, places: Sequence[Window], *options: str, uniforms: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
         """Put parts of the picture together."""
-        device = self._device
-        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *options)
+        if not places:
+            return
+        device, wet = self._device, ("WET",) if self._reflections else ()
+        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *options)
         units = {
-            **self._maps(),
-            **({"u_reflections": self._reflections.color_attachments[0]} if self._reflections else {}),
+            **self._vehicle_textures(),
+            **({"u_reflections": self._reflections.texture} if self._reflections else {}),
             "u_vehicles": self._color.color_attachments[0],
             "u_open": self._open.color_attachments[0],
             "u_front": self._geometry.color_attachments[0],
@@ -476,22 +375,6 @@ def _footprint(vehicle: Body, T_world_chassis: Array, middle: Array) -> Array:
     local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
     world = local @ T_world_chassis[:2, :2].T + T_world_chassis[:2, 3]
     return np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, np.tile(size, (6, 1))])
-
-
-def _beam(vehicle: Body, T_world_chassis: Array, middle: Array) -> Array:
-    """(6, 7) corners of two triangles around the road that a vehicle's headlights light, as of `_footprint`."""
-    length, width, height = vehicle.size_lwh
-    local = beam_corners(BEAM_REACH)[[0, 1, 2, 0, 2, 3]]
-    world = (local + [length / 2, 0]) @ T_world_chassis[:2, :2].T + T_world_chassis[:2, 3]
-    size = np.tile([BEAM_REACH, width / 2, height], (6, 1))
-    return np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, size])
-
-
-def _rotation(camera: Camera) -> Array:
-    """(4, 4) world axes, relative to the camera -> camera frame."""
-    out = np.eye(4)
-    out[:3, :3] = camera.T_camera_world[:3, :3]
-    return out
 
 
 @cache

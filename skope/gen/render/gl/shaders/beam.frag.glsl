@@ -6,7 +6,7 @@ out vec4 out_light;
 
 float lamp(vec2 at, float half_apart) {
     float across = at.y - half_apart, right = smoothstep(2.0, -2.0, at.y);
-    float wide = 0.8 + 0.22 * at.x;
+    float wide = 0.7 + 0.17 * at.x;
     return exp(-across * across / (wide * wide)) * smoothstep(0.0, 5.0, at.x) * exp(-at.x / mix(9.0, 13.0, right)) * smoothstep(v_size.x, 0.6 * v_size.x, at.x);
 }
 

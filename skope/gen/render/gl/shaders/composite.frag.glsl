@@ -67,8 +67,8 @@ void main() {
 #ifdef REFLECTIONS
     vec4 mirrored = vec4(0.0);
     vec2 size = vec2(textureSize(u_ambient, 0));
-    for (int i = 0; i < 6; ++i) mirrored += texture(u_reflections, (v_pixel + blurred(v_pixel, i, 6, reflected.a < 0.0)) / size);
-    mirrored /= 6.0;
+    for (int i = 0; i < 5; ++i) mirrored += texture(u_reflections, (v_pixel + blurred(v_pixel, i, 5, reflected.a < 0.0)) / size);
+    mirrored /= 5.0;
     reflected.rgb = reflected.rgb * (1.0 - mirrored.a) + mirrored.rgb * abs(reflected.a);
 #endif
     light += reflected.rgb;

@@ -28,7 +28,7 @@ void main() {
     float share = sunlit.a;
     vec2 size = vec2(textureSize(u_geometry, 0));
     vec3 sum = vec3(0.0);
-    for (int i = 0; i < 12; ++i) sum += textureLod(u_mirrored_light, (v_pixel + blurred(v_pixel, i, 12, share < 0.0)) / size, share < 0.0 ? 0.0 : 2.0).rgb;
-    out_reflected = vec4((exposed(sum / 12.0, metres, cosine) - air) * abs(share), share);
+    for (int i = 0; i < 24; ++i) sum += textureLod(u_mirrored_light, (v_pixel + blurred(v_pixel, i, 24, share < 0.0)) / size, share < 0.0 ? 0.0 : 2.0).rgb;
+    out_reflected = vec4((exposed(sum / 24.0, metres, cosine) - air) * abs(share), share);
 #endif
 }

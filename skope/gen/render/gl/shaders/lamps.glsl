@@ -46,8 +46,8 @@ vec3 emission(vec3 p, vec3 n) {
     if (!shop && chance > u_lit_windows) return vec3(0.0);
     vec3 warm = mix(vec3(1.0, 0.56, 0.24), vec3(0.95, 0.88, 0.75), tint);
     float inside = 0.55 + 0.9 * texture(u_noise, floor(at / vec2(0.37, 0.52)) * 0.231).g;
-    if (shop) return mix(warm, vec3(1.0, 0.95, 0.85), 0.6) * inside * 0.035 * (0.35 + u_lit_windows);
-    return warm * (cloth ? 0.012 : 0.022 * inside) * (0.5 + tint);
+    if (shop) return mix(warm, vec3(1.0, 0.95, 0.85), 0.6) * inside * 0.015 * (0.35 + u_lit_windows);
+    return warm * (cloth ? 0.007 : 0.011 * inside) * (0.5 + tint);
 #else
     return vec3(0.0);
 #endif

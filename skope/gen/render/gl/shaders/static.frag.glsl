@@ -59,7 +59,7 @@ void main() {
 #if defined(GROUND) && defined(WET)
     vec2 film = water_on(v_world + u_eye, n);  // how wet, and whether water stands
     color *= mix(1.0, v_material == M_MARKING ? 0.8 : 0.52, film.x);
-    water = fresnel(dot(n, view), 0.03) * mix(0.85, 1.0, film.y) * film.x;
+    water = fresnel(dot(n, view), 0.045) * mix(0.9, 1.0, film.y) * film.x;
     sun_glint = water * ggx(n, view, u_sun_direction, mix(0.32, 0.12, film.y)) * u_sun * sun;
     f = 0.0;
 #endif

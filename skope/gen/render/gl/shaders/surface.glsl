@@ -17,11 +17,12 @@ uniform float u_puddles;
 // How wet level ground is, and whether water stands there: where it drains last it dries last.
 vec2 water_on(vec3 p, vec3 n) {
     mat2 turn = mat2(0.82, 0.57, -0.57, 0.82);
-    vec4 hollows = noise(turn * p.xy, 17.0), dips = noise(turn * turn * p.xy + 1.3, 4.3);
-    float low = 0.55 * hollows.b + 0.35 * dips.r + 0.1 * noise(p.xy, 1.1).g;
+    // Water evens out what is small.
+    vec4 hollows = textureLod(u_noise, turn * p.xy / 23.0, 3.5), dips = textureLod(u_noise, (turn * turn * p.xy + 1.3) / 8.0, 4.0);
+    float low = 0.6 * hollows.b + 0.4 * dips.r;
     float level = smoothstep(0.8, 0.97, n.z), soaks = float(between(M_MEADOW, M_GRASS) || v_material == M_SOIL || v_material == M_GRAVEL);
     float wet = smoothstep(0.95 - 1.1 * u_wetness, 1.25 - 1.1 * u_wetness, low + 0.15 * dips.g);
-    float stands = smoothstep(0.0, 0.02, low - (0.78 - 0.42 * u_puddles)) * level * (1.0 - soaks) * step(0.001, u_puddles);
+    float stands = smoothstep(0.0, 0.03, low - (0.70 - 0.38 * u_puddles)) * level * (1.0 - soaks) * step(0.001, u_puddles);
     float film = wet * mix(0.6, 1.0, level) * (1.0 - 0.8 * soaks);
     return vec2(max(film, stands * smoothstep(0.1, 0.4, u_wetness)), stands);
 }
