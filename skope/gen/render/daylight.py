@@ -18,7 +18,7 @@ _TWILIGHT_DEG: Final = 4.5
 _NIGHT_SKY: Final = 0.006
 """Of the sky's light at sunset; more than a true night's, as the street lights are more than true ones: only what lies
 between them shows once the camera has adapted."""
-_DIM: Final = 0.2
+_DIM: Final = 0.24
 """In stops per stop: how much darker than a day's an automatic exposure leaves a darker scene."""
 _FULL_LIGHT: Final = 2.0
 """Irradiance on the ground from which on it does not."""

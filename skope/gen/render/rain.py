@@ -42,17 +42,13 @@ class Rain:
             return rgb
         height, width = rgb.shape[:2]
         rng = np.random.default_rng([*self._seed, 12, frame])
-        y, x = (
-            int(rng.integers(0, field - side + 1))
-            for field, side in zip(self._streaks.shape, (height, width), strict=True)
-        )
+        rows, columns = self._streaks.shape
+        y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
         window = self._streaks[y : y + height, x : x + width]
-        # Drops show what is around them: bright before the sky and near lamps, hardly anything in the dark.
-        small = cv2.cvtColor(
-            cv2.resize(rgb, (width // 16, height // 16), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY
-        )
-        around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1])
-        light = cv2.resize(cv2.addWeighted(around, 0.8, around, 0.0, 6.0), (width, height))
+        # Drops show the light around them, which stands out before what is neither bright itself nor in the dark.
+        small = cv2.cvtColor(_smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
+        around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
+        light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
         fallen = cv2.add(rgb, cv2.cvtColor(cv2.multiply(window, light, scale=1 / 255), cv2.COLOR_GRAY2RGB))
         return self._on_glass(np.asarray(fallen, dtype=np.uint8), frame)
 
@@ -102,9 +98,12 @@ def _streaks(size: tuple[int, int], rate: float, slant: float, shutter: float) -
 
 
 def _out_of_focus(rgb: Image) -> Image:
-    height, width = rgb.shape[:2]
-    small = cv2.resize(rgb, (width // 8, height // 8), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.5), dtype=np.uint8)
+    return np.asarray(cv2.GaussianBlur(_smaller(rgb, 8), (0, 0), 1.5), dtype=np.uint8)
+
+
+def _smaller(rgb: Image, times: int) -> Image:
+    size = (max(rgb.shape[1] // times, 1), max(rgb.shape[0] // times, 1))
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _drop(rgb: Image, soft: Image, center: tuple[float, float], radius: float, tall: float) -> None:

@@ -17,7 +17,7 @@ from skope.gen.render.gl.cache import cached
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
 from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
-from skope.gen.render.gl.water import Plane, plane_of
+from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
 from skope.gen.towns.scenery import scenery
 
 Array = NDArray[np.float64]
@@ -123,7 +123,17 @@ def _develop(stage: Stage, light: dict[str, NDArray[np.float16]], geometry: Any,
     for unit, texture in enumerate((*textures.values(), geometry)):
         texture.use(unit)
     units = {f"u_{name}_light": unit for unit, name in enumerate(textures)}
-    put(program, {**stage.uniforms, **stage.pixels, **units, "u_geometry": len(textures), "u_jitter": [0.0, 0.0]})
+    put(
+        program,
+        {
+            **stage.uniforms,
+            **uniforms_of(road),
+            **stage.pixels,
+            **units,
+            "u_geometry": len(textures),
+            "u_jitter": [0.0, 0.0],
+        },
+    )
     target.use()
     device.context.enable_only(device.gl.NOTHING)
     device.screen(program)
@@ -160,6 +170,7 @@ def _digest(device: Device, recording: Recording) -> str:
         *(skope.__version__, device.name, shader_sources(), str(lighting.SAMPLES)),
         *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
         *(str(getattr(recording.conditions, name)) for name in _LIGHT),
+        str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )
     digest = hashlib.sha256("\n".join(parts).encode())
     for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, albedo_table(), lamps):

@@ -10,6 +10,9 @@ layout(location = 0) out vec4 out_ambient;  // w: albedo
 layout(location = 1) out vec4 out_sun;
 #ifdef WET
 #include "blur.glsl"
+#include "plane.glsl"
+uniform mat3 u_world_from_camera;
+uniform vec3 u_horizon;
 uniform sampler2D u_mirrored_light;   // what the road mirrors, blurred
 layout(location = 2) out vec4 out_reflected;  // w: the share of it that the road mirrors, under 0 where water stands
 #endif
@@ -29,6 +32,9 @@ void main() {
     vec2 size = vec2(textureSize(u_geometry, 0));
     vec3 sum = vec3(0.0);
     for (int i = 0; i < 24; ++i) sum += textureLod(u_mirrored_light, (v_pixel + blurred(v_pixel, i, 24, share < 0.0)) / size, share < 0.0 ? 0.0 : 2.0).rgb;
+    // What does not lie in the plane mirrors something else: far away, that is the sky over the horizon.
+    float off = abs(over_plane(u_world_from_camera * ray * geometry.r));
+    sum = mix(sum, 24.0 * u_horizon, smoothstep(0.25, 1.0, off));
     out_reflected = vec4((exposed(sum / 24.0, metres, cosine) - air) * abs(share), share);
 #endif
 }

@@ -24,6 +24,8 @@ layout(location = 1) out vec4 out_sun;      // light; w: share of light that a f
 #endif
 #ifdef MIRRORED
 #include "plane.glsl"
+uniform vec3 u_haze;
+uniform float u_haze_density;
 #endif
 
 void main() {
@@ -71,5 +73,10 @@ void main() {
 #endif
 #ifdef LAMPS
     out_ambient.rgb += emission(v_world + u_eye, n);
+#endif
+#ifdef MIRRORED
+    float clear = exp(-u_haze_density * length(u_viewer - v_world));
+    out_ambient.rgb = mix(u_haze, out_ambient.rgb, clear);
+    out_sun.rgb *= clear;
 #endif
 }
