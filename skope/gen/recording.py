@@ -22,7 +22,7 @@ from skope.gen.towns.place import Place, know
 
 Array = NDArray[np.float64]
 
-VERSION: Final = 2
+VERSION: Final = 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,7 +48,9 @@ ADDED_SHARE: Final = 0.1
 FLASH: Final = 0.667
 """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
 LAMPS_ON_DEG: Final = 10.0
-"""Vehicles drive with their lamps lit when the sun stands lower than this."""
+"""Vehicles drive with their lamps lit when the sun stands lower than this,"""
+LAMPS_ON_VISIBILITY: Final = 1000.0
+"""when one sees less far than this, metres, and in rain."""
 TRACKS_PER_RECORDING: Final = 100_000
 
 
@@ -64,12 +66,13 @@ def simulate(plan: RecordingPlan) -> Recording:
     know(site.place)
     rng = np.random.default_rng([plan.seed, zlib.crc32(site.name.encode()), plan.index])
     warm_up = round(rng.uniform(*WARM_UP) / STEP)
-    conditions = Conditions.drawn(ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings}), rng)
+    own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
+    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
+    conditions = Conditions.drawn(spans, np.random.default_rng([*own, 4]))
     camera = site.camera(plan.size, plan.fov_deg, conditions.k1)
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
     models = _models(plan)
-    log = _Log(camera, plan, models, night=conditions.sun_elevation_deg < LAMPS_ON_DEG)
-    own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
+    log = _Log(camera, plan, models, lamps_on=lamps_on(conditions))
     paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
     walkers = Walkers(paths, np.random.default_rng([*own, 1]))
     log.park(parked(site.town, log.in_view(scenery(site.town).bays), models, np.random.default_rng([*own, 3])))
@@ -110,6 +113,12 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
 
 
+def lamps_on(conditions: Conditions) -> bool:
+    """Whether vehicles drive with their lamps lit."""
+    seen = conditions.sun_elevation_deg >= LAMPS_ON_DEG and conditions.visibility_m >= LAMPS_ON_VISIBILITY
+    return not seen or conditions.rain_mm_h > 0
+
+
 def flashed(lamps: int, time: float, name: str) -> int:
     """The lamps that are lit at a time: indicators flash, each vehicle's in its own time."""
     indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
@@ -120,12 +129,14 @@ def flashed(lamps: int, time: float, name: str) -> int:
 class _Log:
     """Collects frames; vehicles are numbered in the order in which they come near."""
 
-    def __init__(self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, night: bool) -> None:
+    def __init__(
+        self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool
+    ) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
         self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]
         self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
-        self._always = LAMPS["low_beam"] if night else 0
+        self._always = LAMPS["low_beam"] if lamps_on else 0
         self._parked: dict[str, tuple[Parked, Pose]] = {}
         self._index: dict[str, int] = {}
         self._entries: list[RecordedVehicle] = []

@@ -13,7 +13,6 @@ from skope.camera import Camera
 from skope.depth import encode_depth
 from skope.gen.mesh import flat
 from skope.gen.render import choose_renderer, make_renderer
-from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import cache
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import device
@@ -27,7 +26,7 @@ def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
     """(H, W, 4) depth, slopes and id of one quadrilateral given in world coordinates."""
     gl = device()
     target = gl.target(SIZE, ["4f4"])
-    Stage(gl, flat([corners], "asphalt"), camera, Daylight.of(conditions())).draw_geometry(target)
+    Stage(gl, flat([corners], "asphalt"), camera, conditions()).draw_geometry(target)
     return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
 
 

@@ -1,12 +1,13 @@
 """Colours of materials, lit: sRGB in 0..1."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.conditions import OVERCAST, Conditions
+from skope.gen.conditions import DARK_DEG, OVERCAST, Conditions
 
 RGB = tuple[float, float, float]
 
@@ -90,6 +91,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "balustrade": (0.55, 0.60, 0.62),
     "timber": (0.46, 0.34, 0.23),
     "cabinet": (0.36, 0.43, 0.37),
+    "luminaire": (0.90, 0.89, 0.85),
     "sign_red": (0.74, 0.08, 0.08),
     "sign_white": (0.91, 0.91, 0.90),
     "sign_blue": (0.08, 0.24, 0.58),
@@ -197,18 +199,35 @@ class Light:
     tint: RGB
     zenith: RGB
     horizon: RGB
+    shadows: bool = True
+    haze_density: float = 0.0
+    """Extinction of the air, 1/m."""
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Light":
         """Sun and sky under a recording's conditions."""
+        light = cls._by_night(conditions) if conditions.sun_elevation_deg < DARK_DEG else cls._by_day(conditions)
+        return replace(light, haze_density=-math.log(0.05) / conditions.visibility_m)
+
+    @classmethod
+    def _by_night(cls, conditions: Conditions) -> "Light":
+        """Even light from above, the bluer and weaker the lower the sun has sunk."""
+        share = float(np.clip((DARK_DEG - conditions.sun_elevation_deg) / 12, 0, 1))
+        level = 0.62 - 0.36 * share
+        tint = (0.92 - 0.1 * share, 0.95 - 0.03 * share, 1.0)
+        zenith = (0.5 * level * tint[0], 0.55 * level * tint[1], 0.75 * level)
+        horizon = (0.8 * level, 0.72 * level, 0.72 * level)
+        return cls((0.0, 0.0, 1.0), 0.2 * level, 0.8 * level, tint, zenith, horizon, shadows=False)
+
+    @classmethod
+    def _by_day(cls, conditions: Conditions) -> "Light":
         elevation, azimuth = np.radians([conditions.sun_elevation_deg, conditions.sun_azimuth_deg])
         low = float(np.clip(1 - conditions.sun_elevation_deg / 35, 0, 1))
         if conditions.clouds > OVERCAST:
             level = 1 - 0.3 * low
             grey: RGB = (0.80 * level, 0.82 * level, 0.85 * level)
-            return cls(
-                (0.0, 0.0, 1.0), 0.25, 0.72 * level, (0.97, 0.99, 1.0), grey, (0.9 * level, 0.9 * level, 0.9 * level)
-            )
+            horizon: RGB = (0.9 * level, 0.9 * level, 0.9 * level)
+            return cls((0.0, 0.0, 1.0), 0.25, 0.72 * level, (0.97, 0.99, 1.0), grey, horizon, shadows=False)
         direction = (
             float(np.cos(elevation) * np.cos(azimuth)),
             float(np.cos(elevation) * np.sin(azimuth)),

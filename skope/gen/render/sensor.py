@@ -1,4 +1,4 @@
-"""What the camera adds to a clean picture: the lens' distortion and the sensor's noise."""
+"""What the camera adds to a clean picture: the lens' distortion, rain before it, noise, the stream's losses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,9 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.conditions import DARK_DEG, Conditions
 from skope.gen.recording import Recording
 from skope.gen.render import Renderer, View
 from skope.gen.render.lens import Lens
+from skope.gen.render.rain import Rain
+from skope.gen.render.stream import streamed
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""
@@ -33,6 +36,7 @@ class Sensor:
             straight = None if photograph is None else self._lens.straightened(photograph)
             self._bent = None if straight is None else self._lens.bent(straight)
             seen = replace(recording, camera=self._lens.pinhole, photograph=straight)
+        self._rain = Rain(recording)
         self._clean = make(seen)
 
     def render(self, frame: int) -> View:
@@ -44,15 +48,40 @@ class Sensor:
             # The photograph itself where nothing was drawn over it, for going through two warps blurs it.
             untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= _ROUNDING
             view = replace(view, rgb=np.where(untouched, self._recording.photograph, view.rgb))
-        sigma = max(self._recording.conditions.noise, LEAST_NOISE)
-        return replace(view, rgb=with_noise(view.rgb, self._recording, frame), contrast=view.contrast / sigma)
+        conditions = self._recording.conditions
+        rgb = self._rain.fall(view.rgb, frame)
+        if grey(conditions):
+            rgb = np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+        rgb = streamed(with_noise(rgb, self._recording, frame), self._recording, frame)
+        return replace(view, rgb=rgb, contrast=view.contrast / max(sigma_of(conditions), LEAST_NOISE))
+
+
+def grey(conditions: Conditions) -> bool:
+    """Whether the camera has swung its infrared filter away."""
+    return conditions.infrared >= 0.5 and conditions.sun_elevation_deg < DARK_DEG
+
+
+def sigma_of(conditions: Conditions) -> float:
+    """Standard deviation of the noise, of 255: it grows with less than the root of the gain, as cameras smooth it."""
+    return float(conditions.noise * 10 ** (conditions.gain_db / 60))
 
 
 @lru_cache(maxsize=2)
-def _field(height: int, width: int, sigma: float) -> NDArray[np.int16]:
-    """Noise for an image and `_SLACK` pixels more on each axis."""
+def _field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.int16]:
+    """Noise for an image and `_SLACK` pixels more on each axis.
+
+    With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
+    """
     rng = np.random.default_rng(5)
-    noise = sigma * rng.standard_normal((height + _SLACK, width + _SLACK, 3), dtype=np.float32)
+    noise = rng.standard_normal((height + _SLACK, width + _SLACK, 1 if mono else 3), dtype=np.float32)
+    if not mono and gain_db > 0:
+        noise = 0.5 * noise + 0.5 * noise.mean(axis=-1, keepdims=True)
+    share = min(gain_db / 80, 0.5)
+    if share > 0:
+        blotches = cv2.GaussianBlur(noise, (0, 0), 1.1).reshape(noise.shape)
+        noise = (1 - share) * noise + share * blotches / blotches.std()
+        noise /= noise.std()
+    noise = np.broadcast_to(sigma * noise, (*noise.shape[:2], 3))
     return np.asarray(np.rint(noise), dtype=np.int16)
 
 
@@ -65,5 +94,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     seed = [recording.seed, *recording.site.encode(), int(recording.name), frame]
     y, x = np.random.default_rng(seed).integers(0, _SLACK, 2)
     height, width = clean.shape[:2]
-    noise = _field(height, width, recording.conditions.noise)[y : y + height, x : x + width]
+    conditions = recording.conditions
+    field = _field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))
+    noise = field[y : y + height, x : x + width]
     return np.asarray(cv2.add(clean, noise, dtype=cv2.CV_8U), dtype=np.uint8)

@@ -1,5 +1,6 @@
 """Lit lamps of traffic lights, drawn over a rendered image."""
 
+from collections.abc import Iterator
 from typing import Any, Final
 
 import cv2
@@ -10,11 +11,24 @@ from skope.camera import Camera
 from skope.gen.recording import Moment
 from skope.gen.towns.scenery import Signal
 
+Array = NDArray[np.float64]
+
 _LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
 """Which lamp each of SUMO's states lights; the others light none."""
 _COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
 _RADIUS: Final = 0.1
 _SHIFT: Final = 4
+
+
+def lit_signals(
+    camera: Camera, moment: Moment, signals: tuple[Signal, ...]
+) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
+    """Place, direction and colour of the lamps that are lit and turned to the camera."""
+    for signal in signals:
+        lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
+        if lamp is not None and (camera.position - signal.lamps[0]) @ signal.facing > 0:
+            red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
+            yield signal.lamps[lamp], signal.facing, (red, green, blue)
 
 
 def light_signals(

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.gen.bodies import body_of
 from skope.gen.bullet import engine
-from skope.gen.conditions import OVERCAST
 from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment, RecordedVehicle, Recording
 from skope.gen.render import SKY, STATIC, Silhouette, View
+from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, window_of
@@ -36,6 +36,8 @@ FINE: Final = 3
 FAR: Final = 1200.0
 SHADOW: Final = 0.45
 """How much of the light a vehicle's shadow takes from the road."""
+WET_LOSS: Final = 0.4
+"""How much of it water takes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +140,8 @@ class _Stage:
         depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
         z = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
+        through = np.exp(-self._light.haze_density * z).astype(np.float32)[..., None]
+        rgb = (rgb * through + 255 * np.array(self._light.horizon, np.float32) * (1 - through)).astype(np.uint8)
         return _Layer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
 
 
@@ -151,6 +155,8 @@ class TinyRenderer:
         self._models: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[_Stage, list[int], list[list[int]]]] = {}
         self._signals = scenery(recording.town).signals
         self._background, self._ground = self._draw_background()
+        depth = self._background.depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        self._glare = Glare(self._camera, recording.conditions, scenery(recording.town), depth)
 
     # ------------------------------------------------------------------------------------------------------ scenery
 
@@ -169,7 +175,8 @@ class TinyRenderer:
         pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
         rgb = layer.rgb.astype(np.float32)
         positions, _ = camera.unproject(pixels, np.where(ground, layer.depth, 0))
-        rgb *= np.where(ground, grain(positions[..., :2]), np.float32(1))[..., None]
+        wet = np.float32(1 - WET_LOSS * self._recording.conditions.wetness)
+        rgb *= np.where(ground, wet * grain(positions[..., :2]), np.float32(1))[..., None]
         sky = layer.part < 0
         rays, _ = camera.rays(pixels[sky])
         up = (rays @ camera.T_camera_world[:3, :3])[:, 2] / np.linalg.norm(rays, axis=-1)
@@ -220,7 +227,7 @@ class TinyRenderer:
             points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
             height = points[:, 2:] - chassis[2, 3]
             flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
-            if self._recording.conditions.clouds <= OVERCAST:
+            if self._light.shadows:
                 sun = np.array(self._light.direction)
                 self._fill(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
             self._fill(contact, flat)
@@ -258,9 +265,10 @@ class TinyRenderer:
         clean = _mean(rgb)
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
+        coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
         return View(
-            np.rint(clean).astype(np.uint8),
-            np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE]),
+            self._glare.spread(np.rint(clean).astype(np.uint8), coarse, middle, moment),
+            coarse,
             _slope(depth),
             np.ascontiguousarray(middle),
             tuple(_silhouette(layer) for layer in layers),

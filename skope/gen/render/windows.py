@@ -46,6 +46,24 @@ def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_di
     return _hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
 
 
+def beam_corners(reach: float) -> Array:
+    """(4, 2) of the ground that headlights may light up to so far ahead of the bumper, vehicle axes."""
+    return np.array([[0.0, -4.0], [reach, -14.0], [reach, 14.0], [0.0, 4.0]])
+
+
+def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: float) -> Array:
+    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light."""
+    ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
+    points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
+    return _hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+
+
+def mirror_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, mirror: Array) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
+    world = _corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
+    return _hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
+
+
 def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     """(rows, columns) the tiles of an image of `size` (width, height) that polygons touch, and some beside them."""
     columns, rows = (-(-side // TILE) for side in size)

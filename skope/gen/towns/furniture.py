@@ -1,6 +1,6 @@
 """Lights, signs, cabinets, bins, benches, bollards, bus shelters; x along the street, y towards the carriageway."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any, Final
 
@@ -131,7 +131,14 @@ def street_light(form: str, reach: float) -> Mesh:
 
 def _luminaire(y: float, z: float) -> Mesh:
     head = box([-0.13, y, z], [0.13, y + 0.7, z + 0.14], "pole")
-    return merged([head, box([-0.1, y + 0.1, z - 0.02], [0.1, y + 0.65, z], "lettering")])
+    return merged([head, box([-0.1, y + 0.1, z - 0.02], [0.1, y + 0.65, z], "luminaire")])
+
+
+def lamp_positions(meshes: Iterable[Mesh]) -> Array:
+    """(N, 3) middles of the luminaires' panes, each of which is a box of 24 vertices."""
+    panes = [mesh.by_material()["luminaire"].vertices for mesh in meshes if "luminaire" in mesh.materials]
+    boxes = np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)])
+    return np.asarray(boxes.mean(axis=1))
 
 
 def delineator() -> Mesh:

@@ -1,7 +1,7 @@
 """Scenery grown from a SUMO network, the same for the same network: roads, houses, trees, street furniture, signals."""
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Final
 
@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.towns.backdrop import backdrop
-from skope.gen.towns.furniture import furniture
+from skope.gen.towns.furniture import furniture, lamp_positions
 from skope.gen.towns.gardens import gardens
 from skope.gen.towns.ground import Beside, ground_meshes, ground_parts
 from skope.gen.towns.horizon import horizon
@@ -56,6 +56,8 @@ class Scenery:
     """x, y and reach of their crowns."""
     bays: tuple[Bay, ...] = ()
     """Where vehicles may be parked."""
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) where street lights shine down from."""
 
 
 @cache
@@ -79,19 +81,21 @@ def scenery(town: str) -> Scenery:
     pits = unary_union([tree.pit for tree in trees if tree.street])
     footings = built.buffer(0.35, join_style="mitre")
     beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, footings, pits)
+    furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
     meshes = [
         *ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])),
         *house_meshes(houses, rng["houses"]),
         *gardens(layout, houses, pits, rng["gardens"]),
         *tree_meshes(layout, trees, rng["crowns"]),
-        *furniture(layout, unary_union([built, paved, pits]), rng["furniture"]),
+        *furnished,
         *structures(layout),
         *horizon(layout, rng["horizon"]),
         *poles,
     ]
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses))
-    grown = Scenery(merged(meshes), signals, tuple(house.footprint for house in houses), crowns, bays)
+    footprints = tuple(house.footprint for house in houses)
+    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamp_positions(furnished))
     return _out_of_mirror(grown) if layout.mirrored else grown
 
 
@@ -104,6 +108,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple(shapely.affinity.scale(footprint, 1.0, -1.0, origin=(0, 0)) for footprint in seen.buildings),
         tuple((x, -y, reach) for x, y, reach in seen.trees),
         tuple(Bay((bay.place[0], -bay.place[1]), -bay.heading) for bay in seen.bays),
+        seen.lamps * flip,
     )
 
 

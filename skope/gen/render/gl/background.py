@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +16,9 @@ from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl import photograph
 from skope.gen.render.gl.cache import cached
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
+from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
+from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
 from skope.gen.towns.scenery import scenery
 
 Array = NDArray[np.float64]
@@ -24,6 +26,11 @@ Array = NDArray[np.float64]
 SCALE: Final = 2
 """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
 _MIRROR: Final = 128
+_LIGHT: Final = (
+    *("sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles"),
+    *("street_lighting", "street_light_k", "lit_windows", "infrared"),
+)
+"""Conditions that the scenery's light depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +38,19 @@ class Background:
     """Scenery: light and depth on the device, geometry in memory."""
 
     daylight: Daylight
+    street_lights: StreetLights
     focus: Array
     """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
+    road: Plane
     depth: NDArray[np.float32]
     slope: NDArray[np.float32]
     ids: NDArray[np.int32]
     textures: dict[str, Any]
     """By the name of the uniform that programs sample them with."""
+    mirrored_depth: Any
+    """Texture of the depth of what wet ground mirrors, half as fine as the image; None where it is dry."""
+    water: NDArray[np.float16] | None
+    """(H, W) share of light that water on the ground mirrors."""
     uniforms: dict[str, Any]
     """What programs need besides."""
 
@@ -50,61 +63,101 @@ class Background:
 
 def light_the_scenery(device: Device, recording: Recording) -> Background:
     """Work out the light of a recording's scenery."""
-    camera, daylight = recording.camera, Daylight.of(recording.conditions)
+    camera, town, conditions = recording.camera, scenery(recording.town), recording.conditions
+    daylight = Daylight.of(conditions)
     if recording.place and recording.place.photograph:
+        # The photograph's own wet road is in it already.
+        conditions = replace(conditions, wetness=0.0, puddles=0.0)
         daylight = photograph.fitted(device, daylight, recording.place)
     size = (camera.width, camera.height)
-    stage = Stage(device, scenery(recording.town).mesh, camera, daylight)
+    stage = Stage(device, town.mesh, camera, conditions, town.lamps, daylight)
+    wet = conditions.wetness > 0
 
     geometry = device.target(size, ["4f4"])
     stage.draw_geometry(geometry)
     data = np.frombuffer(geometry.read(components=4, dtype="f4"), dtype=np.float32).reshape(size[1], size[0], 4)
     hit = data[..., 3] > 0
+    depth = np.where(hit, data[..., 0], np.inf).astype(np.float32)
+    slope = np.where(hit[..., None], data[..., 1:3], 0).astype(np.float32)
+    road = plane_of(camera, depth, slope)
     fine = device.depth_target((SCALE * size[0], SCALE * size[1]))
     stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
     sun_map = device.shadow_map(sun_map_size(camera))
-    clip, sun_map_from = light_projection(daylight.sun_direction, stage.focus, SHADOW_RADIUS)
+    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
-        light = cached(_digest(device, recording), stage.light)
-        ambient, sunlit = _develop(stage, light, geometry.color_attachments[0])
+        light = cached(_digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {}))
+        shown = _develop(stage, light, geometry.color_attachments[0], road)
     else:
         # Its shadows are in the picture already.
         sun_map.clear()
-        ambient, sunlit = photograph.shown(device, recording, daylight)
+        ambient, sunlit = photograph.shown(device, recording, stage.daylight)
+        shown = {"u_ambient": ambient, "u_sunlit": sunlit}
     textures = {
-        "u_ambient": ambient,
-        "u_sunlit": sunlit,
+        **shown,
         "u_background": device.texture(np.where(hit, data[..., 0], 0)[..., None], "f4"),
         "u_scenery": fine.depth_attachment,
         "u_mirror": _mirror(stage),
         "u_scenery_sun_map": sun_map.depth_attachment,
     }
+    if stage.daylight.dark:
+        vectors = device.texture(stage.lamp_vectors, "f2")
+        vectors.filter = (device.gl.LINEAR, device.gl.LINEAR)
+        vectors.repeat_x = vectors.repeat_y = False
+        textures["u_lamp_vectors"] = vectors
     return Background(
-        daylight=daylight,
+        daylight=stage.daylight,
+        street_lights=stage.street_lights,
         focus=stage.focus,
-        depth=np.where(hit, data[..., 0], np.inf).astype(np.float32),
-        slope=np.where(hit[..., None], data[..., 1:3], 0).astype(np.float32),
+        road=road,
+        depth=depth,
+        slope=slope,
         ids=np.where(hit, STATIC, SKY).astype(np.int32),
         textures=textures,
+        mirrored_depth=_mirrored_depth(stage, road) if wet else None,
+        water=np.abs(light["sunlit"][..., 3]) if wet else None,
         uniforms={**stage.uniforms, "u_scenery_sun_map_from": sun_map_from},
     )
 
 
-def _develop(stage: Stage, light: dict[str, NDArray[np.float16]], geometry: Any) -> tuple[Any, Any]:
-    """Textures of the scenery's light from sky and sun as the camera exposes it."""
+def _develop(stage: Stage, light: dict[str, NDArray[np.float16]], geometry: Any, road: Plane) -> dict[str, Any]:
+    """Textures of the scenery's light from sky and sun, and of what wet ground mirrors, as the camera exposes it."""
     device = stage.device
-    program = device.program("screen.vert.glsl", "develop.frag.glsl")
-    target = device.target(geometry.size, ["4f2", "4f2"], depth=False)
-    textures = [*(device.texture(light[name], "f2") for name in ("ambient", "sunlit")), geometry]
-    for unit, texture in enumerate(textures):
+    wet = "mirrored" in light
+    names = ["u_ambient", "u_sunlit", *(["u_reflected"] if wet else [])]
+    program = device.program("screen.vert.glsl", "develop.frag.glsl", *(["WET"] if wet else []))
+    target = device.target(geometry.size, ["4f2"] * len(names), depth=False)
+    textures = {name: device.texture(values, "f2") for name, values in light.items()}
+    if wet:
+        textures["mirrored"].build_mipmaps()
+        textures["mirrored"].filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
+        textures["mirrored"].repeat_x = textures["mirrored"].repeat_y = False
+    for unit, texture in enumerate((*textures.values(), geometry)):
         texture.use(unit)
-    put(program, {**stage.uniforms, **stage.pixels, "u_a": 0, "u_b": 1, "u_geometry": 2, "u_jitter": [0.0, 0.0]})
+    units = {f"u_{name}_light": unit for unit, name in enumerate(textures)}
+    put(
+        program,
+        {
+            **stage.uniforms,
+            **uniforms_of(road),
+            **stage.pixels,
+            **units,
+            "u_geometry": len(textures),
+            "u_jitter": [0.0, 0.0],
+        },
+    )
     target.use()
     device.context.enable_only(device.gl.NOTHING)
     device.screen(program)
-    ambient, sunlit = target.color_attachments
-    return ambient, sunlit
+    return dict(zip(names, target.color_attachments, strict=True))
+
+
+def _mirrored_depth(stage: Stage, road: Plane) -> Any:
+    """Depth of what the road mirrors, half as fine as the image."""
+    width, height = stage.pixels["u_size"]
+    target = stage.device.depth_target((-(-width // 2), -(-height // 2)))
+    stage.draw_mirrored_depth(target, road)
+    return target.depth_attachment
 
 
 def _mirror(stage: Stage) -> Any:
@@ -123,14 +176,15 @@ def _mirror(stage: Stage) -> Any:
 
 def _digest(device: Device, recording: Recording) -> str:
     """Names everything that the scenery's light depends on."""
-    mesh = scenery(recording.town).mesh
+    mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
     camera = recording.camera
     parts = (
         *(skope.__version__, device.name, shader_sources(), str(lighting.SAMPLES)),
         *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
-        *(str(getattr(recording.conditions, name)) for name in ("sun_elevation_deg", "sun_azimuth_deg", "clouds")),
+        *(str(getattr(recording.conditions, name)) for name in _LIGHT),
+        str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )
     digest = hashlib.sha256("\n".join(parts).encode())
-    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, albedo_table()):
+    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, albedo_table(), lamps):
         digest.update(array.tobytes())
     return digest.hexdigest()[:24]

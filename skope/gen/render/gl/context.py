@@ -124,6 +124,16 @@ class Device:
         windows = np.array(places, dtype="f4").reshape(-1, 4)
         self.triangles(program, windows[:, [0, 1, 2, 1, 2, 3, 0, 1, 2, 3, 0, 3]], "2f", "in_corner")
 
+    def prepare(self, target: Any, places: Sequence[Window], uniforms: Mapping[str, Any], *options: str) -> None:
+        """Make parts of a target ready for drawing (see prepare.frag.glsl)."""
+        program = self.program("tiles.vert.glsl", "prepare.frag.glsl", *options)
+        put(program, uniforms)
+        target.use()
+        self.context.enable_only(self.gl.DEPTH_TEST)
+        self.context.depth_func = "1"
+        self.tiles(program, places)
+        self.context.depth_func = "<"
+
     def triangles(self, program: Any, rows: NDArray[np.float32], layout: str, *names: str) -> None:
         """Draw triangles from the values of their corners, which are on the device for this draw only."""
         if not rows.size:

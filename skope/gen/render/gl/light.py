@@ -4,14 +4,17 @@ An average of many samples, each with its own shift of the pixels, its own point
 direction of the sky: anti-aliasing, soft shadows and sky occlusion come out of the same average.
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.conditions import Conditions
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl import lamps
 from skope.gen.render.gl.context import (
     Device,
     DeviceMesh,
@@ -21,11 +24,15 @@ from skope.gen.render.gl.context import (
     projection,
     put,
 )
+from skope.gen.render.gl.lamps import StreetLights
+from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
 
 Array = NDArray[np.float64]
 
 SAMPLES: Final = 24
+MIRRORED_SHARE: Final = 4
+"""One in so many samples is taken of what wet ground mirrors, at half the resolution: water blurs it."""
 SKY_MAP: Final = 2048
 SHADOW_RADIUS: Final = 140.0
 GROUPS: Final = {
@@ -41,10 +48,19 @@ _GOLDEN: Final = (1 + 5**0.5) / 2
 
 
 class Stage:
-    """Scenery on the device with the sun and the sky over it."""
+    """Scenery on the device with sun, sky and street lights over it."""
 
-    def __init__(self, device: Device, mesh: Mesh, camera: Camera, daylight: Daylight) -> None:
-        self.device, self._camera, self._daylight = device, camera, daylight
+    def __init__(
+        self,
+        device: Device,
+        mesh: Mesh,
+        camera: Camera,
+        conditions: Conditions,
+        burning: Array | None = None,
+        daylight: Daylight | None = None,
+    ) -> None:
+        """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None."""
+        self.device, self._camera, self._mesh = device, camera, mesh
         self._size = (camera.width, camera.height)
         forward = camera.T_camera_world[2, :3]
         level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
@@ -52,7 +68,16 @@ class Stage:
         """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
         self.view = np.eye(4)
         self.view[:3, :3] = camera.T_camera_world[:3, :3]
-        self._seen, self._casting = (_parts(device, part, camera) for part in self._needed(mesh))
+        daylight = daylight or Daylight.of(conditions)
+        self.street_lights = StreetLights.of(
+            np.zeros((0, 3)) if burning is None else burning, camera, conditions, daylight, self.focus
+        )
+        self.lamp_vectors = self.street_lights.on_ground()
+        self.daylight = replace(daylight, lamplight=self.street_lights.mean(self.lamp_vectors))
+        daylight = self.daylight
+        self.options = (*(lamps.OPTIONS if daylight.dark else ()), *(("WET",) if conditions.wetness > 0 else ()))
+        self._seen = _parts(device, mesh.taken(self._in_view(mesh, np.eye(4))), camera)
+        self._casting = _parts(device, mesh.taken(self._within_reach(mesh)), camera)
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
         self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
@@ -62,13 +87,21 @@ class Stage:
             "u_sun": daylight.sun,
             "u_zenith": daylight.zenith,
             "u_horizon": daylight.horizon,
+            "u_afterglow": daylight.afterglow,
+            "u_sunset": daylight.sunset,
             "u_ground": daylight.ground,
             "u_cloud": daylight.clouds,
             "u_albedo": albedo_table(),
             "u_exposure": daylight.exposure,
-            "u_haze": daylight.horizon,
+            "u_haze": daylight.haze,
             "u_haze_density": daylight.haze_density,
             "u_vignetting": daylight.vignetting,
+            "u_lamp_radiance": daylight.lamp_radiance,
+            "u_pixels": camera.width / 1920,
+            "u_wetness": conditions.wetness,
+            "u_puddles": conditions.puddles,
+            "u_lit_windows": conditions.lit_windows,
+            **self.street_lights.uniforms,
         }
         self.pixels: dict[str, Any] = {
             "u_size": list(self._size),
@@ -76,10 +109,13 @@ class Stage:
             "u_world_from_camera": camera.T_camera_world[:3, :3].T,
         }
 
-    def _needed(self, mesh: Mesh) -> tuple[Mesh, Mesh]:
-        """What the image may show, from near to far so that little is shaded in vain; what may throw shadows there."""
-        corners = (mesh.vertices - self._camera.position)[mesh.triangles]
-        frame = corners @ self.view[:3, :3].T
+    def _in_view(self, mesh: Mesh, placed: Array) -> NDArray[np.int64]:
+        """Triangles that the image may show, when `placed` has moved them (in world axes, relative to the camera).
+
+        They come from near to far, so that little is shaded in vain.
+        """
+        points = (mesh.vertices - self._camera.position) @ placed[:3, :3].T + placed[:3, 3]
+        frame = (points @ self.view[:3, :3].T)[mesh.triangles]
         x, y, z = np.moveaxis(frame, -1, 0)
         (fx, fy), (cx, cy) = self._camera.K[[0, 1], [0, 1]], self._camera.K[:2, 2]
         width, height = self._size
@@ -92,8 +128,12 @@ class Stage:
         )
         seen = np.flatnonzero(~np.any([(side < 0).all(axis=-1) for side in (*sides, z)], axis=0))
         away = np.linalg.norm(frame[seen], axis=-1).min(axis=-1)
-        casting = np.linalg.norm((corners - self.focus)[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS
-        return mesh.taken(seen[away.argsort(kind="stable")]), mesh.taken(casting)
+        return np.asarray(seen[away.argsort(kind="stable")])
+
+    def _within_reach(self, mesh: Mesh) -> NDArray[np.bool_]:
+        """Triangles that may throw shadows into the view."""
+        corners = (mesh.vertices - self._camera.position - self.focus)[mesh.triangles]
+        return np.asarray(np.linalg.norm(corners[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS)
 
     def draw_geometry(self, target: Any) -> None:
         """Depth, slopes and where there is something at all, at pixel centres."""
@@ -106,54 +146,103 @@ class Stage:
             put(program, {"u_model": self.view, "u_world": np.eye(4), "u_project": P, "u_id": 1.0})
             mesh.draw(program)
 
-    def draw_depth(self, target: Any, clip: Array, *, seen: bool = False) -> None:
-        """The depth buffer of what throws shadows, or of what the camera sees.
+    def draw_depth(self, target: Any, clip: Array, *, seen: bool = False, parts: Any = None) -> None:
+        """The depth buffer of what throws shadows, or of what the camera sees, or of some parts.
 
         `clip` takes world axes, relative to the camera, to clip space.
         """
         target.use()
-        target.clear()
+        target.clear(viewport=target.viewport)
         self.device.context.enable_only(self.device.gl.DEPTH_TEST)
-        for mesh, options in self._seen if seen else self._casting:
+        for mesh, options in parts or (self._seen if seen else self._casting):
             program = self.device.program("geometry.vert.glsl", "shadow.frag.glsl", *options)
-            put(program, {"u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
+            put(program, {**self.uniforms, "u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
             mesh.draw(program)
 
     def light(self) -> dict[str, NDArray[np.float16]]:
-        """The mean of the samples: light from the sky ("ambient") and from the sun ("sunlit"), (H, W, 4) each."""
-        device, size = self.device, self._size
+        """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
+
+        The fourth channel of the one is the albedo, of the other what water on the ground mirrors.
+        """
+        return dict(zip(("ambient", "sunlit"), self._mean(self._size, SAMPLES, np.eye(4), self._seen), strict=True))
+
+    def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
+        """What the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
+        width, height = self._size
+        self.uniforms |= uniforms_of(plane)
+        samples = max(2, SAMPLES // MIRRORED_SHARE)
+        size = (-(-width // 2), -(-height // 2))
+        ambient, sunlit = self._mean(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
+        return {"mirrored": ambient + sunlit}
+
+    def reflected_parts(self, plane: Plane) -> list[tuple[DeviceMesh, tuple[str, ...]]]:
+        """What the mirrored view may show."""
+        return _parts(self.device, self._mesh.taken(self._in_view(self._mesh, plane.mirror)), self._camera)
+
+    def draw_mirrored_depth(self, target: Any, plane: Plane) -> None:
+        """The depth buffer of what the road mirrors."""
+        self.uniforms |= uniforms_of(plane)
+        parts = [(mesh, (*options, "MIRRORED")) for mesh, options in self.reflected_parts(plane)]
+        P = projection(self._camera.K, (0, 0, *self._size))
+        self.draw_depth(target, P @ self.view @ plane.mirror, parts=parts)
+
+    def _mean(
+        self,
+        size: tuple[int, int],
+        samples: int,
+        placed: Array,
+        parts: list[tuple[DeviceMesh, tuple[str, ...]]],
+        *options: str,
+    ) -> list[NDArray[np.float16]]:
+        """The means of samples of an image of a size, with everything moved by `placed`."""
+        device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
         sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
+        lamp_maps = self._draw_lamp_maps()
         add = device.program("screen.vert.glsl", "add.frag.glsl")
         sums.use()
         sums.clear(0, 0, 0, 0)
         rng = np.random.default_rng(3)
         # Pixels are shifted in another order than the sky is gone through, or edges would take on its gradient.
-        shift = rng.permutation(SAMPLES)
-        for k in range(SAMPLES):
-            jitter = ((shift[k] + 0.5) / SAMPLES - 0.5, (shift[k] * _GOLDEN + 0.5) % 1 - 0.5)
+        shift = rng.permutation(samples)
+        for k in range(samples):
+            jitter = ((shift[k] + 0.5) / samples - 0.5, (shift[k] * _GOLDEN + 0.5) % 1 - 0.5)
             # A shift of the map by less than a texel, new in each sample, hides its grid.
-            shadows = self._draw_shadows(sun, sky, k, self.focus + rng.uniform(-0.2, 0.2, 3))
-            self._draw_sample(sample, shadows, jitter)
+            shadows = self._draw_shadows(sun, sky, k, samples, self.focus + rng.uniform(-0.2, 0.2, 3))
+            if lamp_maps:
+                lamp_maps.depth_attachment.use(3)
+                shadows["u_lamp_maps"] = 3
+            self._draw_sample(sample, shadows, jitter, placed, parts, *options)
             for unit, texture in enumerate(sample.color_attachments):
                 texture.use(unit)
-            put(add, {**self.pixels, "u_a": 0, "u_b": 1, "u_share": 1 / SAMPLES, "u_jitter": [0.0, 0.0]})
+            put(add, {"u_size": list(size), "u_a": 0, "u_b": 1, "u_share": 1 / samples, "u_jitter": [0.0, 0.0]})
             sums.use()
             device.context.enable_only(device.gl.BLEND)
             device.context.blend_func = device.gl.ONE, device.gl.ONE
             device.screen(add)
-        out = {}
-        for name, texture in zip(("ambient", "sunlit"), sums.color_attachments, strict=True):
+        out = []
+        for texture in sums.color_attachments:
             pixels = np.frombuffer(texture.read(), dtype=np.float32).reshape(size[1], size[0], 4)
-            out[name] = np.clip(pixels, 0, 6e4).astype(np.float16)
+            out.append(np.clip(pixels, -6e4, 6e4).astype(np.float16))
         return out
 
-    def _draw_shadows(self, sun: Any, sky: Any, k: int, middle: Array) -> dict[str, Any]:
+    def _draw_lamp_maps(self) -> Any:
+        """Shadow maps of the nearest street lights; None when none burns."""
+        if not self.daylight.dark:
+            return None
+        maps = self.device.shadow_map(lamps.CELLS * lamps.CELL)
+        for k in range(self.street_lights.shadowed):
+            row, column = divmod(k, lamps.CELLS)
+            maps.viewport = (column * lamps.CELL, row * lamps.CELL, lamps.CELL, lamps.CELL)
+            self.draw_depth(maps, self.street_lights.clip(k))
+        return maps
+
+    def _draw_shadows(self, sun: Any, sky: Any, k: int, samples: int, middle: Array) -> dict[str, Any]:
         """Shadow maps of the k-th point of the sun's disc and direction of the sky; returns their uniforms."""
-        direction = self._daylight.sun_direction
-        toward_sun = direction + SUN_RADIUS * _in_disc(k) @ _across(direction)
-        toward_sky = _on_hemisphere(k)
-        uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self._daylight.sky(toward_sky)}
+        direction = self.daylight.sun_direction
+        toward_sun = direction + SUN_RADIUS * _in_disc(k, samples) @ _across(direction)
+        toward_sky = _on_hemisphere(k, samples)
+        uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self.daylight.sky(toward_sky)}
         for unit, (name, target, toward) in enumerate((("sun", sun, toward_sun), ("sky", sky, toward_sky)), start=1):
             clip, texture = light_projection(toward, middle, SHADOW_RADIUS)
             self.draw_depth(target, clip)
@@ -161,26 +250,38 @@ class Stage:
             uniforms |= {f"u_{name}_map": unit, f"u_{name}_map_from": texture}
         return uniforms
 
-    def _draw_sample(self, target: Any, shadows: dict[str, Any], jitter: tuple[float, float]) -> None:
+    def _draw_sample(
+        self,
+        target: Any,
+        shadows: dict[str, Any],
+        jitter: tuple[float, float],
+        placed: Array,
+        parts: list[tuple[DeviceMesh, tuple[str, ...]]],
+        *options: str,
+    ) -> None:
         device = self.device
         target.use()
         target.clear(0, 0, 0, 0)
         device.context.enable_only(device.gl.DEPTH_TEST)
         self.noise.use(0)
+        # A sample may be coarser than the image, and its pixels' shift with it.
+        share = (jitter[0] * self._size[0] / target.width, jitter[1] * self._size[1] / target.height)
         uniforms = {
             **self.uniforms,
             **shadows,
             "u_noise": 0,
-            "u_model": self.view,
+            "u_viewer": placed[:3, 3],
+            "u_model": self.view @ placed,
             "u_world": np.eye(4),
-            "u_project": projection(self._camera.K, (0, 0, *self._size), jitter),
+            "u_project": projection(self._camera.K, (0, 0, *self._size), share),
         }
-        for mesh, options in self._seen:
-            shade = device.program("geometry.vert.glsl", "static.frag.glsl", *options)
+        for mesh, group in parts:
+            shade = device.program("geometry.vert.glsl", "static.frag.glsl", *group, *self.options, *options)
             put(shade, uniforms)
             mesh.draw(shade)
         sky = device.program("screen.vert.glsl", "sky.frag.glsl")
-        put(sky, {**self.uniforms, **self.pixels, "u_noise": 0, "u_jitter": [-jitter[0], -jitter[1]]})
+        turned = {"u_world_from_camera": placed[:3, :3] @ self.pixels["u_world_from_camera"]}
+        put(sky, {**self.uniforms, **self.pixels, **turned, "u_noise": 0, "u_jitter": [-share[0], -share[1]]})
         device.screen(sky)
 
 
@@ -206,8 +307,8 @@ def _parts(device: Device, mesh: Mesh, camera: Camera) -> list[tuple[DeviceMesh,
     return out
 
 
-def _in_disc(k: int) -> Array:
-    angle, radius = 2.399963 * k, ((k + 0.5) / SAMPLES) ** 0.5
+def _in_disc(k: int, samples: int) -> Array:
+    angle, radius = 2.399963 * k, ((k + 0.5) / samples) ** 0.5
     return np.array([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -218,8 +319,8 @@ def _across(direction: Array) -> Array:
     return np.stack([side, np.cross(direction, side)])
 
 
-def _on_hemisphere(k: int) -> Array:
+def _on_hemisphere(k: int, samples: int) -> Array:
     """Directions spread evenly over the upper hemisphere (a Fibonacci lattice)."""
-    z, angle = (k + 0.5) / SAMPLES, 2.399963 * k
+    z, angle = (k + 0.5) / samples, 2.399963 * k
     r = (1 - z * z) ** 0.5
     return np.array([r * np.cos(angle), r * np.sin(angle), z])

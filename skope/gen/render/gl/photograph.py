@@ -42,11 +42,11 @@ def fitted(device: Device, daylight: Daylight, place: Place) -> Daylight:
         sun=daylight.sun * tint,
         zenith=daylight.zenith * tint,
         horizon=daylight.horizon * tint,
-        exposure_ev=0.0,
+        gains=np.ones(3),
         vignetting=0.0,
     )
     wanted = np.median(seen, axis=0).mean() * np.pi / (_ROAD * light.ground_irradiance).mean()
-    return replace(light, exposure_ev=float(np.log2(wanted / light.exposure)))
+    return replace(light, gains=np.full(3, wanted / light.exposure.mean()))
 
 
 def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any, Any]:

@@ -5,9 +5,10 @@ they and their shadows may touch: once for depth, slope and ids at pixel centres
 silhouette, and in colour over the scenery.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Any, Final
 
 import cv2
@@ -17,8 +18,13 @@ from numpy.typing import NDArray
 from skope.gen.recording import Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
+from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, projection, put
+from skope.gen.render.gl.lamps import MAP_RADIUS
+from skope.gen.render.gl.motion import Moving, moving
 from skope.gen.render.gl.placer import PARTS, Placed, Placer
+from skope.gen.render.gl.reflections import Reflections
+from skope.gen.render.glare import Glare
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import (
     CONTACT,
@@ -80,6 +86,24 @@ class GLRenderer:
             "u_eye_height": float(camera.position[2]),
             "u_texel": 0.04 * 0.5 / SHADOW_RADIUS,
         }
+        self._options: tuple[str, ...] = ()
+        """What vehicles' programs are compiled for, for this recording's light."""
+        background, middle = self._background, camera.position + self._background.focus
+        self._beams = self._reflections = None
+        if background.daylight.dark:
+            self._options = ("LAMPS",)
+            self._beams = Beams(self._device, middle, SHADOW_RADIUS, background.daylight.exposure)
+            self._uniforms |= {
+                **self._beams.uniforms,
+                "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
+                "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
+                "u_plane": background.road.uniform,
+            }
+        if background.mirrored_depth:
+            self._reflections = Reflections(
+                self._device, camera, background.road, background.mirrored_depth, *self._options
+            )
+        self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
         self._compose([self._image])
         self._plain = self._read_display()
 
@@ -94,44 +118,41 @@ class GLRenderer:
         contrast = np.zeros(len(moment.vehicles))
         rgb = self._plain.copy()
         if placed:
-            self._draw_geometry(placed)
+            blurred = moving(reversed(placed), moment.velocity, self._recording.conditions.shutter_s, camera)
+            self._draw_geometry(placed, whole=bool(blurred))
             shown = []
             for vehicle in placed:
                 layer = _read(self._geometry, inside(vehicle.window, camera), np.float32)
                 shown.append(self._put(layer, vehicle, depth, slope, ids))
                 alone = not any(crossing(vehicle.window, other.window) for other in placed if other is not vehicle)
                 silhouettes[vehicle.index] = self._silhouette(vehicle, layer if alone else None)
-            self._draw_color(placed, rgb)
+            self._draw_color(placed, blurred, rgb)
             others = self._draw_behind(placed)
             for vehicle, own, other in zip(placed, shown, others, strict=True):
                 x0, y0, x1, y1 = inside(vehicle.window, camera)
                 difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], other), own.view(np.uint8))
                 contrast[vehicle.index] = sum(difference) / 3
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
+        rgb = self._glare.spread(rgb, depth, ids, moment)
         return View(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
     # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
-    def _draw_geometry(self, placed: Sequence[Placed]) -> None:
-        """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it."""
+    def _draw_geometry(self, placed: Sequence[Placed], *, whole: bool) -> None:
+        """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it.
+
+        With `whole` the rest of the target is empty.
+        """
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
-        self._prepare(self._geometry, [inside(vehicle.window, self._camera) for vehicle in placed])
+        if whole:
+            self._geometry.clear(0, 0, 0, 0)
+        windows = [inside(vehicle.window, self._camera) for vehicle in placed]
+        self._device.prepare(self._geometry, windows, self._uniforms)
         self._device.context.enable_only(self._device.gl.DEPTH_TEST | self._device.gl.CULL_FACE)
         put(program, {"u_project": self._project})
         for vehicle in placed:
             put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
             vehicle.mesh.draw(program)
-
-    def _prepare(self, target: Any, places: Sequence[Window], *options: str) -> None:
-        """Make parts of a target ready for drawing."""
-        device = self._device
-        program = device.program("tiles.vert.glsl", "prepare.frag.glsl", *options)
-        put(program, {**self._background.bind(), **self._uniforms})
-        target.use()
-        device.context.enable_only(device.gl.DEPTH_TEST)
-        device.context.depth_func = "1"
-        device.tiles(program, places)
-        device.context.depth_func = "<"
 
     def _put(
         self,
@@ -169,20 +190,35 @@ class GLRenderer:
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_color(self, placed: Sequence[Placed], rgb: NDArray[np.uint8]) -> None:
-        """Draw the vehicles and their shadows into the picture."""
-        size = (self._camera.width, self._camera.height)
-        sun = self._background.daylight.sun_direction
-        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in placed], size)
-        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, self._camera, sun) for v in placed], size)
+    def _draw_color(self, placed: Sequence[Placed], blurred: Sequence[Moving], rgb: NDArray[np.uint8]) -> None:
+        """Draw the vehicles, their shadows, their lamps' light and their mirror images into the picture."""
+        camera, sun = self._camera, self._background.daylight.sun_direction
+        size = (camera.width, camera.height)
+        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, camera) for v in placed], size)
+        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, camera, sun) for v in placed], size)
         self._draw_shadows(placed)
+        if self._beams:
+            shaded |= tiles(self._beams.draw(placed, camera), size)
+        swept = [tiles([one.hull], size) for one in blurred]
+        for places in swept:
+            covered |= places
         self._draw_vehicles(self._color, placed, runs(covered, size))
-        self._compose(runs(shaded & ~covered, size), "SHADOWS")
-        self._compose(runs(covered, size), "SHADOWS", "VEHICLES")
-        places = runs(covered | shaded, size)
-        window = union(places)
+        mirrored = np.zeros_like(covered)
+        if self._reflections:
+            units = self._vehicle_textures()
+            uniforms = {**self._background.bind(), **self._uniforms, **self._bind(units)}
+            mirrored = self._reflections.draw(placed, uniforms, {**self._background.textures, **units})
+        for there, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
+            self._compose(runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
+            self._compose(runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
+        more = ("REFLECTIONS",) if self._reflections else ()
+        for one, places in zip(blurred, swept, strict=True):
+            way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
+            self._compose(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
+        changed = runs(covered | shaded | mirrored, size)
+        window = union(changed)
         picture = _read(self._display, window, np.uint8)
-        for x0, y0, x1, y1 in places:
+        for x0, y0, x1, y1 in changed:
             rgb[y0:y1, x0:x1] = picture[y0 - window[1] : y1 - window[1], x0 - window[0] : x1 - window[0], :3]
 
     def _draw_shadows(self, placed: Sequence[Placed]) -> None:
@@ -195,7 +231,10 @@ class GLRenderer:
         put(program, {"u_project": self._sun_clip})
         middle = self._camera.position + self._background.focus
         for vehicle in placed:
-            if np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10:
+            if (
+                self._background.daylight.dark
+                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10
+            ):
                 continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
             (vehicle.mesh if vehicle.distance < FAR else vehicle.coarse).draw(program)
@@ -207,6 +246,11 @@ class GLRenderer:
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
+    def _vehicle_textures(self) -> dict[str, Any]:
+        """What vehicles' programs sample besides the background: their shadows, the light of their lamps."""
+        own = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
+        return own | ({"u_beams": self._beams.texture} if self._beams else {})
+
     def _draw_vehicles(
         self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *, peel: bool = False
     ) -> None:
@@ -216,13 +260,13 @@ class GLRenderer:
         """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
-        self._prepare(target, places, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
+        device.prepare(target, places, uniforms, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        units = {"u_vehicle_sun_map": self._sun_map.depth_attachment, "u_front": self._geometry.color_attachments[0]}
+        units = {**self._vehicle_textures(), "u_front": self._geometry.color_attachments[0]}
         uniforms |= {**self._bind(units), "u_project": self._project}
 
         def draw(option: str, meshes: Iterable[tuple[Placed, DeviceMesh | None]]) -> None:
-            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option)
+            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._options)
             put(program, uniforms)
             for vehicle, mesh in meshes:
                 if mesh:
@@ -243,16 +287,22 @@ class GLRenderer:
         device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(near)))
 
-    def _compose(self, places: Sequence[Window], *options: str) -> None:
+    def _compose(
+        self, places: Sequence[Window], *options: str, uniforms: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
         """Put parts of the picture together."""
-        device = self._device
-        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *options)
+        if not places:
+            return
+        device, wet = self._device, ("WET",) if self._reflections else ()
+        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *options)
         units = {
-            "u_vehicle_sun_map": self._sun_map.depth_attachment,
+            **self._vehicle_textures(),
+            **({"u_reflections": self._reflections.texture} if self._reflections else {}),
             "u_vehicles": self._color.color_attachments[0],
             "u_open": self._open.color_attachments[0],
+            "u_front": self._geometry.color_attachments[0],
         }
-        put(program, {**self._background.bind(), **self._uniforms, **self._bind(units)})
+        put(program, {**self._background.bind(), **self._uniforms, **self._bind(units), **uniforms})
         self._display.use()
         device.context.enable_only(device.gl.NOTHING)
         device.tiles(program, places)

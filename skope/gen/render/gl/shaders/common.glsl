@@ -6,6 +6,8 @@ uniform vec3 u_sun_direction;  // towards the sun
 uniform vec3 u_sun;            // irradiance of the sun on a surface that faces it
 uniform vec3 u_zenith;         // sky radiance overhead
 uniform vec3 u_horizon;        // sky radiance at the horizon
+uniform vec3 u_afterglow;      // what the horizon has more over the sun that has set
+uniform vec2 u_sunset;         // direction of that
 uniform vec3 u_ground;         // radiance of the ground seen from above
 uniform float u_cloud;         // 0 clear sky .. 1 overcast
 uniform sampler2D u_noise;     // four independent value noises, tileable
@@ -16,7 +18,8 @@ const float PI = 3.14159265;
 // Clear and overcast sky: a gradient from horizon to zenith with the sun's glow (after Preetham's qualitative shape).
 vec3 open_sky(vec3 d) {
     vec3 color = mix(u_horizon, u_zenith, pow(max(d.z, 0.0), 0.45));
-    float glow = max(dot(d, u_sun_direction), 0.0);
+    float glow = max(dot(d, u_sun_direction), 0.0), toward = 0.5 + 0.5 * dot(d.xy, u_sunset);
+    color += u_afterglow * toward * toward * exp(-5.0 * max(d.z, 0.0));
     return color + (1.0 - u_cloud) * u_sun * (0.02 * pow(glow, 8.0) + 0.06 * pow(glow, 64.0));
 }
 

@@ -1,4 +1,5 @@
-// The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES.
+// The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES; LAMPS when it is
+// dark, WET when the road mirrors, REFLECTIONS where it mirrors vehicles; BLUR around a vehicle that moves.
 #version 430
 #include "display.glsl"
 in vec2 v_pixel;
@@ -16,6 +17,21 @@ uniform float u_open_scale;       // maps per metre
 uniform float u_eye_height;       // metres above the road
 uniform float u_texel;            // of the vehicles' sun map, per 4 cm
 out vec4 out_color;
+#ifdef LAMPS
+uniform sampler2D u_beams;        // irradiance of the road by headlights
+uniform vec3 u_beam_light;        // their colour, exposed
+#endif
+#ifdef BLUR
+uniform sampler2D u_front;        // depth, slopes, id of the nearest vehicle
+uniform vec2 u_way;               // of this one while the shutter is open, pixels
+uniform float u_id;
+uniform float u_nearest;          // its least depth
+#endif
+#ifdef WET
+#include "blur.glsl"
+uniform sampler2D u_reflected;    // what the road mirrors of the scenery, exposed; w: which share it mirrors
+uniform sampler2D u_reflections;  // the vehicles' mirror images and coverage, exposed, half as fine as the image
+#endif
 
 const int TAPS = 3;
 
@@ -31,18 +47,49 @@ float lit(sampler2DShadow map, vec3 at, float radius) {
 
 void main() {
     ivec2 pixel = ivec2(v_pixel);
-    vec3 ambient = texelFetch(u_ambient, pixel, 0).rgb, sunlit = texelFetch(u_sunlit, pixel, 0).rgb;
+    vec4 scenery = texelFetch(u_ambient, pixel, 0);
+    vec3 ambient = scenery.rgb, sunlit = texelFetch(u_sunlit, pixel, 0).rgb;
 #ifdef SHADOWS
     float depth = texelFetch(u_background, pixel, 0).r;
     sunlit *= lit(u_vehicle_sun_map, u_sun_at + v_sun_ray * depth, u_texel);
     float open = texture(u_open, u_open_at + v_ray.xy * (depth * u_open_scale)).r;
     // The map holds for the road; walls and poles beside a vehicle see more of the sky the higher up they are.
-    ambient *= mix(open, 1.0, clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0));
+    float above = clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0);
+    ambient *= mix(open, 1.0, above);
+#ifdef LAMPS
+    float beam = texture(u_beams, u_open_at + v_ray.xy * (depth * u_open_scale)).r * (1.0 - above);
+    ambient += u_beam_light * (beam * scenery.a);
 #endif
-    vec3 color = display(ambient + sunlit);
+#endif
+    vec3 light = ambient + sunlit;
+#ifdef WET
+    vec4 reflected = texelFetch(u_reflected, pixel, 0);
+#ifdef REFLECTIONS
+    vec4 mirrored = vec4(0.0);
+    vec2 size = vec2(textureSize(u_ambient, 0));
+    for (int i = 0; i < 5; ++i) mirrored += texture(u_reflections, (v_pixel + blurred(v_pixel, i, 5, reflected.a < 0.0)) / size);
+    mirrored /= 5.0;
+    reflected.rgb = reflected.rgb * (1.0 - mirrored.a) + mirrored.rgb * abs(reflected.a);
+#endif
+    light += reflected.rgb;
+#endif
+    vec3 color = display(light);
 #ifdef VEHICLES
     vec4 front = texture(u_vehicles, (floor(v_pixel) + 0.5) / vec2(textureSize(u_ambient, 0)));
-    color = color * (1.0 - front.a) + front.rgb;
+    vec3 still = color * (1.0 - front.a) + front.rgb;
+#ifdef BLUR
+    if (depth <= 0.0 || depth > u_nearest) {
+        vec3 behind = texelFetch(u_front, pixel, 0).a == u_id ? color : still, sum = vec3(0.0);
+        float noise = fract(52.9829189 * fract(dot(floor(v_pixel), vec2(0.06711056, 0.00583715))));
+        for (int i = 0; i < 8; ++i) {
+            vec2 at = v_pixel + u_way * ((float(i) + noise) / 8.0 - 0.5);
+            vec4 passing = texture(u_vehicles, (floor(at) + 0.5) / vec2(textureSize(u_ambient, 0)));
+            sum += texelFetch(u_front, ivec2(at), 0).a == u_id ? behind * (1.0 - passing.a) + passing.rgb : behind;
+        }
+        still = sum / 8.0;
+    }
+#endif
+    color = still;
 #endif
     out_color = vec4(color, 1.0);
 }

@@ -1,6 +1,6 @@
 // From light to the picture: exposure, haze, lens shading, filmic curve, sRGB.
 
-uniform float u_exposure;
+uniform vec3 u_exposure;         // with the white balance
 uniform vec3 u_haze;             // radiance of the air
 uniform float u_haze_density;    // 1 / m
 uniform float u_vignetting;      // light lost at 45 degrees off the axis, as a share

@@ -1,9 +1,16 @@
-// Depth only; of LEAVES with the gaps between them.
+// Depth only; of LEAVES with the gaps between them, of what is MIRRORED only what stands on the road.
 #version 430
 #include "leaves.glsl"
 in vec3 v_local;
+#ifdef MIRRORED
+in vec3 v_world;
+#include "plane.glsl"
+#endif
 
 void main() {
+#ifdef MIRRORED
+    if (over_plane(v_world) < 0.25) discard;
+#endif
 #ifdef LEAVES
     if (leaf_gap(v_local)) discard;
 #endif

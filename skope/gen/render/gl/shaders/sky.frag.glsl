@@ -9,6 +9,6 @@ layout(location = 1) out vec4 out_sun;
 
 void main() {
     vec3 ray = u_world_from_camera * (u_camera_from_pixel * vec3(v_pixel, 1.0));
-    out_ambient = vec4(sky(normalize(ray)), 1.0);
+    out_ambient = vec4(sky(normalize(ray)), 0.0);
     out_sun = vec4(0.0);
 }

@@ -10,6 +10,24 @@ float joints(vec2 at, vec2 width) {
     return 1.0 - step(width.x, edge.x) * step(width.y, edge.y);
 }
 
+#if defined(GROUND) && defined(WET)
+uniform float u_wetness;
+uniform float u_puddles;
+
+// How wet level ground is, and whether water stands there: where it drains last it dries last.
+vec2 water_on(vec3 p, vec3 n) {
+    mat2 turn = mat2(0.82, 0.57, -0.57, 0.82);
+    // Water evens out what is small.
+    vec4 hollows = textureLod(u_noise, turn * p.xy / 23.0, 3.5), dips = textureLod(u_noise, (turn * turn * p.xy + 1.3) / 8.0, 4.0);
+    float low = 0.6 * hollows.b + 0.4 * dips.r;
+    float level = smoothstep(0.8, 0.97, n.z), soaks = float(between(M_MEADOW, M_GRASS) || v_material == M_SOIL || v_material == M_GRAVEL);
+    float wet = smoothstep(0.95 - 1.1 * u_wetness, 1.25 - 1.1 * u_wetness, low + 0.15 * dips.g);
+    float stands = smoothstep(0.0, 0.03, low - (0.70 - 0.38 * u_puddles)) * level * (1.0 - soaks) * step(0.001, u_puddles);
+    float film = wet * mix(0.6, 1.0, level) * (1.0 - 0.8 * soaks);
+    return vec2(max(film, stands * smoothstep(0.1, 0.4, u_wetness)), stands);
+}
+#endif
+
 void leaf_color(vec3 p, inout vec3 color) {
     float tone = leaf_tone(v_local), clump = noise(p.xy + p.z * 0.7, 3.1).g, tree = noise(p.xy, 41.0).b;
     color *= (0.45 + 0.75 * tone) * (0.7 + 0.6 * clump);

@@ -1,6 +1,6 @@
 // A vehicle's picture: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
 // SOLID is everything but the panes, PANES those alone, over what is seen through them; PEEL a plain picture of what
-// stands behind the vehicle shown.
+// stands behind the vehicle shown; REFLECTION its light as wet ground mirrors it. LAMPS when street lights burn.
 #version 430
 #include "common.glsl"
 #include "display.glsl"
@@ -20,6 +20,17 @@ uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the ima
 uniform sampler2D u_mirror;     // octahedral map of what a mirror sees
 uniform sampler2DShadow u_scenery_sun_map;
 uniform sampler2DShadow u_vehicle_sun_map;
+uniform float u_lamp_radiance;  // of lamps, over what they have by day
+#ifdef LAMPS
+uniform vec3 u_street_light;    // radiant intensity of a street light
+uniform float u_own_lamp;       // of the camera's
+uniform float u_beam;           // irradiance by a headlight near by
+in vec4 v_lamps;
+#endif
+#ifdef REFLECTION
+#include "plane.glsl"
+uniform vec3 u_viewer;          // where it is seen from
+#endif
 out vec4 out_color;
 
 vec3 mirror(vec3 d) {
@@ -87,11 +98,17 @@ vec3 plate() {
 }
 
 void main() {
+#ifdef REFLECTION
+    if (over_plane(v_world) < 0.0) discard;
+#endif
 #ifdef PEEL
     if (texelFetch(u_front, ivec2(gl_FragCoord.xy), 0).a == u_id) discard;
 #endif
     float metres = length(v_world), cosine = 1.0 / (gl_FragCoord.w * metres);
     vec3 n = normalize(v_normal), view = -v_world / metres;
+#ifdef REFLECTION
+    view = normalize(u_viewer - v_world);
+#endif
     if (dot(n, view) < 0.0) n = -n;
     vec4 albedo = albedo_of(v_material);
     vec3 base = v_material == M_PAINT ? u_paint : v_material == M_LIVERY ? u_livery : albedo.rgb;
@@ -104,14 +121,27 @@ void main() {
 #endif
     // The inside of the body, seen through its windows.
     if (!gl_FrontFacing) base = vec3(0.03);
-    float facing = max(dot(n, u_sun_direction), 0.0);
+#ifdef LAMPS
+    // Street light takes the sun's place; what comes from other sides is a part of it without direction.
+    vec3 toward = normalize(v_lamps.xyz + vec3(0.0, 0.0, 1e-5)), direct = u_street_light * length(v_lamps.xyz);
+#else
+    vec3 toward = u_sun_direction, direct = u_sun;
+#endif
+    float facing = max(dot(n, toward), 0.0);
     float open = v_open * (0.55 + 0.45 * clamp(n.z * 0.5 + 0.5, 0.0, 1.0));
     vec3 ambient = open * mix(u_ground, 0.65 * u_zenith + 0.35 * u_horizon, clamp(0.5 + 0.5 * n.z, 0.0, 1.0));
+#ifdef LAMPS
+    ambient += open * (0.10 * direct + vec3(0.2 * u_beam * v_lamps.w + u_own_lamp * max(dot(n, view), 0.0) / (PI * metres * metres)));
+#endif
 #ifdef PEEL
     // It is only held against what stands before it: no shadows, no mirror images.
-    vec3 color = base * (ambient + u_sun / PI * facing);
+    vec3 color = base * (ambient + direct / PI * facing);
+#else
+#ifdef LAMPS
+    const float sun = 1.0;
 #else
     float sun = texture(u_scenery_sun_map, v_scenery_sun_at) * texture(u_vehicle_sun_map, v_vehicle_sun_at);
+#endif
     float f0 = 0.04, coat = 0.0, metal = 0.0;
     if (v_material == M_PAINT || v_material == M_LIVERY) coat = 1.0;
     if (v_material >= MATERIAL_COUNT) coat = 0.4;
@@ -124,14 +154,16 @@ void main() {
 
     float f = coat * fresnel(dot(n, view), f0);
     vec3 mirrored = mirror(reflect(-view, n)) * open;
-    vec3 color = base * (ambient + u_sun / PI * facing * sun) * (1.0 - metal * 0.8);
+    vec3 color = base * (ambient + direct / PI * facing * sun) * (1.0 - metal * 0.8);
     color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
-    color += (f + metal * base) * ggx(n, view, u_sun_direction, max(albedo.a, 0.12)) * u_sun * sun;
+    color += (f + metal * base) * ggx(n, view, toward, max(albedo.a, 0.12)) * direct * sun;
     // Reflectors behind red glass send light back.
     if (v_material == M_TAILLIGHT || v_material == M_BRAKE_LIGHT) color += base * 0.35 * u_ground;
-    color += glow(v_material, u_lamps);
+    color += glow(v_material, u_lamps) * u_lamp_radiance;
 #endif
-#ifdef PANES
+#if defined(REFLECTION)
+    out_color = vec4(exposed(color, metres, cosine), 1.0);
+#elif defined(PANES)
     // What a pane mirrors is screened over what it lets through.
     vec3 seen = display(exposed(mirrored * f + (color - mirrored * f) * 0.4, metres, cosine));
     float through = (v_material == M_GLASS_TINTED ? 0.35 : 0.72) * (1.0 - dot(seen, vec3(0.3, 0.5, 0.2)));

@@ -16,6 +16,16 @@ out vec3 v_vehicle_sun_at;
 out vec3 v_local;
 out float v_open;
 flat out int v_material;
+#ifdef LAMPS
+uniform sampler2D u_lamp_vectors;   // of street light on the ground
+uniform vec2 u_lamp_vectors_at;     // in that map: the camera
+uniform float u_lamp_vectors_scale; // maps per metre
+uniform sampler2D u_beams;          // irradiance of the road by headlights
+uniform vec2 u_open_at;
+uniform float u_open_scale;
+uniform vec4 u_plane;
+out vec4 v_lamps;                   // vector of street light; headlights of others
+#endif
 
 void main() {
     int part = int(in_part + 0.5);
@@ -30,5 +40,10 @@ void main() {
     float height = part > 0 ? 0.3 : in_position.z;
     v_open = clamp(0.35 + 0.65 * height / 0.9, 0.25, 1.0);
     v_material = int(in_material + 0.5);
+#ifdef LAMPS
+    float over = dot(u_plane.xyz, v_world) + u_plane.w;
+    v_lamps.xyz = textureLod(u_lamp_vectors, u_lamp_vectors_at + v_world.xy * u_lamp_vectors_scale, 0.0).xyz;
+    v_lamps.w = textureLod(u_beams, u_open_at + v_world.xy * u_open_scale, 0.0).r * (1.0 - smoothstep(0.6, 1.1, over));
+#endif
     gl_Position = u_project * camera;
 }

@@ -1,0 +1,62 @@
+"""What headlights throw on the road: a map of it around the middle of the view, drawn anew in each frame."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.render.gl.context import Device
+from skope.gen.render.gl.placer import Placed
+from skope.gen.render.lamps import has_headlights
+from skope.gen.render.windows import beam_corners, beam_hull_of
+from skope.gen.traffic import LAMPS
+
+Array = NDArray[np.float64]
+
+IRRADIANCE: Final = 0.06
+"""Of the road by a headlight, in `Daylight`'s units, where nothing weakens it yet."""
+REACH: Final = 40.0
+"""How far headlights light the road, metres."""
+MAP: Final = 1024
+_COLOR: Final = np.array([1.0, 0.9, 0.74])
+
+
+class Beams:
+    def __init__(self, device: Device, middle: Array, radius: float, exposure: Array) -> None:
+        """The map reaches `radius` around `middle` (world), metres."""
+        self._device, self._middle, self._radius = device, middle, radius
+        self._target = device.target((MAP, MAP), ["1f2"], depth=False)
+        (self.texture,) = self._target.color_attachments
+        self.texture.filter = (device.gl.LINEAR, device.gl.LINEAR)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self.uniforms: dict[str, Any] = {
+            "u_beam": IRRADIANCE,
+            "u_beam_light": IRRADIANCE * exposure * _COLOR / np.pi,
+        }
+
+    def draw(self, placed: Sequence[Placed], camera: Camera) -> list[Array]:
+        """Draw the beams of those whose lamps are lit; returns polygons in the image around what they may light."""
+        device = self._device
+        lit = [one for one in placed if one.look["u_lamps"] & LAMPS["low_beam"] and has_headlights(one.vehicle)]
+        self._target.use()
+        self._target.clear(0, 0, 0, 0)
+        if not lit:
+            return []
+        device.context.enable_only(device.gl.BLEND)
+        device.context.blend_func = device.gl.ONE, device.gl.ONE
+        program = device.program("contact.vert.glsl", "beam.frag.glsl")
+        corners = np.concatenate([self._corners(one) for one in lit])
+        device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
+        return [beam_hull_of(one.vehicle, one.T_world_chassis, camera, REACH) for one in lit]
+
+    def _corners(self, one: Placed) -> NDArray[np.float32]:
+        """(6, 7) corners of two triangles around the road that a vehicle lights: their place in the map, their place
+        ahead of its bumper, how far its light reaches, half its width, its height."""
+        length, width, height = one.vehicle.size_lwh
+        local = beam_corners(REACH)[[0, 1, 2, 0, 2, 3]]
+        T = one.T_world_chassis
+        world = (local + [length / 2, 0]) @ T[:2, :2].T + T[:2, 3]
+        size = np.tile([REACH, width / 2, height], (6, 1))
+        return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

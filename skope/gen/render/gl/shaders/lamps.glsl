@@ -1,0 +1,54 @@
+// Light of what burns at night: street lights, the camera's own lamp, lit windows.
+uniform vec3 u_street_light;             // radiant intensity of each
+uniform vec4 u_luminaires[MOST_LAMPS];        // where they are; w: 1
+uniform int u_lamp_count;
+uniform mat4 u_lamp_map_from[SHADOWED_LAMPS];
+uniform int u_shadowed;                  // that many have shadow maps, side by side in one texture
+uniform sampler2DShadow u_lamp_maps;
+uniform float u_own_lamp;                // radiant intensity of the camera's
+uniform float u_lit_windows;
+
+// Irradiance of one lamp without shadows; luminaires throw their light to the sides and cut it off near the horizon.
+float from_lamp(vec3 lamp, vec3 at, vec3 n) {
+    vec3 to = lamp - at;
+    float square = max(dot(to, to), 0.05);
+    vec3 l = to * inversesqrt(square);
+    float wide = smoothstep(0.26, 0.5, l.z) * (1.7 - l.z);
+#ifdef LEAVES
+    return wide * 0.55 / square;
+#else
+    return wide * max(dot(n, l), 0.0) / square;
+#endif
+}
+
+vec3 lamplight(vec3 at, vec3 n) {
+    float sum = 0.0;
+    for (int i = 0; i < u_shadowed; ++i) {
+        vec4 clip = u_lamp_map_from[i] * vec4(at, 1.0);
+        vec3 uvz = clip.xyz / max(clip.w, 1e-3);
+        vec2 cell = vec2(i % LAMP_CELLS, i / LAMP_CELLS);
+        uvz.xy = (cell + clamp(uvz.xy, 0.002, 0.998)) / float(LAMP_CELLS);
+        sum += from_lamp(u_luminaires[i].xyz, at, n) * texture(u_lamp_maps, uvz);
+    }
+    for (int i = u_shadowed; i < u_lamp_count; ++i) sum += from_lamp(u_luminaires[i].xyz, at, n);
+    float square = dot(at, at);
+    return u_street_light * sum + vec3(u_own_lamp * max(dot(n, -at) * inversesqrt(square), 0.0) / square);
+}
+
+vec3 emission(vec3 p, vec3 n) {
+    if (v_material == M_LUMINAIRE) return u_street_light * 0.35;
+#ifdef OTHERS
+    bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;
+    if (!shop && !cloth && v_material != M_WINDOW) return vec3(0.0);
+    vec2 at = vec2(dot(p.xy, normalize(vec2(-n.y, n.x) + 1e-6)), p.z);
+    vec2 room = floor(at / vec2(2.8, 2.9));
+    float chance = fract(sin(dot(room, vec2(12.9898, 78.233)) + floor(dot(p.xy, n.xy))) * 43758.5453), tint = fract(chance * 91.7);
+    if (!shop && chance > u_lit_windows) return vec3(0.0);
+    vec3 warm = mix(vec3(1.0, 0.56, 0.24), vec3(0.95, 0.88, 0.75), tint);
+    float inside = 0.55 + 0.9 * texture(u_noise, floor(at / vec2(0.37, 0.52)) * 0.231).g;
+    if (shop) return mix(warm, vec3(1.0, 0.95, 0.85), 0.6) * inside * 0.015 * (0.35 + u_lit_windows);
+    return warm * (cloth ? 0.007 : 0.011 * inside) * (0.5 + tint);
+#else
+    return vec3(0.0);
+#endif
+}

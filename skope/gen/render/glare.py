@@ -1,0 +1,133 @@
+"""Light that lens and air spread around bright lamps, drawn over a picture: it shows when it is dark or foggy.
+
+It is worked out on a grid coarser than the image, in linear light as the camera exposes it.
+"""
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.conditions import DARK_DEG, Conditions
+from skope.gen.recording import Moment
+from skope.gen.render.daylight import temperature_color
+from skope.gen.render.lamps import Lit, lit_lamps
+from skope.gen.render.signals import lit_signals
+from skope.gen.towns.scenery import Scenery
+
+Array = NDArray[np.float64]
+
+COARSE: Final = 4
+"""Pixels of the image per cell of the grid, on each axis."""
+HAZY: Final = 2000.0
+"""By day too lamps glare when one sees less far than this, metres."""
+_STREET_LIGHT: Final = 0.9
+_SIGNAL: Final = 0.4
+_FULL: Final = 15.0
+"""Up to so many metres lamps glare at their strongest."""
+_LEAST: Final = 0.006
+"""What is weaker, exposed, does not show."""
+_SLACK: Final = 0.35
+"""How much nearer than a lamp the surface shown there may be without hiding it, metres."""
+
+
+class Glare:
+    """Spreads the lamps of a recording."""
+
+    def __init__(self, camera: Camera, conditions: Conditions, town: Scenery, depth: NDArray[np.float32]) -> None:
+        """`depth` is that of the scenery."""
+        self._camera, self._signals = camera, town.signals
+        self._dark = conditions.sun_elevation_deg < DARK_DEG
+        self.seen = self._dark or conditions.visibility_m < HAZY
+        self._strength = 1.0 if self._dark else 0.25
+        self._scatter = 3.0 / conditions.visibility_m
+        shape = (-(-camera.height // COARSE), -(-camera.width // COARSE), 3)
+        self._still = np.zeros(shape, dtype=np.float32)
+        if self._dark and conditions.street_lighting > 0:
+            color = tuple(temperature_color(conditions.street_light_k).tolist())
+            down = np.array([0.0, 0.0, -1.0])
+            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in town.lamps]
+            self._add(self._still, lit, depth, None)
+
+    def spread(
+        self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.int32], moment: Moment
+    ) -> NDArray[np.uint8]:
+        """Put the glare of what is lit at a moment into the picture (H, W, 3), and return it."""
+        if not self.seen:
+            return rgb
+        light = self._still.copy()
+        self._add(light, lit_lamps(moment), depth, ids)
+        signals = (
+            Lit(-1, center, facing, color, _SIGNAL)
+            for center, facing, color in lit_signals(self._camera, moment, self._signals)
+        )
+        self._add(light, signals, depth, None)
+        if not light.any():
+            return rgb
+        veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
+        rows = np.flatnonzero(veil.any(axis=(1, 2)))
+        first, end = COARSE * int(rows[0]), min(COARSE * int(rows[-1] + 1), rgb.shape[0])
+        veil = veil[rows[0] : rows[-1] + 1]
+        veil = cv2.resize(veil, (COARSE * veil.shape[1], COARSE * veil.shape[0]), interpolation=cv2.INTER_LINEAR)
+        veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
+        # Screened: what is bright already has less to gain.
+        cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
+        return rgb
+
+    def _add(
+        self, light: NDArray[np.float32], lit: Iterable[Lit], depth: NDArray[np.float32], ids: NDArray[np.int32] | None
+    ) -> None:
+        """Add lamps that the camera sees to the grid."""
+        camera = self._camera
+        for lamp in lit:
+            toward = camera.position - lamp.center
+            away = float(np.linalg.norm(toward))
+            cosine = float(toward @ lamp.facing) / away
+            if lamp.index >= 0 and cosine <= 0.05:
+                continue
+            pixel, z, valid = camera.project(lamp.center[None])
+            if not valid[0] or not camera.inside(pixel)[0] or self._hidden(lamp, pixel[0], float(z[0]), depth, ids):
+                continue
+            aimed = 0.35 + 0.65 * max(cosine, 0.0) ** 2
+            strength = self._strength * lamp.intensity * aimed * min(1.0, _FULL / away) ** 1.1
+            color = np.array(lamp.color, dtype=np.float32)
+            scale = camera.width / 1920
+            through = float(np.exp(-self._scatter * away))
+            _sprite(light, pixel[0] / COARSE, 2.2 * scale, strength * through * color)
+            # Drops of fog send light on in about its own direction.
+            halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
+            _sprite(light, pixel[0] / COARSE, 11.0 * scale, halo * color)
+
+    @staticmethod
+    def _hidden(lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None) -> bool:
+        column, row = pixel.astype(int)
+        if ids is not None and ids[row, column] == lamp.index + 1:
+            return False
+        return bool(depth[row, column] < z - _SLACK)
+
+
+@lru_cache(maxsize=64)
+def _spread(radius: int, core: float) -> NDArray[np.float32]:
+    """(2 r + 1, 2 r + 1) a point spread function that falls off as glare in eyes and lenses does, 1 in the middle."""
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
+    square = (x * x + y * y) / (core * core)
+    edge = np.clip(1 - np.sqrt(x * x + y * y) / radius, 0, 1)
+    return np.asarray((1 + square) ** -1.3 * edge, dtype=np.float32)
+
+
+def _sprite(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
+    """Add a lamp's spread light around `center`, in cells."""
+    peak = float(color.max())
+    if peak < _LEAST:
+        return
+    core = max(core, 0.7)
+    radius = max(2, int(min(9.0, (peak / _LEAST) ** 0.4) * core))
+    height, width = light.shape[:2]
+    x, y = (int(v) for v in np.floor(center))
+    x0, y0, x1, y1 = max(x - radius, 0), max(y - radius, 0), min(x + radius + 1, width), min(y + radius + 1, height)
+    spread = _spread(radius, core)[y0 - y + radius : y1 - y + radius, x0 - x + radius : x1 - x + radius]
+    light[y0:y1, x0:x1] += spread[..., None] * color
