@@ -157,7 +157,7 @@ def test_the_light_of_a_drawn_photograph_is_found_again() -> None:
     know(shot)
     daylight = Daylight.of(recording.conditions)
     found = fitted(device(), daylight, shot)
-    assert math.log2(found.exposure / daylight.exposure) == pytest.approx(0, abs=0.35)
+    assert math.log2((found.exposure / daylight.exposure).mean()) == pytest.approx(0, abs=0.35)
     np.testing.assert_allclose(found.sun / daylight.sun, 1, atol=0.1)
 
 
