@@ -69,8 +69,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
         light = cached(_digest(device, recording), stage.light)
         ambient, sunlit = _develop(stage, light, geometry.color_attachments[0])
     else:
-        # Its shadows are in the picture already.
-        sun_map.clear()
+        photograph.draw_shadows(stage, sun_map, clip, recording, daylight)
         ambient, sunlit = photograph.shown(device, recording, daylight)
     textures = {
         "u_ambient": ambient,
