@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -124,6 +125,20 @@ def test_shadows_and_vehicles_fit_the_photograph(own: OwnSite, made: Recording) 
     beside = drawn & (view.ids == 0) & np.isfinite(view.depth)
     change = view.rgb.astype(int).sum(-1) - plain.photograph.astype(int).sum(-1)
     assert (change[beside] < -60).sum() > max(100, 5 * (change[beside] > 60).sum())
+
+
+def test_vehicles_in_the_photographs_shade_are_dark(own: OwnSite, made: Recording) -> None:
+    shade = ((300.0, 360.0), (1270.0, 250.0), (1270.0, 710.0), (500.0, 710.0))
+    shaded = Place(**{**vars(own.place), "shades": (shade,)})
+    know(shaded)
+    frames = [make_renderer("gl", one).render(1) for one in (made, replace(made, place=shaded, town=shaded.name))]
+    mask = cv2.fillPoly(np.zeros((180, 320), np.uint8), [np.array(shade).astype(int) // 4], 1) > 0
+    vehicles = mask & (frames[0].ids > 0)
+    assert vehicles.sum() > 300
+    bright, dark = (frame.rgb[vehicles].mean() for frame in frames)
+    assert dark < 0.9 * bright
+    alone = cv2.dilate((frames[0].ids > 0).astype(np.uint8), np.ones((41, 41))) == 0
+    assert (frames[0].rgb[alone] != frames[1].rgb[alone]).mean() < 0.005  # long shadows
 
 
 def test_depth_behind_a_photograph_is_the_ground_and_the_occluders(own: OwnSite, made: Recording) -> None:
@@ -308,6 +323,11 @@ HUNG = {"position": None, "look_at": None}
         ({"occluders": [{**POLE, "distance": 9}]}, ["occluders", "background is missing"]),
         ({"background": "wide.png", "occluders": [{**POLE, "foot": [300, 3]}]}, ["occluders.foot", "ground"]),
         ({"background": "wide.png", "occluders": [{**POLE, "distance": 9, "hight": 2}]}, ["hight", "unknown"]),
+        ({"background": "wide.png", "shades": [{"polygon": [[1, 1], [9, 1], [9, 9]]}]}, ["shades.polygon", "horizon"]),
+        (
+            {"background": "wide.png", "shades": [{"polygon": [[300, 300], [400, 340], [300, 340], [400, 300]]}]},
+            ["shades.polygon", "cross"],
+        ),
         ({"lefthand": True}, ["lefthand", "maps"]),
         ({"network": "high.net.xml"}, ["network", "115 m", "--offset.z -115"]),
         ({"name": "my road"}, ["name", "my road"]),

@@ -18,12 +18,12 @@ _STEP: Final = 1.0
 _ARROWS: Final = 15.0
 """Metres from arrow to arrow."""
 _SHIFT: Final = 4
-_EDGE, _ARROW, _OCCLUDER = (255, 200, 40), (60, 220, 255), (255, 60, 160)
+_EDGE, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 60, 160), (80, 80, 255)
 _GREY: Final = 90
 
 
 def overlay(place: Place) -> Image:
-    """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, and the occluders."""
+    """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
     camera, layout = place.camera, Layout.of(place.name)
     size = (camera.width, camera.height)
     image = place.picture(size) if place.photograph else np.full((size[1], size[0], 3), _GREY, dtype=np.uint8)
@@ -35,9 +35,10 @@ def overlay(place: Place) -> Image:
             for k in range(3, len(middle), int(_ARROWS / _STEP)):
                 barbs = middle[[k - 3, k, k - 3]] + np.array([[0.5], [0.0], [-0.5]]) * across[k]
                 _draw(image, place, layout, barbs, _ARROW)
-    for one in place.occluders:
-        outline = np.rint((np.array(one.polygon) - 0.5) * 2**_SHIFT).astype(np.int32)
-        cv2.polylines(image, [outline], True, _OCCLUDER, 1, cv2.LINE_AA, _SHIFT)
+    outlines = [*((one.polygon, _OCCLUDER) for one in place.occluders), *((one, _SHADE) for one in place.shades)]
+    for outline, color in outlines:
+        corners = np.rint((np.array(outline) - 0.5) * 2**_SHIFT).astype(np.int32)
+        cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, _SHIFT)
     return image
 
 

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+from shapely import Polygon
 
 from skope.camera import Camera
 from skope.errors import UserError
@@ -26,7 +27,7 @@ from skope.gen.sun import sun_direction, time_of_day
 from skope.gen.towns import Site, network, site_of
 from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map
-from skope.gen.towns.place import Occluder, Place, know
+from skope.gen.towns.place import Occluder, Outline, Place, know
 from skope.gen.towns.style import style
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
@@ -95,10 +96,11 @@ def read_site(path: Path) -> OwnSite:
     layout = _layout(table, place)
     level = layout.road_level(camera.position[:2])
     occluders = tuple(_occluder(row, camera, level) for row in table.tables("occluders"))
-    if occluders:
+    shades = tuple(_shade(row, camera) for row in table.tables("shades"))
+    if occluders or shades:
         if not background:
-            raise table.wrong("occluders", "are for a photograph: background is missing")
-        place = replace(place, occluders=occluders)
+            raise table.wrong("occluders" if occluders else "shades", "are for a photograph: background is missing")
+        place = replace(place, occluders=occluders, shades=shades)
         know(place)
     light = table.table("light")
     weather, hour, sun = _light(light)
@@ -174,10 +176,7 @@ def _origin(table: Table, path: Path) -> tuple[float, float]:
 
 
 def _occluder(table: Table, camera: Camera, level: float) -> Occluder:
-    points = table.value("polygon")
-    if not isinstance(points, list) or len(points) < 3:
-        raise table.wrong("polygon", "expected three or more [column, row]")
-    polygon = tuple((x, y) for x, y in table.matrix("polygon", len(points), 2))
+    polygon = _outline(table)
     if "distance" in table:
         distance = table.number("distance", low=0.5, high=2000)
     else:
@@ -188,6 +187,26 @@ def _occluder(table: Table, camera: Camera, level: float) -> Occluder:
             raise table.wrong("foot", "is no pixel of the ground")
     table.done()
     return Occluder(polygon, round(distance, 3))
+
+
+def _shade(table: Table, camera: Camera) -> Outline:
+    """The outline of a shadow, all of it on the ground."""
+    outline = _outline(table)
+    table.done()
+    rays, valid = camera.rays(outline)
+    if not (valid & (rays @ camera.T_camera_world[:3, 2] < -1e-3)).all():
+        raise table.wrong("polygon", "reaches over the horizon")
+    return outline
+
+
+def _outline(table: Table) -> Outline:
+    points = table.value("polygon")
+    if not isinstance(points, list) or len(points) < 3:
+        raise table.wrong("polygon", "expected three or more [column, row]")
+    outline = tuple((x, y) for x, y in table.matrix("polygon", len(points), 2))
+    if not Polygon(outline).is_valid:
+        raise table.wrong("polygon", "its sides cross each other")
+    return outline
 
 
 def _light(table: Table) -> tuple[str, str, dict[str, Range]]:

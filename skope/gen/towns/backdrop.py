@@ -10,13 +10,15 @@ from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.place import Place
+from skope.gen.towns.place import Outline, Place
 
 Array = NDArray[np.float64]
 
 _FAR: Final = 2000.0
 """Where level ground ends, metres from the camera."""
 _CELL: Final = 2.0
+_PLATES: Final = 15.0
+"""Height of what throws a photograph's shadows, metres over the road."""
 _SLOPED: Final = 250.0
 """Where ground that is not level ends, metres from the camera."""
 
@@ -41,10 +43,27 @@ def _ground(layout: Layout, middle: Array) -> Mesh:
 
 
 def _occluders(place: Place) -> Iterator[Mesh]:
-    camera = place.camera
     for one in place.occluders:
-        outline = shapely.segmentize(Polygon(one.polygon), max(camera.width, camera.height) / 50)
-        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(outline))
-        corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-        points, _ = camera.unproject(corners.reshape(-1, 2), np.full(3 * len(corners), one.distance))
+        corners = _triangles(place, one.polygon)
+        points, _ = place.camera.unproject(corners, np.full(len(corners), one.distance))
         yield from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron")
+
+
+def plates(place: Place, toward_sun: Array) -> Mesh | None:
+    """Something high over the road that throws the shadows which the photograph has; None when it has none."""
+    camera, out = place.camera, []
+    level = Layout.of(place.name).road_level(camera.position[:2])
+    for outline in place.shades:
+        rays, _ = camera.rays(_triangles(place, outline))
+        directions = rays @ camera.T_camera_world[:3, :3]
+        reach = (level - camera.position[2]) / directions[:, 2:]
+        points = camera.position + reach * directions + toward_sun * _PLATES / toward_sun[2]
+        out.append(from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron"))
+    return merged(out) if out else None
+
+
+def _triangles(place: Place, outline: Outline) -> Array:
+    """(3T, 2) corners of triangles that fill an outline in the image, small enough for the lens."""
+    fine = shapely.segmentize(Polygon(outline), max(place.camera.width, place.camera.height) / 50)
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))
+    return np.asarray(shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3].reshape(-1, 2))

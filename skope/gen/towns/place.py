@@ -19,11 +19,14 @@ from skope.camera import Camera
 Image = NDArray[np.uint8]
 
 
+Outline = tuple[tuple[float, float], ...]
+
+
 @dataclass(frozen=True)
 class Occluder:
     """Something in the photograph that stands before the traffic."""
 
-    polygon: tuple[tuple[float, float], ...]
+    polygon: Outline
     """Its outline, pixels of the camera's image."""
     distance: float
     """Planar depth, metres."""
@@ -42,6 +45,8 @@ class Place:
     photograph: bytes = field(default=b"", repr=False)
     """Of the empty road, as an image file of the camera's size or a multiple; empty to grow scenery instead."""
     occluders: tuple[Occluder, ...] = ()
+    shades: tuple[Outline, ...] = ()
+    """Ground that lies in shadow in the photograph, pixels of the camera's image."""
 
     @property
     def name(self) -> str:
@@ -74,6 +79,7 @@ class Place:
             "size": [self.camera.width, self.camera.height],
             "camera": self.camera.to_dict(),
             "occluders": [[one.polygon, one.distance] for one in self.occluders],
+            "shades": self.shades,
         }
 
     @classmethod
@@ -86,6 +92,7 @@ class Place:
             camera=Camera.from_dict(header["camera"], *header["size"]),
             photograph=photograph,
             occluders=tuple(Occluder(tuple(map(tuple, polygon)), depth) for polygon, depth in header["occluders"]),
+            shades=tuple(tuple(map(tuple, outline)) for outline in header["shades"]),
         )
 
 

@@ -89,8 +89,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
         light = cached(_digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {}))
         shown = _develop(stage, light, geometry.color_attachments[0], road)
     else:
-        # Its shadows are in the picture already.
-        sun_map.clear()
+        photograph.draw_shadows(stage, sun_map, clip, recording, stage.daylight)
         ambient, sunlit = photograph.shown(device, recording, stage.daylight)
         shown = {"u_ambient": ambient, "u_sunlit": sunlit}
     textures = {

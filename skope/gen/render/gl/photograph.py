@@ -4,14 +4,18 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
+import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from skope.camera import Camera
 from skope.gen.recording import Recording
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import Device, linear, put
+from skope.gen.render.gl.light import Stage
 from skope.gen.render.materials import MATERIALS
+from skope.gen.towns.backdrop import plates
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.place import Place
 
@@ -52,15 +56,40 @@ def fitted(device: Device, daylight: Daylight, place: Place) -> Daylight:
 def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any, Any]:
     """Textures of the photograph's light from sky and sun: as much from each as level ground has under that daylight.
 
-    Together they show the photograph; where a vehicle takes the sun, what the sky gives is left.
+    Together they show the photograph; where a vehicle takes the sun, what the sky gives is left. In the photograph's
+    own shadows all of it is the sky's.
     """
     assert recording.photograph is not None
+    assert recording.place is not None
     light = light_of(device, recording.photograph)
-    sun = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
+    share = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
+    sun = share * (1 - _shaded(recording.place, recording.camera))[..., None]
     one = np.ones((*light.shape[:2], 1))
     parts = (np.concatenate([light * share, one], axis=-1) for share in (1 - sun, sun))
     ambient, sunlit = (device.texture(part, "f2") for part in parts)
     return ambient, sunlit
+
+
+def draw_shadows(stage: Stage, target: Any, clip: Array, recording: Recording, daylight: Daylight) -> None:
+    """The depth buffer of what throws the photograph's own shadows onto vehicles."""
+    assert recording.place is not None
+    high = plates(recording.place, daylight.sun_direction)
+    if high is None:
+        target.clear()
+    else:
+        Stage(stage.device, high, recording.camera, daylight).draw_depth(target, clip)
+
+
+def _shaded(place: Place, camera: Camera) -> Array:
+    """(H, W) share of each pixel of a camera at the place's own that lies in the photograph's shadows."""
+    out = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    for outline in place.shades:
+        fine = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(outline), place.camera.width / 50))
+        rays, _ = place.camera.rays(fine)
+        pixels, _, _ = camera.project(camera.position + rays @ camera.T_camera_world[:3, :3])
+        at = np.rint((np.clip(pixels, -1e4, 1e4) - 0.5) * 16).astype(np.int32)
+        cv2.fillPoly(out, [at], 255, cv2.LINE_AA, 4)
+    return np.asarray(cv2.blur(out, (3, 3)) / 255)
 
 
 def light_of(device: Device, rgb: NDArray[np.uint8]) -> Array:
@@ -96,8 +125,10 @@ def _road_pixels(place: Place) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     places = eye[:2] + reach[:, None] * directions[:, :2]
     near = down & (np.linalg.norm(places - eye[:2], axis=1) < _NEAR)
     on_road = near & shapely.contains_xy(layout.ground_road, layout.world(places))
-    hidden = shapely.unary_union([shapely.Polygon(one.polygon) for one in place.occluders])
-    chosen = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)
+    outlines = [*(one.polygon for one in place.occluders), *place.shades]
+    hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
+    sunny = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)
+    chosen = sunny if sunny.any() else on_road
     if not chosen.any():
         chosen = rows >= camera.height / 2
     return rows[chosen], columns[chosen]
