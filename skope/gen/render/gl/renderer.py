@@ -47,6 +47,8 @@ FAR: Final = 30.0
 """Vehicles farther from the camera than this are drawn coarsely in colour, and nobody sees through their windows."""
 SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
+HAZY: Final = 1e-3
+"""Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
 
@@ -294,7 +296,8 @@ class GLRenderer:
         if not places:
             return
         device, wet = self._device, ("WET",) if self._reflections else ()
-        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *options)
+        air = ("HAZE",) if self._background.daylight.haze_density > HAZY else ()
+        program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *air, *options)
         units = {
             **self._vehicle_textures(),
             **({"u_reflections": self._reflections.texture} if self._reflections else {}),

@@ -1,5 +1,6 @@
 // The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES; LAMPS when it is
-// dark, WET when the road mirrors, REFLECTIONS where it mirrors vehicles; BLUR around a vehicle that moves.
+// dark, WET when the road mirrors, REFLECTIONS where it mirrors vehicles; BLUR around a vehicle that
+// moves; HAZE when the air between shows within the reach of vehicles' shadows.
 #version 430
 #include "display.glsl"
 in vec2 v_pixel;
@@ -55,10 +56,19 @@ void main() {
     float open = texture(u_open, u_open_at + v_ray.xy * (depth * u_open_scale)).r;
     // The map holds for the road; walls and poles beside a vehicle see more of the sky the higher up they are.
     float above = clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0);
-    ambient *= mix(open, 1.0, above);
+    float kept = mix(open, 1.0, above), through = 1.0;
+#ifdef HAZE
+    // A vehicle takes nothing from the air before the road.
+    float away = length(v_ray), metres = max(depth, 0.0) * away;
+    vec3 air = exposed(vec3(0.0), metres, 1.0 / away);
+    ambient = air + (ambient - air) * kept;
+    through = exp(-metres * u_haze_density);
+#else
+    ambient *= kept;
+#endif
 #ifdef LAMPS
     float beam = texture(u_beams, u_open_at + v_ray.xy * (depth * u_open_scale)).r * (1.0 - above);
-    ambient += u_beam_light * (beam * scenery.a);
+    ambient += u_beam_light * (beam * scenery.a * through);
 #endif
 #endif
     vec3 light = ambient + sunlit;
