@@ -77,7 +77,7 @@ def draw_shadows(stage: Stage, target: Any, clip: Array, recording: Recording, d
     if high is None:
         target.clear()
     else:
-        Stage(stage.device, high, recording.camera, daylight).draw_depth(target, clip)
+        Stage(stage.device, high, recording.camera, recording.conditions, daylight=daylight).draw_depth(target, clip)
 
 
 def _shaded(place: Place, camera: Camera) -> Array:
