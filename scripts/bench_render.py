@@ -270,16 +270,19 @@ def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
 # ---------------------------------------------------------------------------------------------------------------- main
 
 
-def simulated(path: Path, size: tuple[int, int], frames: int) -> None:
+def simulated(path: Path, size: tuple[int, int], frames: int, light: str) -> None:
     from skope.gen.simulate import simulate
 
-    plan = RecordingPlan(site=site(SITE), index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
+    weather, hour = light.split()
+    place = replace(site(SITE), weather=weather, time_of_day=hour)
+    plan = RecordingPlan(site=place, index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
     recordings.save(path, simulate(plan))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="1920x1080")
+    parser.add_argument("--light", default="clear noon", help="weather and hour, such as 'rain night'")
     parser.add_argument("--vehicles", default="6,12,20")
     parser.add_argument("--frames", type=int, default=24, help="of each of skope's processes")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
@@ -293,11 +296,15 @@ def main() -> None:
         full = options.recording
         if full is None:
             full = folder / "full.npz"
-            simulated(full, (width, height), 8)
+            simulated(full, (width, height), 8, options.light)
         paths = {count: folder / f"{count}.npz" for count in counts}
         for count, path in paths.items():
             recordings.save(path, with_vehicles(recordings.load(full), count))
-        print(f"{SITE}, {width}x{height}, {options.processes} processes of one thread; frames per second", flush=True)
+        print(
+            f"{SITE}, {options.light}, {width}x{height}, {options.processes} processes of one thread;",
+            "frames per second",
+            flush=True,
+        )
         ours = {}
         for count, path in paths.items():
 

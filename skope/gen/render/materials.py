@@ -213,7 +213,7 @@ class Light:
     def _by_night(cls, conditions: Conditions) -> "Light":
         """Even light from above, the bluer and weaker the lower the sun has sunk."""
         share = float(np.clip((DARK_DEG - conditions.sun_elevation_deg) / 12, 0, 1))
-        level = 0.62 - 0.36 * share
+        level = 0.62 - 0.26 * share
         tint = (0.92 - 0.1 * share, 0.95 - 0.03 * share, 1.0)
         zenith = (0.5 * level * tint[0], 0.55 * level * tint[1], 0.75 * level)
         horizon = (0.8 * level, 0.72 * level, 0.72 * level)

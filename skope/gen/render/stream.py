@@ -44,13 +44,13 @@ def _write(rgb: Image, recording: Recording, frame: int) -> None:
     seconds = round(3600 * conditions.hour + float(recording.times_s[frame]))
     day = date(_YEAR, 1, 1) + timedelta(days=int(conditions.day) - 1 + seconds // 86400)
     clock = f"{seconds // 3600 % 24:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
-    scale = width / 1920 * 1.3
-    edge, line = max(1, round(5 * scale)), max(1, round(2 * scale))
-    margin = round(0.02 * width)
+    scale, margin = width / 1920 * 1.3, round(0.02 * width)
+    line = max(1, round(2 * scale))
     lines = {
         f"{day:%Y-%m-%d} {clock}": margin + round(30 * scale),
         recording.site.upper().replace("_", " "): height - margin,
     }
     for text, y in lines.items():
-        for color, thick in (((20, 20, 20), edge), ((245, 245, 245), line)):
-            cv2.putText(rgb, text, (margin, y), _FONT, scale, color, thick, cv2.LINE_AA)
+        for dx, dy in ((-line, 0), (line, 0), (0, -line), (0, line)):
+            cv2.putText(rgb, text, (margin + dx, y + dy), _FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
+        cv2.putText(rgb, text, (margin, y), _FONT, scale, (245, 245, 245), line, cv2.LINE_AA)

@@ -105,7 +105,7 @@ class StreetLights:
         """(3,) irradiance on the road in view."""
         half = MAP // 6
         upward = vectors[MAP // 2 - half : MAP // 2 + half, MAP // 2 - half : MAP // 2 + half, 2].astype(np.float64)
-        own = self.own * 0.35 / 25.0**2 * np.ones(3)
+        own = self.own * 0.35 / 14.0**2 * np.ones(3)
         return np.asarray(self.intensity * upward.mean() + own)
 
 
