@@ -24,6 +24,8 @@ RAYS: Final = 300
 """Cast at the surface from each of four sides, to different triangles."""
 BACK_SHARE: Final = 0.002
 """Share of rays from outside that may meet a triangle's back first."""
+GRAZING: Final = 0.1
+"""Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's edge."""
 PARTS: Final = {
     "headlight": "low-beam lamps",
     "taillight": "tail lamps",
@@ -115,12 +117,16 @@ def _orientation(vehicle: Vehicle) -> Iterator[str]:
     """Rays from around the vehicle to its surface must meet fronts first."""
     rng = np.random.default_rng(0)
     corners = vehicle.mesh.vertices[vehicle.mesh.triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
     back = total = 0
     for azimuth in np.radians([20, 110, 200, 290]):
         eye = 15 * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
         aims = corners[rng.choice(len(corners), RAYS, replace=False, p=area / area.sum())].mean(axis=1)
-        reach, front = Fan(corners - eye).first_hits(aims - eye)
+        sight = corners.mean(axis=1) - eye
+        away = (normal * sight).sum(axis=1)
+        counts = (away <= 0) | (away > GRAZING * area * np.linalg.norm(sight, axis=1))
+        reach, front = Fan(corners[counts] - eye).first_hits(aims - eye)
         back += int((np.isfinite(reach) & ~front).sum())
         total += int(np.isfinite(reach).sum())
     if back > BACK_SHARE * total:
