@@ -268,6 +268,14 @@ class Camera:
         R, t = self.T_camera_world[:3, :3], self.T_camera_world[:3, 3]
         return -R.T @ t
 
+    @property
+    def angles(self) -> tuple[float, float, float]:
+        """Yaw, pitch downwards and roll as `looking` takes them, radians."""
+        x, y, z = self.T_camera_world[2, :3]
+        yaw, pitch_down = math.atan2(y, x), math.asin(-max(-1.0, min(1.0, z)))
+        level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+        return yaw, pitch_down, math.atan2(-self.T_camera_world[1, :3] @ level, self.T_camera_world[0, :3] @ level)
+
     def to_camera(self, points_world: ArrayLike) -> Array:
         """(..., 3) world -> (..., 3) camera frame."""
         return np.asarray(points_world, dtype=np.float64) @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]

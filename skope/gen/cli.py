@@ -39,6 +39,9 @@ def gen(
     shape_jitter: Annotated[
         bool, typer.Option(help="Give every vehicle a shape of its own, near its model's.")
     ] = False,
+    camera_jitter: Annotated[
+        bool, typer.Option(help="Hang and turn each recording's camera a little differently.")
+    ] = False,
     localizer: Annotated[str, typer.Option(help="rigid, or trilateration as in the paper.")] = "rigid",
     occlusion_rule: Annotated[
         str, typer.Option(help="others: ignore what something else hides; paper: remove what is half hidden.")
@@ -79,6 +82,7 @@ def gen(
         vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
         shape_jitter=shape_jitter,
         own=read_site(own) if own else None,
+        camera_jitter=camera_jitter,
     )
     console = Console(quiet)
     for line in parameters.own.said if parameters.own else ():

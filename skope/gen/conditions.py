@@ -8,6 +8,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from skope.camera import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.sun import sun_position
 
@@ -59,7 +60,9 @@ class Conditions:
     vignetting: float
     """Share of the light that is lost 45 degrees off the optical axis."""
     k1: float
-    """First radial coefficient of the lens' distortion (OpenCV's model): negative for a barrel, 0 for none."""
+    """First radial coefficient of the lens' distortion (OpenCV's models): negative for a barrel, 0 for none."""
+    fisheye: float = 0.0
+    """1 for a fisheye lens, equidistant but for k1; 0 for one of the brown model."""
     screen_text: float = 0.0
     """1 for the site's name, date and time burned into the picture."""
     rescale: float = 1.0
@@ -79,6 +82,13 @@ class Conditions:
             position = sun_position(*(values[name] for name in _CLOCK))
             values |= {name: float(f"{angle:.5g}") for name, angle in zip(_SUN, position, strict=True)}
         return cls(**values)
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """Of the lens; None without any."""
+        if self.fisheye:
+            return Distortion("fisheye", (self.k1, 0.0, 0.0, 0.0))
+        return Distortion("brown", (self.k1, 0.0, 0.0, 0.0)) if self.k1 else None
 
     def to_dict(self) -> dict[str, float]:
         return asdict(self)
@@ -114,6 +124,7 @@ LIMITS: Final[Mapping[str, Range]] = {
     "infrared": (0.0, 1.0),
     "vignetting": (0.0, 0.5),
     "k1": (-1.0, 1.0),
+    "fisheye": (0.0, 1.0),
     "screen_text": (0.0, 1.0),
     "rescale": (0.1, 1.0),
     "compression_quality": (1.0, 100.0),
@@ -121,7 +132,7 @@ LIMITS: Final[Mapping[str, Range]] = {
 """What can be set at all."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _CLOCK: Final = ("latitude_deg", "day", "hour")
-_WHOLE: Final = ("day", "infrared", "screen_text")
+_WHOLE: Final = ("day", "infrared", "screen_text", "fisheye")
 _PLACE: Final[Mapping[str, Range]] = {
     "latitude_deg": (35.0, 55.0),
     "day": (1.0, 365.0),
@@ -135,6 +146,7 @@ _CAMERA: Final[Mapping[str, Range]] = {
     "infrared": (0.0, 0.0),
     "vignetting": (0.04, 0.14),
     "k1": (0.0, 0.0),
+    "fisheye": (0.0, 0.0),
     "screen_text": (0.0, 0.0),
     "rescale": (1.0, 1.0),
     "compression_quality": (100.0, 100.0),

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from skope.camera import Distortion
 from skope.errors import UserError, one_of
+from skope.gen import cameras
 from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
 from skope.gen.own.site import OwnSite
@@ -46,6 +48,8 @@ class Parameters:
     rules: Rules
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that are set; the others follow each site's weather and hour."""
+    cameras: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges that each recording's camera is drawn from; none for the sites' own cameras."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
     """Models that were added and drive by too, with the digests of their files."""
     shape_jitter: bool = False
@@ -68,11 +72,20 @@ class Parameters:
         if self.interval_s < STEP or abs(self.interval_s / STEP - round(self.interval_s / STEP)) > 1e-6:
             raise UserError(f"--interval: expected a multiple of {STEP} seconds, got {self.interval_s}")
         check_settings(self.settings)
-        for k1 in self.settings.get("k1", ()):
-            if k1:
-                pinhole_of(self.site(self.sites[0]).camera(self.pixels(), self.fov_deg, k1))
+        cameras.check_ranges(self.cameras)
+        self._check_lens()
         if self.own:
             self._check_own(self.own)
+
+    def _check_lens(self) -> None:
+        """The strongest distortions at the widest view must not fold the image."""
+        widest = self.cameras.get("fov_deg", (self.fov_deg, self.fov_deg))[1]
+        low, high = map(round, self.settings.get("fisheye", (0.0, 0.0)))
+        for k1 in set(self.settings.get("k1", (0.0, 0.0))):
+            for model in ("brown", "fisheye")[low : high + 1]:
+                if k1 or model == "fisheye":
+                    lens = Distortion(model, (k1, 0.0, 0.0, 0.0))
+                    pinhole_of(self.site(self.sites[0]).camera(self.pixels(), widest, lens))
 
     def _check_own(self, own: OwnSite) -> None:
         camera, photograph, (width, height) = own.place.camera, own.place.photograph, self.pixels()
@@ -81,8 +94,13 @@ class Parameters:
                 f"--size {self.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
                 "only sizes of that shape can be had"
             )
-        if "k1" in self.settings and (photograph or camera.distortion.model != "none"):
-            raise UserError(f"--set k1: {own.path} says already how its camera distorts")
+        lens = next((name for name in ("k1", "fisheye") if name in self.settings), None)
+        if lens and (photograph or camera.distortion.model != "none"):
+            raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
+        if self.cameras and photograph:
+            raise UserError(f"{own.path}: a photograph shows the road from one camera only: no other can be drawn")
+        if self.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
+            raise UserError(f"--preset {self.preset}: {own.path} says how its camera hangs (try --camera-jitter)")
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images."""
@@ -107,6 +125,7 @@ class Parameters:
                 fov_deg=self.fov_deg,
                 seed=self.seed,
                 settings=self.settings,
+                cameras=self.cameras,
                 vehicles=tuple(self.vehicles),
                 shape_jitter=self.shape_jitter,
             )
@@ -164,6 +183,10 @@ def in_its_light(own: Site, index: int, seed: int) -> Site:
     return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1), conditions=fixed)
 
 
+def _spans(table: Mapping[str, list[float]]) -> dict[str, Range]:
+    return {name: (low, high) for name, (low, high) in table.items()}
+
+
 @cache
 def _tables() -> Mapping[str, Any]:
     return tomllib.loads(resources.files("skope.gen").joinpath("presets.toml").read_text(encoding="utf-8"))
@@ -184,15 +207,16 @@ def from_preset(
     rules: Rules,
     frames: int | None = None,
     own: OwnSite | None = None,
+    camera_jitter: bool = False,
+    settings: Mapping[str, Range] | None = None,
     **overrides: Any,
 ) -> Parameters:
     """A preset's parameters with those `overrides` that are not None in their place; `frames` are per site.
 
-    An `own` site comes in place of the preset's sites, with its camera and its number of recordings.
+    `settings` of conditions add to the preset's; with `camera_jitter` each recording's camera hangs a little
+    differently. An `own` site comes in place of the preset's sites, with its camera and its number of recordings.
     """
     row = presets()[one_of("--preset", preset, tuple(presets()))]
-    if "ranges" in row:
-        raise UserError(f"--preset {preset}: cameras that differ between recordings cannot be simulated yet")
     known = {f.name for f in fields(Parameters)}
     values = {name: value for name, value in row.items() if name in known}
     values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
@@ -206,6 +230,8 @@ def from_preset(
             "fov_deg": round(math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])), 3),
         }
     values |= {name: value for name, value in overrides.items() if value is not None}
+    values["settings"] = _spans(row.get("settings", {})) | dict(settings or {})
+    values["cameras"] = _spans(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
     return Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)

@@ -39,6 +39,8 @@ class RecordingPlan:
     seed: int
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that are set; the others follow the site's weather and hour."""
+    cameras: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of `skope.gen.cameras.LIMITS` that the camera is drawn from; none for the site's own."""
     vehicles: tuple[str, ...] = ()
     """Models that were added and drive by too."""
     shape_jitter: bool = False

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 import skope
 from skope.camera import Camera
+from skope.gen import cameras
 from skope.gen.conditions import Conditions, ranges
 from skope.gen.crowd import Present, Riders, Walkers
 from skope.gen.demand import in_town
@@ -69,7 +70,9 @@ def simulate(plan: RecordingPlan) -> Recording:
     own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
     spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
     conditions = Conditions.drawn(spans, np.random.default_rng([*own, 4]))
-    camera = site.camera(plan.size, plan.fov_deg, conditions.k1)
+    camera = cameras.drawn(
+        site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, np.random.default_rng([*own, 5])
+    )
     stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
     models = _models(plan)
     log = _Log(camera, plan, models, lamps_on=lamps_on(conditions))

@@ -10,6 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.towns import place as places
@@ -44,22 +46,28 @@ class Site:
     place: Place | None = None
     """Of a user's own site."""
 
-    def camera(self, size: tuple[int, int], fov_deg: float, k1: float = 0.0) -> Camera:
-        """The site's camera for an image size (width, height), a field of view and a radial distortion.
+    def camera(self, size: tuple[int, int], fov_deg: float, distortion: Distortion | None = None) -> Camera:
+        """The site's camera for an image size (width, height), a horizontal field of view and a lens' distortion.
 
-        A user's own camera has its own field of view, and its own distortion where that is known.
+        The field of view is that before a brown distortion, and what a fisheye lens shows. A user's own camera has its
+        own, and its own distortion unless one is given.
         """
         if self.place:
             own = self.place.camera.resized(size)
-            return replace(own, distortion=Distortion("brown", (k1, 0.0, 0.0, 0.0))) if k1 else own
-        return Camera.looking(
+            return replace(own, distortion=distortion) if distortion else own
+        camera = Camera.looking(
             self.position,
             yaw=math.radians(self.yaw_deg),
             pitch_down=math.radians(self.pitch_deg),
             size=size,
             fov=math.radians(fov_deg),
-            distortion=Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else None,
+            distortion=distortion,
         )
+        if camera.distortion.model != "fisheye":
+            return camera
+        edge = np.array([math.tan(math.radians(fov_deg) / 2), 0.0])
+        shorter = edge[0] / camera.distortion.distort(edge)[0][0]
+        return replace(camera, K=camera.K * [[shorter, 1, 1], [1, shorter, 1], [1, 1, 1]])
 
 
 def folder(town: str) -> Path:
@@ -109,14 +117,15 @@ def sites_of(town: str) -> tuple[Site, ...]:
 def site_of(own: Place, **values: Any) -> Site:
     """The site of a user's own camera."""
     x, y, z = own.camera.position.tolist()
+    yaw, pitch_down, _ = own.camera.angles
     return Site(
         name=own.title,
         town=own.name,
         mounting="",
         sees="",
         position=(x, y, z),
-        yaw_deg=math.degrees(own.yaw),
-        pitch_deg=math.degrees(own.pitch_down),
+        yaw_deg=math.degrees(yaw),
+        pitch_deg=math.degrees(pitch_down),
         place=own,
         **values,
     )

@@ -2,7 +2,7 @@
 
 import itertools
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -214,16 +214,23 @@ class Layout:
         seen = places[shapely.contains_xy(self.ground_road, places)]
         return float(np.median(self.ground.road(seen)))
 
+    @cached_property
+    def lane_points(self) -> Mapping[str, Array]:
+        """(N, 3) places of the world on the lanes of each edge, one at about every metre."""
+        out = {}
+        for edge in self.edges:
+            if lines := [LineString(lane.getShape3D()) for lane in driven(edge)]:
+                points = np.concatenate([shapely.segmentize(line, 1.0).coords for line in lines])
+                out[str(edge.getID())] = self.world(points)
+        return out
+
     def seen_by(self, camera: Camera, reach: float) -> frozenset[str]:
         """Edges of which a place nearer than `reach` metres is in a camera's image."""
         out = set()
-        for edge in self.edges:
-            for lane in driven(edge):
-                line = LineString(lane.getShape3D())
-                points = np.array(shapely.segmentize(line, 1.0).coords)
-                pixels, depth, valid = camera.project(self.world(points))
-                if (valid & camera.inside(pixels) & (depth < reach)).any():
-                    out.add(str(edge.getID()))
+        for name, points in self.lane_points.items():
+            pixels, depth, valid = camera.project(points)
+            if (valid & camera.inside(pixels) & (depth < reach)).any():
+                out.add(name)
         return frozenset(out)
 
     def road_level(self, center: ArrayLike) -> float:

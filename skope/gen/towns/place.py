@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -52,16 +51,6 @@ class Place:
     def name(self) -> str:
         """What recordings and annotations call the town."""
         return _name(self)
-
-    @property
-    def yaw(self) -> float:
-        """Viewing direction, counter-clockwise from east, radians."""
-        ahead = self.camera.T_camera_world[2, :3]
-        return math.atan2(ahead[1], ahead[0])
-
-    @property
-    def pitch_down(self) -> float:
-        return math.asin(float(np.clip(-self.camera.T_camera_world[2, 2], -1, 1)))
 
     def picture(self, size: tuple[int, int]) -> Image:
         """(H, W, 3) RGB photograph at an image size (width, height)."""

@@ -31,6 +31,8 @@ from skope.gen.render.materials import MATERIALS
 Array = NDArray[np.float64]
 
 SAMPLES: Final = 24
+STANDING: Final = 64
+"""Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
 MIRRORED_SHARE: Final = 4
 """One in so many samples is taken of what wet ground mirrors, at half the resolution: water blurs it."""
 SKY_MAP: Final = 2048
@@ -100,6 +102,7 @@ class Stage:
             "u_pixels": camera.width / 1920,
             "u_wetness": conditions.wetness,
             "u_puddles": conditions.puddles,
+            "u_standing": STANDING,
             "u_lit_windows": conditions.lit_windows,
             **self.street_lights.uniforms,
         }
@@ -162,9 +165,12 @@ class Stage:
     def light(self) -> dict[str, NDArray[np.float16]]:
         """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
 
-        The fourth channel of the one is the albedo, of the other what water on the ground mirrors.
+        The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
+        under 0 where it stands.
         """
-        return dict(zip(("ambient", "sunlit"), self._mean(self._size, SAMPLES, np.eye(4), self._seen), strict=True))
+        ambient, sunlit = self._mean(self._size, SAMPLES, np.eye(4), self._seen)
+        sunlit[..., 3] = _signed(sunlit[..., 3], SAMPLES)
+        return {"ambient": _halved(ambient), "sunlit": _halved(sunlit)}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
         """What the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
@@ -173,7 +179,7 @@ class Stage:
         samples = max(2, SAMPLES // MIRRORED_SHARE)
         size = (-(-width // 2), -(-height // 2))
         ambient, sunlit = self._mean(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
-        return {"mirrored": ambient + sunlit}
+        return {"mirrored": _halved(ambient + sunlit)}
 
     def reflected_parts(self, plane: Plane) -> list[tuple[DeviceMesh, tuple[str, ...]]]:
         """What the mirrored view may show."""
@@ -193,7 +199,7 @@ class Stage:
         placed: Array,
         parts: list[tuple[DeviceMesh, tuple[str, ...]]],
         *options: str,
-    ) -> list[NDArray[np.float16]]:
+    ) -> list[NDArray[np.float32]]:
         """The means of samples of an image of a size, with everything moved by `placed`."""
         device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
@@ -220,11 +226,8 @@ class Stage:
             device.context.enable_only(device.gl.BLEND)
             device.context.blend_func = device.gl.ONE, device.gl.ONE
             device.screen(add)
-        out = []
-        for texture in sums.color_attachments:
-            pixels = np.frombuffer(texture.read(), dtype=np.float32).reshape(size[1], size[0], 4)
-            out.append(np.clip(pixels, -6e4, 6e4).astype(np.float16))
-        return out
+        textures = sums.color_attachments
+        return [np.frombuffer(t.read(), dtype=np.float32).reshape(size[1], size[0], 4).copy() for t in textures]
 
     def _draw_lamp_maps(self) -> Any:
         """Shadow maps of the nearest street lights; None when none burns."""
@@ -283,6 +286,17 @@ class Stage:
         turned = {"u_world_from_camera": placed[:3, :3] @ self.pixels["u_world_from_camera"]}
         put(sky, {**self.uniforms, **self.pixels, **turned, "u_noise": 0, "u_jitter": [-share[0], -share[1]]})
         device.screen(sky)
+
+
+def _halved(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
+    return np.clip(pixels, -6e4, 6e4).astype(np.float16)
+
+
+def _signed(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
+    """Means of samples that have STANDING more where water stands -> means without, negative where most have it."""
+    standing = np.floor(water * (samples / STANDING) + 1e-3)
+    share = np.maximum(water - standing * (STANDING / samples), 0.0)
+    return np.where(2 * standing > samples, -share, share)
 
 
 def sun_map_size(camera: Camera) -> int:

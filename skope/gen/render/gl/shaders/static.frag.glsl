@@ -16,7 +16,7 @@ uniform vec3 u_viewer;        // where it is seen from
 uniform sampler2DShadow u_sun_map;
 uniform sampler2DShadow u_sky_map;
 layout(location = 0) out vec4 out_ambient;  // light; w: albedo
-layout(location = 1) out vec4 out_sun;      // light; w: share of light that a film of water mirrors, under 0 where it stands
+layout(location = 1) out vec4 out_sun;      // light; w: share of it that water mirrors, and u_standing more where water stands
 
 #include "surface.glsl"
 #ifdef LAMPS
@@ -69,7 +69,8 @@ void main() {
     out_sun.rgb = (color / PI * facing * (1.0 - f - water) + gloss * f * 2.0 * pow(max(dot(mirrored, u_sun_direction), 0.0), 400.0)) * u_sun * sun + sun_glint;
     out_sun.a = water;
 #if defined(GROUND) && defined(WET)
-    if (film.y > 0.5) out_sun.a = -water;
+    // Told apart from the mean of the samples; a sign would cancel out where they differ.
+    if (film.y > 0.5) out_sun.a += u_standing;
 #endif
 #ifdef LAMPS
     out_ambient.rgb += emission(v_world + u_eye, n);

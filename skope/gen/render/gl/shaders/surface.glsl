@@ -13,6 +13,7 @@ float joints(vec2 at, vec2 width) {
 #if defined(GROUND) && defined(WET)
 uniform float u_wetness;
 uniform float u_puddles;
+uniform float u_standing;
 
 // How wet level ground is, and whether water stands there: where it drains last it dries last.
 vec2 water_on(vec3 p, vec3 n) {
