@@ -38,10 +38,10 @@ STAGES = {
     "glare": ["Glare.spread"],
     "rain": ["Rain.fall"],
     "noise": ["sensor.with_noise"],
-    "annotation": ["annotate.annotate"],
-    "JPEG": ["store._jpeg"],
-    "depth PNG": ["store.depth_png"],
-    "files": ["store.Store.add"],
+    "annotation": ["frames.annotate"],
+    "JPEG": ["frames.Encoding.encoded"],
+    "depth PNG": ["frames.depth_png"],
+    "files": ["store.Store.keep"],
 }
 
 
@@ -78,20 +78,15 @@ class Skope:
         from skope.gen.render import make_renderer
         from skope.gen.store import Store
 
-        size = (recording.camera.width, recording.camera.height)
-        self.plan = RecordingPlan(
-            site=site(SITE), index=0, frames=len(recording), interval=0.5, size=size, fov_deg=110, seed=0
-        )
         self.recording, self.store = recording, Store(folder)
         self.renderer = make_renderer(renderer, recording)
 
     def __call__(self, frame: int) -> None:
-        from skope.gen import annotate
+        from skope.gen.annotate import Rules
+        from skope.gen.frames import Encoding, frames_of
 
-        view = self.renderer.render(frame)
-        moment = self.recording.moment(frame)
-        labels, tally = annotate.annotate(moment, view, self.recording.camera, annotate.Rules(), image_id=0)
-        self.store.add(self.plan, self.recording, frame, view, labels, tally)
+        for made in frames_of(self.recording, self.renderer, Rules(), Encoding(), [frame]):
+            self.store.keep(made)
 
 
 class Peer:

@@ -15,6 +15,8 @@ from skope.files import read_bytes, read_json
 from skope.schema import AnnotationFile, Image
 
 CARD: Final = "dataset.json"
+MANIFEST: Final = "manifest.json"
+"""Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
 
 
 @dataclass(frozen=True)

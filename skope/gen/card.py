@@ -1,11 +1,14 @@
 """A dataset's card: dataset.json for programs and README.md for people."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from skope import keypoints, schema
 from skope.depth import DEPTH_SCALE
 from skope.gen import annotate
-from skope.gen.plan import Parameters
+from skope.gen.annotate import Rules
+from skope.gen.frames import Encoding
 from skope.gen.store import Counts
 
 LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own; do with them what you like."
@@ -13,52 +16,59 @@ LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own;
 PHOTOGRAPH = "What is drawn is CC0 1.0; the background is the user's photograph, whose rights are as they were."
 
 
-def card(parameters: Parameters, counts: Counts, localizer_difference: dict[str, float | None]) -> dict[str, Any]:
-    """What dataset.json holds."""
-    values = parameters.to_dict()
+def card(
+    values: Mapping[str, Any], takes: Sequence[Any], counts: Counts, localizer_difference: Mapping[str, float | None]
+) -> dict[str, Any]:
+    """What dataset.json holds, for parameters as `Parameters.to_dict` gives them."""
+    own, solid = values["own"], values["renderer"] == "pybullet"
     return {
         "version": schema.VERSION,
         "keypoint_scheme": keypoints.SCHEME,
-        "seed": parameters.seed,
-        "command": command(parameters),
+        "seed": values["seed"],
+        "command": command(values),
         "counts": counts.to_dict(),
-        "label_rules": label_rules(parameters),
+        "label_rules": label_rules(Rules(**values["rules"])),
         "occlusion_rules": {
             "vehicles": counts.tally["vehicles"],
             "taken_by_others": counts.tally["occluded_others"],
             "taken_by_paper": counts.tally["occluded_paper"],
         },
-        "localizer_difference_m": localizer_difference,
-        "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther",
-        "renderer": parameters.renderer,
-        "foliage": "solid in depth and visibility" if parameters.renderer == "pybullet" else "cut out leaf by leaf",
+        "localizer_difference_m": dict(localizer_difference),
+        "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther"
+        if values["encoding"]["depth"]
+        else "none",
+        "renderer": values["renderer"],
+        "foliage": "solid in depth and visibility" if solid else "cut out leaf by leaf",
         "versions": values["versions"],
         "parameters": values,
-        "licence": PHOTOGRAPH if parameters.own and parameters.own.place.photograph else LICENCE,
+        "takes": takes,
+        "licence": PHOTOGRAPH if own and own["photograph"] else LICENCE,
     }
 
 
-def command(parameters: Parameters) -> str:
+def command(p: Mapping[str, Any]) -> str:
     """The command that makes the same dataset again."""
-    p = parameters
-    same = len(counts := set(p.frames.values())) == 1
-    frames = f" --frames {counts.pop()}" if same else ""  # else they are the preset's
-    sites = f"--site {p.own.path.name}" if p.own else f"--sites {','.join(p.sites)}"
-    fov = "" if p.own else f" --fov {p.fov_deg}"
-    return (
-        f"skope gen --preset {p.preset} --seed {p.seed} {sites}{frames}"
-        f" --interval {p.interval_s} --size {p.size}{fov} --renderer {p.renderer}"
-        f" --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}"
-        f" --min-visible {p.rules.min_visible} --min-box {p.rules.min_box}"
-        + (f" --vehicles {','.join(p.vehicles)}" if p.vehicles else "")
-        + (" --shape-jitter" if p.shape_jitter else "")
-        + "".join(f" --set {name}={low}..{high}" for name, (low, high) in p.settings.items())
-    )
+    rules, encoding, counts = p["rules"], p["encoding"], set(p["frames"].values())
+    parts = [f"skope gen --preset {p['preset']} --seed {p['seed']}"]
+    parts.append(f"--site {p['own']['file']}" if p["own"] else f"--sites {','.join(p['sites'])}")
+    if len(counts) == 1:  # else they are the preset's
+        parts.append(f"--frames {counts.pop()}")
+    parts.append(f"--interval {p['interval_s']} --size {p['size']}")
+    if not p["own"]:
+        parts.append(f"--fov {p['fov_deg']}")
+    parts.append(f"--renderer {p['renderer']} --localizer {rules['localizer']} --occlusion-rule {rules['occlusion']}")
+    parts.append(f"--min-visible {rules['min_visible']} --min-box {rules['min_box']}")
+    if encoding != asdict(Encoding()):
+        parts.append(f"--image-format {encoding['image']} --quality {encoding['quality']}")
+        parts += [] if encoding["depth"] else ["--no-depth"]
+    parts += [f"--vehicles {','.join(p['vehicles'])}"] if p["vehicles"] else []
+    parts += ["--shape-jitter"] if p["shape_jitter"] else []
+    parts += ["--camera-jitter"] if "zoom_by" in p["cameras"] else []
+    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p["settings"].items())])
 
 
-def label_rules(parameters: Parameters) -> list[str]:
+def label_rules(rules: Rules) -> list[str]:
     """The rules behind the labels, in words."""
-    rules = parameters.rules
     by_rule = {
         "others": "ignored (occluded) when something else hides more than half of its keypoints inside the image",
         "paper": "removed when more than half of its 33 keypoints are hidden, by itself or by anything else",
@@ -104,7 +114,7 @@ Annotations are COCO keypoints files (`annotations/<split>.json`), depth is {con
 
 {rules}
 
-Trilateration and the rigid transform are apart by {apart or "nothing: no vehicles"} (keypoints of all recorded frames).
+Trilateration and the rigid transform are apart by {apart or "nothing: no vehicles"} (keypoints of 1000 frames).
 
 Licence: {content["licence"]}
 """

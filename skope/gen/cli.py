@@ -1,102 +1,136 @@
 """`skope gen`: make datasets and check them."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.gen import sites_cli, vehicles_cli
+from skope.gen.options import asks_for_a_dataset
+
+if TYPE_CHECKING:
+    from skope.gen.crew import Crew
+    from skope.gen.plan import Parameters
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles_cli.app, name="vehicles")
 app.command()(sites_cli.sites)
 
+DEFAULT = Path("data/skope")
+OutOption = Annotated[Path, typer.Option(help="Dataset folder.")]
+WorkersOption = Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")]
+EngineOption = Annotated[
+    str, typer.Option(help="local: processes of this machine; ray: a Ray cluster's (pip install skope[ray]).")
+]
+AddressOption = Annotated[
+    str | None, typer.Option(help="Of the Ray cluster; by default one that this machine belongs to, or a new one here.")
+]
+
 
 @app.callback()
+@asks_for_a_dataset
 def gen(
     ctx: typer.Context,
-    preset: Annotated[str, typer.Option(help="Which dataset to make (see the README).")] = "demo",
-    out: Annotated[Path, typer.Option(help="Dataset folder.")] = Path("data/skope"),
-    seed: Annotated[int, typer.Option(help="Same seed, same dataset.")] = 0,
-    workers: Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")] = None,
-    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
-    sites: Annotated[str | None, typer.Option(help="Comma-separated sites instead of the preset's.")] = None,
-    own: Annotated[
-        Path | None, typer.Option("--site", help="A site file: your own road and camera instead of --sites.")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames per site.")] = None,
-    interval: Annotated[float | None, typer.Option(help="Seconds between frames.")] = None,
-    size: Annotated[str | None, typer.Option(help="Image size, WIDTHxHEIGHT.")] = None,
-    fov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="A condition as NAME=VALUE or NAME=LOW..HIGH (see the README); repeatable."),
-    ] = None,
-    vehicles: Annotated[
-        str | None, typer.Option(help="Comma-separated models of `skope gen vehicles add` that drive by too.")
-    ] = None,
-    shape_jitter: Annotated[
-        bool, typer.Option(help="Give every vehicle a shape of its own, near its model's.")
-    ] = False,
-    camera_jitter: Annotated[
-        bool, typer.Option(help="Hang and turn each recording's camera a little differently.")
-    ] = False,
-    localizer: Annotated[str, typer.Option(help="rigid, or trilateration as in the paper.")] = "rigid",
-    occlusion_rule: Annotated[
-        str, typer.Option(help="others: ignore what something else hides; paper: remove what is half hidden.")
-    ] = "others",
-    min_visible: Annotated[float, typer.Option(help="Ignore vehicles of which a smaller share is seen.")] = 0.15,
-    min_box: Annotated[float, typer.Option(help="Ignore boxes whose shorter edge is under this, pixels.")] = 12.0,
+    asked: "Callable[[], tuple[Parameters, str]]",
+    out: OutOption = DEFAULT,
+    workers: WorkersOption = None,
+    engine: EngineOption = "local",
+    address: AddressOption = None,
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
     if ctx.invoked_subcommand is not None:
         return
-    from skope.errors import UserError
-    from skope.gen.annotate import Rules
-    from skope.gen.conditions import parse_settings
-    from skope.gen.own.site import read_site
-    from skope.gen.plan import from_preset
-    from skope.gen.produce import check_workers, default_workers, produce
-    from skope.gen.render import choose_renderer
-    from skope.gen.vehicles.added import load
+    from skope.gen.produce import produce
 
-    if own and (sites or fov is not None):
-        raise UserError(f"--site: {own} says where the camera is and what it sees: leave --sites and --fov out")
-    chosen, driver, why = choose_renderer(renderer)
-    rules = Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box)
-    parameters = from_preset(
-        preset,
-        seed=seed,
-        renderer=chosen,
-        driver=driver,
-        rules=rules,
-        sites=tuple(sites.split(",")) if sites else None,
-        frames=frames,
-        interval_s=interval,
-        size=size,
-        fov_deg=fov,
-        settings=parse_settings(settings or []),
-        vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
-        shape_jitter=shape_jitter,
-        own=read_site(own) if own else None,
-        camera_jitter=camera_jitter,
-    )
+    console, (parameters, why) = Console(quiet), asked()
+    hire, who = _crew(engine, workers, address)
+    _announce(console, parameters, f"{who}, {why}")
+    made = produce(parameters, out, hire, console)
+    _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
+
+
+@app.command()
+@asks_for_a_dataset
+def simulate(
+    asked: "Callable[[], tuple[Parameters, str]]",
+    out: OutOption = DEFAULT,
+    workers: WorkersOption = None,
+    engine: EngineOption = "local",
+    address: AddressOption = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Make the recordings only; `skope gen render` draws them, here or on a machine without SUMO and pybullet."""
+    from skope.gen.produce import simulate_only
+
+    console, (parameters, _) = Console(quiet), asked()
+    hire, who = _crew(engine, workers, address)
+    _announce(console, parameters, who)
+    made = simulate_only(parameters, out, hire, console)
+    _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {out}")
+
+
+@app.command()
+def render(
+    dataset: Annotated[Path, typer.Argument(help="Folder that `skope gen simulate` made.")] = DEFAULT,
+    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
+    workers: WorkersOption = None,
+    engine: EngineOption = "local",
+    address: AddressOption = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Draw and annotate the recordings of a folder."""
+    from skope.gen.produce import render_only
+
     console = Console(quiet)
-    for line in parameters.own.said if parameters.own else ():
+    hire, _ = _crew(engine, workers, address)
+    made = render_only(dataset, renderer, hire, console)
+    _next(console, dataset, "wrote" if made else "", f"skope train{_data(dataset)} --epochs 10")
+
+
+def _crew(
+    engine: str, workers: int | None, address: str | None
+) -> tuple[Callable[[], "AbstractContextManager[Crew]"], str]:
+    """How to hire who does the work, and who that is."""
+    from skope.errors import UserError, one_of
+    from skope.gen.crew import check_workers, default_workers, local
+
+    count = check_workers(workers) if workers is not None else None
+    if one_of("--engine", engine, ("local", "ray")) == "ray":
+        from skope.gen.ray_crew import cluster
+
+        return partial(cluster, count, address), f"{count or 'all'} workers of Ray"
+    if address is not None:
+        raise UserError("--address: is for --engine ray")
+    count = count or default_workers()
+    return partial(local, count), f"{count} worker{'' if count == 1 else 's'}"
+
+
+def _announce(console: Console, parameters: "Parameters", who: str) -> None:
+    own = parameters.own
+    for line in own.said if own else ():
         console.say(line)
-    count = check_workers(default_workers() if workers is None else workers)
-    source = str(own) if own else f"preset {preset}"
-    places = "1 site" if own else f"{len(parameters.sites)} sites"
-    console.say(
-        f"{source}: {parameters.images} images of {parameters.size} from {places}, seed {seed}, {count} workers, {why}"
+    source, places = (
+        (str(own.path), "1 site") if own else (f"preset {parameters.preset}", f"{len(parameters.sites)} sites")
     )
-    made = produce(parameters, out, count, console)
-    done = f"wrote {out}" if made else f"{out} is complete already"
-    elsewhere = "" if out == Path("data/skope") else f" --data {out}"
-    console.result(f"{done}; next: skope train{elsewhere} --epochs 10")
+    console.say(
+        f"{source}: {parameters.images} images of {parameters.size} from {places}, seed {parameters.seed}, {who}"
+    )
+
+
+def _data(out: Path) -> str:
+    return "" if out == DEFAULT else f" --data {out}"
+
+
+def _next(console: Console, out: Path, wrote: str, command: str) -> None:
+    console.result(f"{f'{wrote} {out}' if wrote else f'{out} is complete already'}; next: {command}")
 
 
 @app.command()

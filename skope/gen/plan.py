@@ -17,6 +17,7 @@ from skope.errors import UserError, one_of
 from skope.gen import cameras
 from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
+from skope.gen.frames import Encoding
 from skope.gen.own.site import OwnSite
 from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
@@ -55,6 +56,7 @@ class Parameters:
     shape_jitter: bool = False
     own: OwnSite | None = None
     """A user's own site, in place of those of the package."""
+    encoding: Encoding = field(default_factory=Encoding)
 
     def __post_init__(self) -> None:
         self.pixels()
@@ -156,7 +158,13 @@ class Parameters:
         own = self.own.to_dict() if self.own else None
         return {
             **values,
-            **{"own": own, "rules": asdict(self.rules), "sites": list(self.sites), "versions": versions()},
+            **{
+                "own": own,
+                "rules": asdict(self.rules),
+                "encoding": asdict(self.encoding),
+                "sites": list(self.sites),
+                "versions": versions(),
+            },
         }
 
 

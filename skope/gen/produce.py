@@ -1,132 +1,165 @@
-"""Make a dataset: simulate, render and annotate, write, merge; in one process or several, with the same bytes."""
+"""Make a dataset: simulate, render and annotate, write, merge; by one process, several, or a cluster's, the same bytes.
 
-import os
-import threading
+The two halves go apart too: recordings travel to where the rendering is done.
+"""
+
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from functools import lru_cache
-from multiprocessing import get_context, parent_process
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from skope.console import Console, minutes
 from skope.errors import UserError
 from skope.gen import card, recording
-from skope.gen.annotate import Rules, annotate, locate
+from skope.gen.annotate import Rules, locate
+from skope.gen.crew import Crew, Style
+from skope.gen.frames import Encoding
 from skope.gen.plan import Parameters
-from skope.gen.recording import Recording, RecordingPlan
-from skope.gen.render import Renderer, make_renderer
-from skope.gen.simulate import simulate
+from skope.gen.recording import Take
+from skope.gen.render import choose_renderer, make_renderer
+from skope.gen.simulate import versions
 from skope.gen.store import Store
 
-A = TypeVar("A")
-B = TypeVar("B")
-
-CHUNK = 8
-"""Frames per task: small enough that no worker idles long at the end."""
+COMPARED = 1000
+"""About so many frames, evenly spread, or all when there are fewer."""
+Hire = Callable[[], AbstractContextManager[Crew]]
 
 
-class Run(Protocol):
-    """Applies a function to tasks, here or in worker processes, and yields the results as they come."""
-
-    def __call__(self, function: Callable[[A], B], tasks: Iterable[A]) -> Iterator[B]: ...
-
-
-def produce(parameters: Parameters, root: Path, workers: int, console: Console) -> bool:
+def produce(parameters: Parameters, root: Path, hire: Hire, console: Console) -> bool:
     """Make the dataset at `root`, or go on with it; False when it was complete already.
 
     Raises UserError when the folder cannot be written or was begun with other parameters.
     """
-    store, plans = Store(root), parameters.plans()
+    store, begun = Store(root), time.perf_counter()
     with store.locked():
-        store.begin(parameters.to_dict())
+        store.begin(parameters.to_dict(), [plan.take for plan in parameters.plans()])
         if store.complete:
             return False
-        with _pool(workers) as run:
-            _simulate(store, plans, run, console)
-            _render(store, plans, parameters, workers, run, console)
-        counts = store.merge(plans)
-        difference = _localizer_difference(store, plans)
-        content = card.card(parameters, counts, difference)
-        store.finish(content, card.readme(content))
+        with hire() as crew:
+            _simulate(store, parameters, crew, console)
+            _render(store, crew, console)
+        _finish(store, console, begun)
     return True
 
 
-def _simulate(store: Store, plans: list[RecordingPlan], run: Run, console: Console) -> None:
-    todo = [(store.root, plan) for plan in plans if not store.recording_path(plan).is_file()]
-    for _ in console.bar(run(_simulate_one, todo), total=len(todo), unit="recording", label="simulating"):
+def simulate_only(parameters: Parameters, root: Path, hire: Hire, console: Console) -> bool:
+    """The first half of `produce`: what is left is rendering. False when there was nothing to do."""
+    store = Store(root)
+    with store.locked():
+        open_ = parameters.to_dict() | {"renderer": "", "driver": ""}
+        begun = store.begun()
+        if begun and begun["parameters"]["renderer"]:
+            open_ |= {name: begun["parameters"][name] for name in ("renderer", "driver")}
+        store.begin(open_, [plan.take for plan in parameters.plans()])
+        if store.complete or all(store.recorded(plan.take) for plan in parameters.plans()):
+            return False
+        with hire() as crew:
+            _simulate(store, parameters, crew, console)
+    return True
+
+
+def render_only(root: Path, renderer: str, hire: Hire, console: Console) -> bool:
+    """The second half of `produce`, of recordings that may come from another machine; False when it was complete."""
+    store, begun = Store(root), time.perf_counter()
+    if store.begun() is None:
+        raise UserError(f"{root}: holds no recordings; `skope gen simulate --out {root}` makes them")
+    with store.locked():
+        if store.complete:
+            return False
+        settle_renderer(store, renderer)
+        absent = [store.recording_path(take) for take in store.takes() if not store.recorded(take)]
+        if absent:
+            raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
+        with hire() as crew:
+            _render(store, crew, console)
+        _finish(store, console, begun)
+    return True
+
+
+def settle_renderer(store: Store, renderer: str) -> None:
+    """Choose what the frames are drawn with when none is done; else it must be what those were drawn with."""
+    begun = store.begun()
+    assert begun is not None
+    parameters = begun["parameters"]
+    chosen, driver, _ = choose_renderer(parameters["renderer"] or renderer)
+    here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv")}
+    if not parameters["renderer"]:
+        store.settle({"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here})
+        return
+    is_now = {"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here}
+    for name, value in is_now.items():
+        if parameters[name] != value:
+            raise UserError(
+                f"{store.root}: its frames are drawn with {name} = {parameters[name]}, here it is {value}: "
+                "the bytes would not be the same"
+            )
+
+
+def _simulate(store: Store, parameters: Parameters, crew: Crew, console: Console) -> None:
+    todo = [plan for plan in parameters.plans() if not store.recorded(plan.take)]
+    for _ in console.bar(crew.simulate(store, todo), total=len(todo), unit="recording", label="simulating"):
         pass
 
 
-def _simulate_one(task: tuple[Path, RecordingPlan]) -> None:
-    root, plan = task
-    recording.save(Store(root).recording_path(plan), simulate(plan))
-
-
-def _render(
-    store: Store, plans: list[RecordingPlan], parameters: Parameters, workers: int, run: Run, console: Console
-) -> None:
-    missing = [(plan, store.missing(plan)) for plan in plans]
-    todo = [(plan, frame) for plan, frames in missing for frame in frames]
+def _render(store: Store, crew: Crew, console: Console) -> None:
+    takes = store.takes()
+    missing = {take: frames for take in takes if (frames := store.missing(take))}
+    todo = sum(map(len, missing.values()))
     if not todo:
         return
-    tasks = [
-        (store.root, plan, frames[i : i + CHUNK], parameters.renderer, parameters.rules)
-        for plan, frames in missing
-        for i in range(0, len(frames), CHUNK)
-    ]
-    console.say(f"{len(todo)} frames with {parameters.renderer}, {_estimate(store, todo, tasks, parameters, workers)}")
-    done = sum(plan.frames for plan in plans) - len(todo)
-    with console.bar(total=len(todo) + done, unit="image", label="rendering") as bar:
-        bar.update(done)
-        for count in run(_render_chunk, tasks):
+    style = style_of(store)
+    console.say(f"{todo} frames with {style.renderer}, {_estimate(store, missing, style)}")
+    total = sum(take.frames for take in takes)
+    with console.bar(total=total, unit="image", label="rendering") as bar:
+        bar.update(total - todo)
+        for count in crew.render(store, missing, style):
             bar.update(count)
 
 
-def _estimate(store: Store, todo: list[Any], tasks: list[Any], parameters: Parameters, workers: int) -> str:
-    """About how long rendering will take, from drawing the first missing frame here."""
-    (plan, frame), begun = todo[0], time.perf_counter()
-    renderer = make_renderer(parameters.renderer, recording.load(store.recording_path(plan)))
+def style_of(store: Store) -> Style:
+    """How the frames of a begun dataset are made."""
+    begun = store.begun()
+    assert begun is not None
+    values = begun["parameters"]
+    return Style(values["renderer"], values["driver"], Rules(**values["rules"]), Encoding(**values["encoding"]))
+
+
+def _estimate(store: Store, missing: dict[Take, list[int]], style: Style) -> str:
+    """About how long rendering takes one process, from drawing the first missing frame here."""
+    (take, frames), begun = next(iter(missing.items())), time.perf_counter()
+    renderer = make_renderer(style.renderer, recording.load(store.recording_path(take)))
     ready = time.perf_counter()
-    renderer.render(frame)
+    renderer.render(frames[0])
     each, setup = time.perf_counter() - ready, ready - begun
-    busy = max(1, min(workers, len(tasks)))
-    # Every process sets up each recording that it meets.
-    setups = min(len(tasks), busy * len({task[1].site.name for task in tasks}))
-    return f"about {minutes((each * len(todo) + setup * setups) / busy)} with {busy} workers"
+    seconds = each * sum(map(len, missing.values())) + setup * len(missing)
+    return f"about {minutes(seconds)} of one process"
 
 
-Task = tuple[Path, RecordingPlan, list[int], str, Rules]
+def _finish(store: Store, console: Console, begun: float) -> None:
+    takes, values = store.takes(), store.begun()
+    assert values is not None
+    counts = store.merge(takes)
+    content = card.card(values["parameters"], values["takes"], counts, _localizer_difference(store, takes))
+    store.finish(content, card.readme(content))
+    size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
+    console.say(
+        f"{counts.images} images, {content['counts']['ground_truth']} vehicles to learn and "
+        f"{sum(content['counts']['ignored'].values())} ignored, {size / 1e9:.2f} GB, "
+        f"in {minutes(time.perf_counter() - begun)}"
+    )
 
 
-def _render_chunk(task: Task) -> int:
-    root, plan, frames, renderer_name, rules = task
-    store = Store(root)
-    source, renderer = _opened(store.recording_path(plan), renderer_name)
-    for frame in frames:
-        view = renderer.render(frame)
-        annotations, tally = annotate(source.moment(frame), view, source.camera, rules, image_id=0)
-        store.add(plan, source, frame, view, annotations, tally)
-    return len(frames)
-
-
-@lru_cache(maxsize=1)
-def _opened(path: Path, renderer: str) -> tuple[Recording, Renderer]:
-    source = recording.load(path)
-    return source, make_renderer(renderer, source)
-
-
-def _localizer_difference(store: Store, plans: list[RecordingPlan]) -> dict[str, float | None]:
-    """How far trilateration and the rigid transform are apart over all keypoints of all recorded frames, metres."""
+def _localizer_difference(store: Store, takes: list[Take]) -> dict[str, float | None]:
+    """How far trilateration and the rigid transform are apart over all keypoints of `COMPARED` frames, metres."""
+    every = max(1, sum(take.frames for take in takes) // COMPARED)
     parts = []
-    for plan in plans:
-        source = recording.load(store.recording_path(plan))
-        parts += [locate(source.moment(frame), "rigid").difference.ravel() for frame in range(len(source))]
-    values = np.concatenate(parts)
+    for take in takes:
+        source = recording.load(store.recording_path(take))
+        parts += [locate(source.moment(frame), "rigid").difference.ravel() for frame in range(0, len(source), every)]
+    values: Any = np.concatenate(parts)
     if not values.size:
         return {"median": None, "p99": None, "max": None}
     return {
@@ -134,57 +167,3 @@ def _localizer_difference(store: Store, plans: list[RecordingPlan]) -> dict[str,
         "p99": round(float(np.quantile(values, 0.99)), 6),
         "max": round(float(values.max()), 6),
     }
-
-
-# -------------------------------------------------------------------------------------------------------------- workers
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[Run]:
-    if workers == 1:
-        yield lambda function, tasks: iter(map(function, tasks))
-        return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
-
-    def run(function: Callable[[A], B], tasks: Iterable[A]) -> Iterator[B]:
-        for future in as_completed([pool.submit(function, task) for task in tasks]):
-            yield future.result()
-
-    try:
-        yield run
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((pool._processes or {}).values()):
-            process.terminate()
-        raise
-    pool.shutdown()
-
-
-def _start_worker() -> None:
-    """One thread per worker, Ctrl-C left to the parent, and no worker that outlives it."""
-    import signal
-
-    import cv2
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # llvmpipe's own threads
-    cv2.setNumThreads(1)
-    parent = parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def default_workers() -> int:
-    """As many workers as this process may use cores."""
-    return max(1, len(os.sched_getaffinity(0)))
-
-
-def check_workers(workers: int) -> int:
-    if workers < 1:
-        raise UserError(f"--workers: expected a whole number from 1, got {workers}")
-    return workers

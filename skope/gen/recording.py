@@ -4,6 +4,7 @@ One small .npz file: a JSON header (camera, light, vehicles, versions) and float
 have equal bytes.
 """
 
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.errors import UserError
-from skope.files import replacing
+from skope.files import read_bytes, write_bytes
 from skope.gen.conditions import Conditions, Range
 from skope.gen.towns import Site
 from skope.gen.towns.place import Place, know
@@ -23,6 +24,20 @@ from skope.gen.towns.place import Place, know
 Array = NDArray[np.float64]
 
 VERSION: Final = 3
+
+
+@dataclass(frozen=True)
+class Take:
+    """What a dataset knows of a recording without opening it."""
+
+    site: str
+    name: str
+    split: str
+    frames: int
+
+    def frame_name(self, frame: int) -> str:
+        """<site>/<recording>_<frame>: what image, depth and label files of a frame are called, without suffix."""
+        return f"{self.site}/{self.name}_{frame:06d}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +62,9 @@ class RecordingPlan:
     """Each vehicle has a shape of its own near its model's."""
 
     @property
-    def name(self) -> str:
-        return f"{self.index:02d}"
+    def take(self) -> Take:
+        """The recording that this plan leads to."""
+        return Take(self.site.name, f"{self.index:02d}", self.site.split, self.frames)
 
 
 @dataclass(frozen=True)
@@ -144,12 +160,28 @@ class Recording:
             self.signals[frame],
         )
 
-    def image_name(self, frame: int) -> str:
-        """<site>/<recording>_<frame>: what image, depth and label files of a frame are called, without suffix."""
-        return f"{self.site}/{self.name}_{frame:06d}"
+    @property
+    def take(self) -> Take:
+        return Take(self.site, self.name, self.split, len(self))
+
+    def starts_like(self, other: "Recording") -> bool:
+        """Whether its first frames are all that `other` has."""
+        same = (*_HEADER, "conditions", "photograph")
+        rows = len(other.frame)
+        return (
+            len(self) >= len(other)
+            and all(np.array_equal(getattr(self, name), getattr(other, name)) for name in same)
+            and self.camera.to_dict() == other.camera.to_dict()
+            and self.vehicles[: len(other.vehicles)] == other.vehicles
+            and self.signals[: len(other)] == other.signals
+            and np.array_equal(self.times_s[: len(other)], other.times_s)
+            and not (self.frame[rows:] < len(other)).any()
+            and all(np.array_equal(getattr(self, name)[:rows], getattr(other, name)) for name in _ROWS)
+        )
 
 
-_ARRAYS: Final = ("times_s", "frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+_ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+_ARRAYS: Final = ("times_s", *_ROWS)
 _FILES: Final = ("network", "photograph")
 """Of a place."""
 _HEADER: Final = (*("town", "site", "name", "split", "weather", "time_of_day", "seed", "versions"),)
@@ -157,6 +189,11 @@ _HEADER: Final = (*("town", "site", "name", "split", "weather", "time_of_day", "
 
 def save(path: Path, recording: Recording) -> None:
     """Write a recording atomically."""
+    write_bytes(path, packed(recording))
+
+
+def packed(recording: Recording) -> bytes:
+    """What a recording's file holds."""
     header = {
         "version": VERSION,
         **{name: getattr(recording, name) for name in _HEADER},
@@ -170,20 +207,33 @@ def save(path: Path, recording: Recording) -> None:
     if place := recording.place:
         header["place"] = place.header()
         arrays |= {name: np.frombuffer(getattr(place, name), dtype=np.uint8) for name in _FILES}
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+    file = io.BytesIO()
+    np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+    return file.getvalue()
+
+
+def length(path: Path) -> int:
+    """Frames of a recording's file; 0 for a broken one."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return len(file["times_s"])
+    except Exception:  # zip, header and array errors of a damaged file come in a dozen types
+        return 0
 
 
 def load(path: Path) -> Recording:
     """Read a recording; a broken file or one of another version is a UserError."""
+    return unpacked(read_bytes(path), path)
+
+
+def unpacked(data: bytes, path: Path) -> Recording:
+    """The recording that a file holds; `path` is what errors call it."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             header: dict[str, Any] = json.loads(str(file["header"]))
             arrays = {name: file[name] for name in _ARRAYS}
             own = header.get("place")
             place = Place.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
     except Exception as error:  # zip, header and array errors of a damaged file come in a dozen types
         raise UserError(f"{path}: not a readable recording: {error}") from None
     if header.get("version") != VERSION:

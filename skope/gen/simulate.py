@@ -3,6 +3,7 @@
 import math
 import zlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib import metadata
 from typing import Final
 
@@ -58,7 +59,11 @@ TRACKS_PER_RECORDING: Final = 100_000
 def versions() -> dict[str, str]:
     """Versions of what decides a recording's and a dataset's content."""
     packages = {"sumo": "libsumo", "pybullet": "pybullet", "numpy": "numpy", "opencv": "opencv-python-headless"}
-    return {"skope": skope.__version__, **{name: metadata.version(package) for name, package in packages.items()}}
+    found = {}
+    for name, package in packages.items():
+        with suppress(metadata.PackageNotFoundError):  # what renders needs no traffic
+            found[name] = metadata.version(package)
+    return {"skope": skope.__version__, **found}
 
 
 def simulate(plan: RecordingPlan) -> Recording:
@@ -244,7 +249,7 @@ class _Log:
         return Recording(
             town=site.town,
             site=site.name,
-            name=plan.name,
+            name=plan.take.name,
             split=site.split,
             camera=camera,
             weather=site.weather,

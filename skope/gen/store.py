@@ -8,26 +8,24 @@ import fcntl
 import json
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import astuple
 from pathlib import Path
-from typing import Any
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Final
 
 from skope import coco
-from skope.dataset import CARD
-from skope.depth import depth_png
+from skope.dataset import CARD, MANIFEST
 from skope.errors import UserError
-from skope.files import read_json, replacing, write_json, write_text
-from skope.gen.annotate import Tally
-from skope.gen.recording import Recording, RecordingPlan
-from skope.gen.render import View
-from skope.schema import Annotation, Image
+from skope.files import read_bytes, read_json, replacing, write_bytes, write_json, write_text
+from skope.gen import recording as recordings
+from skope.gen.frames import Frame, checksum
+from skope.gen.recording import Recording, Take
 
-JPEG_QUALITY = 95
+_GROWS: Final = ("frames", "sites", "recordings")
+"""Parameters that a dataset can be extended by."""
+_LATER: Final = ("renderer", "driver", "versions")
+"""Parameters that may be open until rendering begins."""
 
 
 class Store:
@@ -36,10 +34,11 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._work = root / ".work"
+        self._plan_path = self._work / "parameters.json"
 
     @property
     def complete(self) -> bool:
-        return (self.root / CARD).is_file()
+        return (self.root / CARD).is_file() and not self._plan_path.is_file()
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -58,105 +57,169 @@ class Store:
         except OSError as error:
             raise UserError(f"{self.root}: cannot be written: {error.strerror or error}") from None
 
-    def begin(self, parameters: dict[str, Any]) -> None:
-        """Start or go on; a folder that was begun with other parameters is refused, naming them."""
-        begun = self._begun()
+    # ------------------------------------------------------------------------------------------------------ beginnings
+
+    def begin(self, parameters: Mapping[str, Any], takes: Iterable[Take]) -> None:
+        """Start, go on, or extend what is complete by sites and frames; other parameters are refused by name."""
+        wanted = json.loads(json.dumps({"parameters": parameters, "takes": [astuple(take) for take in takes]}))
+        begun = self.begun()
         if begun is None:
             if any(path.name != ".lock" for path in self.root.iterdir()):
                 raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
-            write_json(self._work / "parameters.json", parameters)
+            write_json(self._plan_path, wanted)
             return
-        wanted = json.loads(json.dumps(parameters))
-        different = [name for name in sorted(begun.keys() | wanted) if begun.get(name) != wanted.get(name)]
-        if different:
-            was = ", ".join(f"{name} = {_short(begun.get(name))}, now {_short(wanted.get(name))}" for name in different)
-            raise UserError(
-                f"{self.root}: was begun with other parameters ({was}); "
-                "repeat those, choose another --out, or remove it"
-            )
+        self._compare(begun, wanted)
         for leftover in self.root.rglob(".*.part*"):
             leftover.unlink(missing_ok=True)
+        if self.complete:
+            shutil.rmtree(self._work, ignore_errors=True)
+            if begun["takes"] != wanted["takes"]:
+                self.reopen()
+        if not self.complete:
+            write_json(self._plan_path, wanted)
 
-    def _begun(self) -> dict[str, Any] | None:
-        for path, key in ((self.root / CARD, "parameters"), (self._work / "parameters.json", None)):
-            if path.is_file():
-                value: dict[str, Any] = read_json(path)
-                return value.get(key, {}) if key else value
+    def begun(self) -> dict[str, Any] | None:
+        """Parameters and takes ("takes": site, name, split, frames each) of what is here."""
+        if self._plan_path.is_file():
+            value: dict[str, Any] = read_json(self._plan_path)
+            return value
+        if (self.root / CARD).is_file():
+            card = read_json(self.root / CARD)
+            if "takes" not in card:
+                raise UserError(
+                    f"{self.root / CARD}: was made by a skope that named no takes: it cannot be gone on with"
+                )
+            return {"parameters": card["parameters"], "takes": card["takes"]}
         return None
 
-    def recording_path(self, plan: RecordingPlan) -> Path:
-        return self.root / "recordings" / f"{plan.site.name}_{plan.name}.npz"
+    def settle(self, values: Mapping[str, Any]) -> None:
+        """Write down parameters that were open."""
+        begun = self.begun()
+        assert begun is not None
+        write_json(self._plan_path, {**begun, "parameters": begun["parameters"] | values})
 
-    def _label_path(self, plan: RecordingPlan, frame: int) -> Path:
-        return self._work / "frames" / plan.site.name / f"{plan.name}_{frame:06d}.json"
+    def takes(self) -> list[Take]:
+        begun = self.begun()
+        return [Take(*row) for row in begun["takes"]] if begun else []
 
-    def missing(self, plan: RecordingPlan) -> list[int]:
+    def _compare(self, begun: dict[str, Any], wanted: dict[str, Any]) -> None:
+        was, now = begun["parameters"], wanted["parameters"]
+        if not was["renderer"]:  # simulated elsewhere, and to be rendered here
+            was = was | {name: now[name] for name in _LATER}
+        larger = {(site, name): frames for site, name, _, frames in wanted["takes"]}
+        grows = all(larger.get((site, name), 0) >= frames for site, name, _, frames in begun["takes"])
+        different = [
+            name
+            for name in sorted(was.keys() | now)
+            if was.get(name) != now.get(name) and not (grows and name in _GROWS)
+        ]
+        if different:
+            list_ = ", ".join(f"{name} = {_short(was.get(name))}, now {_short(now.get(name))}" for name in different)
+            raise UserError(
+                f"{self.root}: was begun with other parameters ({list_}); "
+                "repeat those, choose another --out, or remove it"
+            )
+
+    def reopen(self) -> None:
+        """Take a complete dataset apart again, into the labels of its frames."""
+        card, manifest = read_json(self.root / CARD), read_json(self.root / MANIFEST)
+        for split in card["counts"]["by_split"]:
+            document = read_json(self.root / "annotations" / f"{split}.json")
+            vehicles: dict[int, list[Any]] = {row["id"]: [] for row in document["images"]}
+            for row in document["annotations"]:
+                vehicles[row["image_id"]].append({**row, "id": 0, "image_id": 0})
+            for row in document["images"]:
+                name = row["file_name"]
+                files = [name, *([row["depth_file_name"]] if "depth_file_name" in row else [])]
+                labels = {
+                    "image": {**row, "id": 0},
+                    "annotations": vehicles[row["id"]],
+                    "tally": manifest["tallies"][name],
+                    "sha256": {file: manifest["sha256"][file] for file in files},
+                }
+                stem = name.removeprefix("images/").rsplit(".", 1)[0]
+                write_text(self._label_path(stem), json.dumps(labels, allow_nan=False))
+        # From here on the folder counts as begun.
+        write_json(self._plan_path, {"parameters": card["parameters"], "takes": card["takes"]})
+
+    # ---------------------------------------------------------------------------------------------------- going along
+
+    def recording_path(self, take: Take) -> Path:
+        return self.root / "recordings" / f"{take.site}_{take.name}.npz"
+
+    def _label_path(self, frame_name: str) -> Path:
+        return self._work / "frames" / f"{frame_name}.json"
+
+    def recorded(self, take: Take) -> bool:
+        """Whether the recording is there with all its frames."""
+        path = self.recording_path(take)
+        return path.is_file() and recordings.length(path) == take.frames
+
+    def keep_recording(self, take: Take, data: bytes) -> None:
+        """Write a recording; frames that are done stay so when it starts like the shorter one that they come from."""
+        path = self.recording_path(take)
+        if path.is_file() and not _starts_like(recordings.unpacked(data, path), path):
+            self.drop(take.frame_name(frame) for frame in range(take.frames))
+        write_bytes(path, data)
+
+    def drop(self, frame_names: Iterable[str]) -> None:
+        """Have frames done again."""
+        for name in frame_names:
+            self._label_path(name).unlink(missing_ok=True)
+
+    def missing(self, take: Take) -> list[int]:
         """Frames of a recording that are not done."""
-        return [frame for frame in range(plan.frames) if not self._label_path(plan, frame).is_file()]
+        return [frame for frame in range(take.frames) if not self._label_path(take.frame_name(frame)).is_file()]
 
-    def add(
-        self,
-        plan: RecordingPlan,
-        recording: Recording,
-        frame: int,
-        view: View,
-        annotations: list[Annotation],
-        tally: Tally,
-    ) -> None:
-        """Write a frame: image, depth, then its labels, which make it count."""
-        name = recording.image_name(frame)
-        image = Image(
-            id=0,
-            file_name=f"images/{name}.jpg",
-            width=recording.camera.width,
-            height=recording.camera.height,
-            depth_file_name=f"depth/{name}.png",
-            town=recording.town,
-            site=recording.site,
-            recording=recording.name,
-            frame_index=frame,
-            time_s=float(recording.times_s[frame]),
-            split=recording.split,
-            weather=recording.weather,
-            sun_elevation_deg=recording.conditions.sun_elevation_deg,
-            camera=recording.camera,
-        )
-        self._write(image.file_name, _jpeg(view.rgb))
-        self._write(f"depth/{name}.png", depth_png(view.depth))
-        labels = {
-            "image": coco.image_to_dict(image),
-            "annotations": [coco.annotation_to_dict(annotation) for annotation in annotations],
-            "tally": vars(tally),
-        }
-        write_text(self._label_path(plan, frame), json.dumps(labels, allow_nan=False))
+    def keep(self, frame: Frame) -> None:
+        """Write a frame: its files, then its labels, which make it count."""
+        for path, data in frame.files.items():
+            with replacing(self.root / path) as temporary:
+                temporary.write_bytes(data)
+        write_text(self._label_path(frame.name), json.dumps(frame.labels, allow_nan=False))
 
-    def _write(self, name: str, data: bytes) -> None:
-        with replacing(self.root / name) as temporary:
-            temporary.write_bytes(data)
+    # ------------------------------------------------------------------------------------------------------------ end
 
-    def merge(self, plans: list[RecordingPlan]) -> "Counts":
-        """Write the annotation files; ids count through the whole dataset in the order of the plans."""
+    def merge(self, takes: Iterable[Take]) -> "Counts":
+        """Write annotation files and manifest; ids count through the whole dataset in the order of the takes."""
         counts = Counts()
         splits: dict[str, tuple[list[Any], list[Any]]] = {}
-        for plan in plans:
-            images, annotations = splits.setdefault(plan.site.split, ([], []))
-            for frame in range(plan.frames):
-                labels = read_json(self._label_path(plan, frame))
+        sums: dict[str, str] = {}
+        tallies: dict[str, Any] = {}
+        for take in takes:
+            path = self.recording_path(take)
+            sums[str(path.relative_to(self.root))] = checksum(read_bytes(path))
+            images, annotations = splits.setdefault(take.split, ([], []))
+            for frame in range(take.frames):
+                labels = read_json(self._label_path(take.frame_name(frame)))
                 counts.images += 1
                 images.append({**labels["image"], "id": counts.images})
                 for annotation in labels["annotations"]:
                     counts.vehicles += 1
                     annotations.append({**annotation, "id": counts.vehicles, "image_id": counts.images})
-                counts.add(plan, labels)
+                counts.add(take, labels)
+                sums |= labels["sha256"]
+                tallies[labels["image"]["file_name"]] = labels["tally"]
         for split, (images, annotations) in splits.items():
-            coco.write_rows(self.root / "annotations" / f"{split}.json", {"split": split}, images, annotations)
+            path = self.root / "annotations" / f"{split}.json"
+            coco.write_rows(path, {"split": split}, images, annotations)
+            sums[f"annotations/{split}.json"] = checksum(read_bytes(path))
+        write_json(self.root / MANIFEST, {"sha256": dict(sorted(sums.items())), "tallies": tallies})
         return counts
 
     def finish(self, card: dict[str, Any], readme: str) -> None:
-        """Write the card, which makes the dataset complete, and remove what was only needed on the way."""
+        """Write the card, and remove what was only needed on the way, which makes the dataset complete."""
         write_text(self.root / "README.md", readme)
         write_json(self.root / CARD, card)
+        self._plan_path.unlink()
         shutil.rmtree(self._work, ignore_errors=True)
+
+
+def _starts_like(recording: Recording, shorter: Path) -> bool:
+    try:
+        return recording.starts_like(recordings.load(shorter))
+    except UserError:  # it is broken, or of another version
+        return False
 
 
 class Counts:
@@ -168,8 +231,8 @@ class Counts:
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
 
-    def add(self, plan: RecordingPlan, labels: dict[str, Any]) -> None:
-        places = [("split", plan.site.split), ("site", plan.site.name)]
+    def add(self, take: Take, labels: dict[str, Any]) -> None:
+        places = [("split", take.split), ("site", take.site)]
         for group, name in places:
             self.by[group].setdefault(name, Counter())["images"] += 1
         for annotation in labels["annotations"]:
@@ -192,12 +255,6 @@ class Counts:
 
     def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
         return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}
-
-
-def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    assert ok
-    return data.tobytes()
 
 
 def _short(value: Any) -> str:

@@ -67,6 +67,7 @@ class OwnSite:
             "file": self.path.name,
             "digests": dict(self.digests),
             "town": self.place.name,
+            "photograph": bool(self.place.photograph),
             "splits": list(self.splits),
         }
 

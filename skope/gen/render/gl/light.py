@@ -296,7 +296,7 @@ def _signed(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
     """Means of samples that have STANDING more where water stands -> means without, negative where most have it."""
     standing = np.floor(water * (samples / STANDING) + 1e-3)
     share = np.maximum(water - standing * (STANDING / samples), 0.0)
-    return np.where(2 * standing > samples, -share, share)
+    return np.asarray(np.where(2 * standing > samples, -share, share), dtype=np.float32)
 
 
 def sun_map_size(camera: Camera) -> int:

@@ -1,0 +1,99 @@
+"""A finished frame: the bytes of its files, and its labels."""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco
+from skope.depth import depth_png
+from skope.errors import UserError, one_of
+from skope.gen.annotate import Rules, annotate
+from skope.gen.recording import Recording
+from skope.gen.render import Renderer
+from skope.schema import Image
+
+FORMATS: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
+"""Suffixes of images by `--image-format`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoding:
+    """How pictures are written."""
+
+    image: str = "jpeg"
+    quality: int = 95
+    """Of JPEG and WebP, 1 to 100."""
+    depth: bool = True
+    """Whether depth files are written."""
+
+    def __post_init__(self) -> None:
+        one_of("--image-format", self.image, tuple(FORMATS))
+        if not 1 <= self.quality <= 100:
+            raise UserError(f"--quality: expected a whole number from 1 to 100, got {self.quality}")
+
+    def encoded(self, rgb: NDArray[np.uint8]) -> bytes:
+        """An image file's content."""
+        options = {
+            "jpeg": [cv2.IMWRITE_JPEG_QUALITY, self.quality],
+            "png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
+            "webp": [cv2.IMWRITE_WEBP_QUALITY, self.quality],
+        }[self.image]
+        ok, data = cv2.imencode(FORMATS[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
+        assert ok
+        return data.tobytes()
+
+
+@dataclass(frozen=True)
+class Frame:
+    name: str
+    """<site>/<recording>_<frame>."""
+    files: dict[str, bytes]
+    """Contents by path in the dataset."""
+    labels: dict[str, Any]
+    """Rows of the annotation file, what the card counts, and the files' checksums."""
+
+
+def frames_of(
+    recording: Recording, renderer: Renderer, rules: Rules, encoding: Encoding, frames: Iterable[int]
+) -> Iterator[Frame]:
+    """Render, annotate and encode frames of a recording."""
+    for frame in frames:
+        view = renderer.render(frame)
+        annotations, tally = annotate(recording.moment(frame), view, recording.camera, rules, image_id=0)
+        name = recording.take.frame_name(frame)
+        files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
+        depth_name = f"depth/{name}.png" if encoding.depth else None
+        if depth_name:
+            files[depth_name] = depth_png(view.depth)
+        image = Image(
+            id=0,
+            file_name=next(iter(files)),
+            width=recording.camera.width,
+            height=recording.camera.height,
+            depth_file_name=depth_name,
+            town=recording.town,
+            site=recording.site,
+            recording=recording.name,
+            frame_index=frame,
+            time_s=float(recording.times_s[frame]),
+            split=recording.split,
+            weather=recording.weather,
+            sun_elevation_deg=recording.conditions.sun_elevation_deg,
+            camera=recording.camera,
+        )
+        labels = {
+            "image": coco.image_to_dict(image),
+            "annotations": [coco.annotation_to_dict(annotation) for annotation in annotations],
+            "tally": vars(tally),
+            "sha256": {path: checksum(data) for path, data in files.items()},
+        }
+        yield Frame(name, files, labels)
+
+
+def checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
