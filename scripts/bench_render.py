@@ -39,9 +39,9 @@ STAGES = {
     "rain": ["Rain.fall"],
     "noise": ["sensor.with_noise"],
     "annotation": ["frames.annotate"],
-    "JPEG": ["frames.Encoding.encoded"],
+    "JPEG": ["Encoding.encoded"],
     "depth PNG": ["frames.depth_png"],
-    "files": ["store.Store.keep"],
+    "files": ["Store.keep"],
 }
 
 
@@ -218,11 +218,17 @@ def frames_per_second(
 @contextmanager
 def timed_stages() -> Iterator[dict[str, float]]:
     """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
-    from skope.gen import annotate, store
+    from skope.gen import frames as made
     from skope.gen.render import sensor
     from skope.gen.render.gl import renderer as gl
+    from skope.gen.render.gl.beams import Beams
+    from skope.gen.render.gl.reflections import Reflections
+    from skope.gen.render.glare import Glare
+    from skope.gen.render.rain import Rain
+    from skope.gen.store import Store
 
-    owners = {"GLRenderer": gl.GLRenderer, "Placer": gl.Placer, "sensor": sensor, "annotate": annotate, "store": store}
+    classes = (gl.GLRenderer, gl.Placer, gl.Device, Beams, Reflections, Glare, Rain, Store, made.Encoding)
+    owners = {owner.__name__: owner for owner in classes} | {"sensor": sensor, "frames": made}
     spent, inner = dict.fromkeys(STAGES, 0.0), [0.0]
 
     def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:
@@ -241,8 +247,8 @@ def timed_stages() -> Iterator[dict[str, float]]:
     undo = []
     for stage, names in STAGES.items():
         for name in names:
-            *path, last = name.split(".")
-            owner = owners[path[0]] if len(path) == 1 else getattr(owners[path[0]], path[1])
+            path, last = name.split(".")
+            owner = owners[path]
             undo.append((owner, last, getattr(owner, last)))
             setattr(owner, last, timed(getattr(owner, last), stage))
     yield spent

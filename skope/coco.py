@@ -37,6 +37,18 @@ def read(path: Path) -> AnnotationFile:
     return AnnotationFile(images=images, annotations=annotations, info=document.get("info") or {}, name=path.stem)
 
 
+def assembled(rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, split: str) -> AnnotationFile:
+    """An annotation file from the rows of its images, each with those of its annotations; `path` is for errors."""
+    images: list[Image] = []
+    annotations: list[Annotation] = []
+    for image, own in rows:
+        images += _parse_rows(path, "images", [image], image_from_dict)
+        annotations += _parse_rows(path, "annotations", own, annotation_from_dict)
+    _check_ids(path, tuple(images), tuple(annotations))
+    info = {"split": split, "keypoint_scheme": keypoints.SCHEME, "schema_version": schema.VERSION}
+    return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split)
+
+
 def _records(path: Path, document: Mapping[str, Any], key: str, parse: Callable[[Any], T]) -> tuple[T, ...]:
     rows = document.get(key)
     if not isinstance(rows, list):

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints
+from skope import coco, keypoints, shards
 from skope.depth import read_depth
 from skope.errors import UserError
-from skope.files import read_bytes, read_json
+from skope.files import read_json
 from skope.schema import AnnotationFile, Image
 
 CARD: Final = "dataset.json"
@@ -28,14 +28,28 @@ class Dataset:
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Names of the splits whose annotation file exists, in alphabetical order."""
+        """Names of the splits whose annotation file exists, or that have shards, in alphabetical order."""
+        if self.sharded:
+            return shards.splits_of(self.root)
         return tuple(sorted(path.stem for path in (self.root / "annotations").glob("*.json")))
+
+    @property
+    def sharded(self) -> bool:
+        """Whether the frames are in tar shards (see `skope.shards`)."""
+        return self.card.get("format") == "shards"
 
     def read(self, split: str) -> AnnotationFile:
         """Annotations of one split; a UserError lists the splits there are."""
         if split not in self.splits:
             raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
-        return coco.read(self.root / "annotations" / f"{split}.json")
+        if not self.sharded:
+            return coco.read(self.root / "annotations" / f"{split}.json")
+        rows = (
+            (labels["image"], labels["annotations"])
+            for shard in shards.shards_of(self.root, split)
+            for labels in shards.labels_in(shard)
+        )
+        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split)
 
     def image(self, image: Image) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB pixels."""
@@ -79,7 +93,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.ui
 
     `size` (width, height), when given, is what the file must have.
     """
-    data = read_bytes(path)
+    data = shards.read(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
     if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-64:]:
         raise UserError(f"{path}: truncated JPEG")

@@ -10,8 +10,8 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
+from skope import shards
 from skope.errors import UserError
-from skope.files import read_bytes
 
 DEPTH_SCALE: Final = 256.0
 """Depth files hold round(metres * 256)."""
@@ -57,7 +57,7 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 
 def read_depth(path: Path) -> NDArray[np.float32]:
     """Decode a depth file to (H, W) metres, sky = +inf."""
-    data = np.frombuffer(read_bytes(path), dtype=np.uint8)
+    data = np.frombuffer(shards.read(path), dtype=np.uint8)
     raw = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
         raise UserError(f"{path}: not a 16-bit depth image")

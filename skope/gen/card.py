@@ -24,6 +24,7 @@ def card(
     return {
         "version": schema.VERSION,
         "keypoint_scheme": keypoints.SCHEME,
+        "format": values["format"],
         "seed": values["seed"],
         "command": command(values),
         "counts": counts.to_dict(),
@@ -61,6 +62,7 @@ def command(p: Mapping[str, Any]) -> str:
     if encoding != asdict(Encoding()):
         parts.append(f"--image-format {encoding['image']} --quality {encoding['quality']}")
         parts += [] if encoding["depth"] else ["--no-depth"]
+    parts += [f"--format {p['format']}"] if p["format"] != "folder" else []
     parts += [f"--vehicles {','.join(p['vehicles'])}"] if p["vehicles"] else []
     parts += ["--shape-jitter"] if p["shape_jitter"] else []
     parts += ["--camera-jitter"] if "zoom_by" in p["cameras"] else []

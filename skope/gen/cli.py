@@ -134,22 +134,52 @@ def _next(console: Console, out: Path, wrote: str, command: str) -> None:
 
 
 @app.command()
-def check(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = Path("data/skope"),
+def convert(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")],
+    out: Annotated[Path, typer.Argument(help="New folder.")],
+    to: Annotated[str, typer.Option(help="shards, or folder.")],
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
-    """Check a dataset: schema, ids, files, re-projection, visibility against depth; exit code 1 with findings."""
+    """Write a dataset in another format."""
     from skope.dataset import open_dataset
-    from skope.gen.check import check as find
+    from skope.gen.convert import convert as write
 
     console = Console(quiet)
-    count = 0
-    for finding in find(open_dataset(dataset)):
-        count += 1
-        console.result(finding)
-    console.result(f"{dataset}: {count or 'no'} finding{'' if count == 1 else 's'}")
-    if count:
+    write(open_dataset(dataset), to, out, console)
+    console.result(f"wrote {out}; next: skope gen check {out}")
+
+
+@app.command()
+def check(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = DEFAULT,
+    repair: Annotated[bool, typer.Option("--repair", help="Make what is broken again.")] = False,
+    against: Annotated[Path | None, typer.Option(help="Another dataset: say how the two differ instead.")] = None,
+    workers: WorkersOption = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
+    from skope.dataset import open_dataset
+    from skope.gen.check import check as find
+    from skope.gen.compare import differences
+    from skope.gen.repair import repair as mend
+
+    console, folder = Console(quiet), open_dataset(dataset)
+    if against is not None:
+        found = list(differences(folder, open_dataset(against)))
+    else:
+        findings = list(find(folder))
+        found = list(map(str, findings))
+    for line in found:
+        console.result(line)
+    one, what = len(found) == 1, "difference" if against else "finding"
+    console.result(f"{dataset}: {len(found) or 'no'} {what}{'' if one else 's'}{f' from {against}' if against else ''}")
+    if found and repair and against is None:
+        hire, _ = _crew("local", workers, None)
+        mend(folder, findings, hire, console)
+        console.result(f"repaired {dataset}; next: skope gen check {dataset}")
+    elif found:
         raise typer.Exit(1)
 
 

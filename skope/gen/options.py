@@ -49,6 +49,9 @@ def parameters(
     image_format: Annotated[str, typer.Option(help="jpeg, png or webp.")] = "jpeg",
     quality: Annotated[int, typer.Option(help="Of JPEG and WebP, 1 to 100.")] = 95,
     depth: Annotated[bool, typer.Option(help="Write depth files.")] = True,
+    format_: Annotated[
+        str, typer.Option("--format", help="folder, or shards: tar files for hundreds of thousands of images.")
+    ] = "folder",
 ) -> "tuple[Parameters, str]":
     """What the options ask for, and what to say of the renderer."""
     from skope.gen.annotate import Rules
@@ -77,6 +80,7 @@ def parameters(
         settings=parse_settings(settings or []),
         vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
         shape_jitter=shape_jitter,
+        format=format_,
         own=read_site(own) if own else None,
         camera_jitter=camera_jitter,
     )

@@ -19,6 +19,7 @@ from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
 from skope.gen.frames import Encoding
 from skope.gen.own.site import OwnSite
+from skope.gen.pack import FORMATS
 from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import versions
@@ -57,9 +58,12 @@ class Parameters:
     own: OwnSite | None = None
     """A user's own site, in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
+    format: str = "folder"
+    """What the dataset is kept in, one of `pack.FORMATS`."""
 
     def __post_init__(self) -> None:
         self.pixels()
+        one_of("--format", self.format, FORMATS)
         for name in self.sites:
             self.site(name)
         if not self.sites or len(set(self.sites)) < len(self.sites):

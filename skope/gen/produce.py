@@ -63,23 +63,29 @@ def simulate_only(parameters: Parameters, root: Path, hire: Hire, console: Conso
 
 def render_only(root: Path, renderer: str, hire: Hire, console: Console) -> bool:
     """The second half of `produce`, of recordings that may come from another machine; False when it was complete."""
-    store, begun = Store(root), time.perf_counter()
+    store = Store(root)
     if store.begun() is None:
         raise UserError(f"{root}: holds no recordings; `skope gen simulate --out {root}` makes them")
     with store.locked():
         if store.complete:
             return False
-        settle_renderer(store, renderer)
-        absent = [store.recording_path(take) for take in store.takes() if not store.recorded(take)]
-        if absent:
-            raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
-        with hire() as crew:
-            _render(store, crew, console)
-        _finish(store, console, begun)
+        finish_rendering(store, renderer, hire, console)
     return True
 
 
-def settle_renderer(store: Store, renderer: str) -> None:
+def finish_rendering(store: Store, renderer: str, hire: Hire, console: Console) -> None:
+    """Render what is missing of a begun dataset whose recordings are there, and complete it."""
+    begun = time.perf_counter()
+    _settle_renderer(store, renderer)
+    absent = [store.recording_path(take) for take in store.takes() if not store.recorded(take)]
+    if absent:
+        raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
+    with hire() as crew:
+        _render(store, crew, console)
+    _finish(store, console, begun)
+
+
+def _settle_renderer(store: Store, renderer: str) -> None:
     """Choose what the frames are drawn with when none is done; else it must be what those were drawn with."""
     begun = store.begun()
     assert begun is not None
@@ -141,7 +147,7 @@ def _estimate(store: Store, missing: dict[Take, list[int]], style: Style) -> str
 def _finish(store: Store, console: Console, begun: float) -> None:
     takes, values = store.takes(), store.begun()
     assert values is not None
-    counts = store.merge(takes)
+    counts = store.merge(takes, values["parameters"]["format"])
     content = card.card(values["parameters"], values["takes"], counts, _localizer_difference(store, takes))
     store.finish(content, card.readme(content))
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())

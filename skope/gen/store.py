@@ -8,18 +8,18 @@ import fcntl
 import json
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco
-from skope.dataset import CARD, MANIFEST
+from skope.dataset import CARD, Dataset
 from skope.errors import UserError
-from skope.files import read_bytes, read_json, replacing, write_bytes, write_json, write_text
+from skope.files import read_json, replacing, write_bytes, write_json, write_text
 from skope.gen import recording as recordings
-from skope.gen.frames import Frame, checksum
+from skope.gen.frames import Frame
+from skope.gen.pack import Labels, frames_of_split, writer_of
 from skope.gen.recording import Recording, Take
 
 _GROWS: Final = ("frames", "sites", "recordings")
@@ -120,25 +120,27 @@ class Store:
                 "repeat those, choose another --out, or remove it"
             )
 
-    def reopen(self) -> None:
-        """Take a complete dataset apart again, into the labels of its frames."""
-        card, manifest = read_json(self.root / CARD), read_json(self.root / MANIFEST)
-        for split in card["counts"]["by_split"]:
-            document = read_json(self.root / "annotations" / f"{split}.json")
-            vehicles: dict[int, list[Any]] = {row["id"]: [] for row in document["images"]}
-            for row in document["annotations"]:
-                vehicles[row["image_id"]].append({**row, "id": 0, "image_id": 0})
-            for row in document["images"]:
-                name = row["file_name"]
-                files = [name, *([row["depth_file_name"]] if "depth_file_name" in row else [])]
+    def reopen(self, broken: Container[str] = (), lost: Container[str] = ()) -> None:
+        """Take a complete dataset apart again, into the labels of its frames.
+
+        Left out, and so made again, are frames whose images are `broken` and all of splits that are `lost`.
+        """
+        card, sound = read_json(self.root / CARD), Dataset(self.root, read_json(self.root / CARD))
+        if sound.sharded:
+            raise UserError(
+                f"{self.root}: is complete and in shards; `skope gen convert` it to a folder to go on with it"
+            )
+        for split in (split for split in sound.splits if split not in lost):
+            for frame in frames_of_split(sound, split):
+                if frame.image["file_name"] in broken:
+                    continue
                 labels = {
-                    "image": {**row, "id": 0},
-                    "annotations": vehicles[row["id"]],
-                    "tally": manifest["tallies"][name],
-                    "sha256": {file: manifest["sha256"][file] for file in files},
+                    "image": {**frame.image, "id": 0},
+                    "annotations": [{**row, "id": 0, "image_id": 0} for row in frame.annotations],
+                    "tally": frame.tally,
+                    "sha256": frame.sha256,
                 }
-                stem = name.removeprefix("images/").rsplit(".", 1)[0]
-                write_text(self._label_path(stem), json.dumps(labels, allow_nan=False))
+                write_text(self._label_path(frame.name), json.dumps(labels, allow_nan=False))
         # From here on the folder counts as begun.
         write_json(self._plan_path, {"parameters": card["parameters"], "takes": card["takes"]})
 
@@ -180,32 +182,29 @@ class Store:
 
     # ------------------------------------------------------------------------------------------------------------ end
 
-    def merge(self, takes: Iterable[Take]) -> "Counts":
-        """Write annotation files and manifest; ids count through the whole dataset in the order of the takes."""
-        counts = Counts()
-        splits: dict[str, tuple[list[Any], list[Any]]] = {}
-        sums: dict[str, str] = {}
-        tallies: dict[str, Any] = {}
+    def merge(self, takes: Iterable[Take], form: str) -> "Counts":
+        """Write what holds the labels, in one of `pack.FORMATS`, and the manifest.
+
+        Ids count through the whole dataset in the order of the takes.
+        """
+        counts, writer = Counts(), writer_of(form, self.root)
         for take in takes:
-            path = self.recording_path(take)
-            sums[str(path.relative_to(self.root))] = checksum(read_bytes(path))
-            images, annotations = splits.setdefault(take.split, ([], []))
-            for frame in range(take.frames):
-                labels = read_json(self._label_path(take.frame_name(frame)))
-                counts.images += 1
-                images.append({**labels["image"], "id": counts.images})
-                for annotation in labels["annotations"]:
-                    counts.vehicles += 1
-                    annotations.append({**annotation, "id": counts.vehicles, "image_id": counts.images})
-                counts.add(take, labels)
-                sums |= labels["sha256"]
-                tallies[labels["image"]["file_name"]] = labels["tally"]
-        for split, (images, annotations) in splits.items():
-            path = self.root / "annotations" / f"{split}.json"
-            coco.write_rows(path, {"split": split}, images, annotations)
-            sums[f"annotations/{split}.json"] = checksum(read_bytes(path))
-        write_json(self.root / MANIFEST, {"sha256": dict(sorted(sums.items())), "tallies": tallies})
+            writer.add_file(self.recording_path(take).relative_to(self.root))
+            writer.add(take.split, self._numbered(take, counts), self.root)
+        writer.finish()
         return counts
+
+    def _numbered(self, take: Take, counts: "Counts") -> Iterator[Labels]:
+        for frame in range(take.frames):
+            labels = read_json(self._label_path(take.frame_name(frame)))
+            counts.add(take, labels)
+            counts.images += 1
+            rows = []
+            for row in labels["annotations"]:
+                counts.vehicles += 1
+                rows.append({**row, "id": counts.vehicles, "image_id": counts.images})
+            image = {**labels["image"], "id": counts.images}
+            yield Labels(take.frame_name(frame), image, rows, labels["sha256"], labels["tally"])
 
     def finish(self, card: dict[str, Any], readme: str) -> None:
         """Write the card, and remove what was only needed on the way, which makes the dataset complete."""

@@ -1,4 +1,3 @@
-import json
 import os
 import signal
 import subprocess
@@ -6,33 +5,13 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from skope.cli import app, main
+from skope.cli import main
 from skope.dataset import open_dataset
 from skope.gen.check import check
-
-SMALL = ["--sites", "t01_mill_corner,t01_main_west", "--frames", "5", "--size", "192x108", "--quiet"]
-
-
-def gen(out: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "skope", "gen", "--out", str(out), *SMALL, *more]
-
-
-def content(root: Path) -> dict[str, bytes]:
-    """Every file of a dataset, by its path."""
-    return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small dataset made in one go by one process."""
-    out = tmp_path_factory.mktemp("gen") / "whole"
-    subprocess.run(gen(out, "--workers", "1"), check=True, capture_output=True)
-    return out
+from tests.gen.small import content, gen
 
 
 def test_a_dataset_is_whole(whole: Path) -> None:
@@ -147,89 +126,3 @@ def test_no_rights_to_write(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert str(blocked) in result.stderr
-
-
-# ---------------------------------------------------------------------------------------------------------------- check
-
-
-def damaged(whole: Path, tmp_path: Path) -> tuple[Path, dict]:
-    root = tmp_path / "damaged"
-    subprocess.run(["cp", "-r", str(whole), str(root)], check=True)
-    return root, json.loads((root / "annotations" / "medium.json").read_text())
-
-
-def vehicle_in_view(document: dict) -> dict:
-    """An annotation with several visible points."""
-    return max(document["annotations"], key=lambda a: a["area"])
-
-
-def move_keypoint(document: dict) -> None:
-    annotation = vehicle_in_view(document)
-    k = annotation["keypoints"][2::3].index(2)
-    annotation["keypoints"][3 * k] = (annotation["keypoints"][3 * k] + 40) % 190
-
-
-def show_hidden(document: dict) -> None:
-    annotation = vehicle_in_view(document)
-    for k in range(33):
-        if annotation["keypoints"][3 * k + 2] == 1:
-            annotation["keypoints"][3 * k + 2] = 2
-
-
-def hide_in_image(document: dict) -> None:
-    annotation = vehicle_in_view(document)
-    k = annotation["keypoints"][2::3].index(2)
-    annotation["keypoints"][3 * k : 3 * k + 3] = [0, 0, 0]
-
-
-def widen_box(document: dict) -> None:
-    vehicle_in_view(document)["bbox"][2] = 500
-
-
-def repeat_id(document: dict) -> None:
-    document["annotations"][1]["id"] = document["annotations"][0]["id"]
-
-
-def other_site(document: dict) -> None:
-    document["images"][0]["site"] = "t01_mill_corner"
-
-
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        (move_keypoint, ["keypoints", "px from where keypoints_3d projects"]),
-        (show_hidden, ["has v = 2", "depth file"]),
-        (hide_in_image, ["has v = 0"]),
-        (widen_box, ["bbox", "out of the image"]),
-        (repeat_id, ["id", "stands twice"]),
-        (other_site, ["site", "t01_mill_corner"]),
-    ],
-)
-def test_check_finds_damaged_labels(damage, words: list[str], whole: Path, tmp_path: Path) -> None:
-    root, document = damaged(whole, tmp_path)
-    damage(document)
-    (root / "annotations" / "medium.json").write_text(json.dumps(document))
-    findings = list(check(open_dataset(root)))
-    assert any(all(word in finding for word in words) for finding in findings), findings
-    assert all("medium.json" in finding or "train.json" in finding for finding in findings)
-
-
-def test_check_finds_damaged_files(whole: Path, tmp_path: Path) -> None:
-    root, document = damaged(whole, tmp_path)
-    names = [image["file_name"] for image in document["images"]]
-    (root / names[0]).unlink()
-    (root / names[1]).write_bytes((root / names[1]).read_bytes()[:700])
-    cv2.imwrite(str(root / names[2]), np.zeros((10, 10, 3), np.uint8))
-    depth = root / document["images"][3]["depth_file_name"]
-    depth.write_bytes(b"no picture")
-    result = CliRunner().invoke(app, ["gen", "check", str(root)])
-    assert result.exit_code == 1
-    for name, word in ((names[0], "no such file"), (names[1], "truncated"), (names[2], "10x10"), (str(depth), "depth")):
-        assert any(name in line and word in line for line in result.output.splitlines()), (name, word)
-    assert result.output.splitlines()[-1].endswith("4 findings")
-
-
-def test_check_of_a_sound_dataset(whole: Path) -> None:
-    result = CliRunner().invoke(app, ["gen", "check", str(whole)])
-    assert result.exit_code == 0
-    assert result.output == f"{whole}: no findings\n"

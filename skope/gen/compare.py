@@ -1,0 +1,88 @@
+"""How two datasets differ."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from skope.dataset import MANIFEST, Dataset
+from skope.errors import UserError
+from skope.files import read_json
+from skope.schema import Annotation, Image
+
+Key = tuple[str | None, str | None, int | None]
+
+
+def differences(one: Dataset, other: Dataset) -> Iterator[str]:
+    """Lines that name what differs: parameters, frames, labels and bytes; none for equal datasets."""
+    a, b = one.card.get("parameters", {}), other.card.get("parameters", {})
+    for name in sorted(a.keys() | b.keys()):
+        if a.get(name) != b.get(name):
+            yield f"parameters.{name}: {a.get(name)} and {b.get(name)}"
+    for split in sorted({*one.splits, *other.splits}):
+        if split not in one.splits or split not in other.splits:
+            yield f"split {split}: only in {(one if split in one.splits else other).root}"
+            continue
+        yield from (f"split {split}: {text}" for text in _labels(one, other, split))
+    yield from _bytes(one, other)
+
+
+def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
+    first, second = (_frames(dataset, split) for dataset in (one, other))
+    for here, there, root in ((first, second, one.root), (second, first, other.root)):
+        if alone := here.keys() - there.keys():
+            yield f"{len(alone)} frames only in {root}, such as {_named(min(alone, key=str))}"
+    common = first.keys() & second.keys()
+    pairs: list[tuple[Annotation, Annotation]] = []
+    odd, ignored = Counter[str](), 0
+    for key in common:
+        (_, mine), (_, theirs) = first[key], second[key]
+        odd["vehicles"] += mine.keys() != theirs.keys()
+        pairs += [(mine[track], theirs[track]) for track in mine.keys() & theirs.keys()]
+    if odd["vehicles"]:
+        yield f"{odd['vehicles']} of {len(common)} frames hold other vehicles"
+    if not pairs:
+        return
+    ignored = sum(a.ignore_reason != b.ignore_reason for a, b in pairs)
+    if ignored:
+        yield f"{ignored} of {len(pairs)} vehicles are ignored in one, or for another reason"
+    boxes = np.array([np.abs(a.bbox - b.bbox).max() for a, b in pairs])
+    if (boxes > 0).any():
+        yield f"boxes differ by up to {boxes.max():.2f} px, {(boxes > 1).mean():.2%} of them by more than 1 px"
+    v = np.array([a.keypoints[:, 2] != b.keypoints[:, 2] for a, b in pairs])
+    if v.any():
+        yield f"v differs for {v.mean():.3%} of {v.size} keypoints"
+    both = np.array([(a.keypoints[:, 2] > 0) & (b.keypoints[:, 2] > 0) for a, b in pairs])
+    apart = np.array([np.hypot(*(a.keypoints - b.keypoints)[:, :2].T) for a, b in pairs])[both]
+    if (apart > 0).any():
+        yield f"keypoints differ by up to {apart.max():.2f} px, on average by {apart.mean():.3f} px"
+
+
+def _frames(dataset: Dataset, split: str) -> dict[Key, tuple[Image, dict[Any, Annotation]]]:
+    file = dataset.read(split)
+    groups = file.by_image()
+    return {
+        (image.site, image.recording, image.frame_index): (image, {a.track_id: a for a in groups[image.id]})
+        for image in file.images
+    }
+
+
+def _named(key: Key) -> str:
+    site, recording, frame = key
+    return f"{site}/{recording}_{frame:06d}"
+
+
+def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
+    """By the manifests, where both have one of the same format."""
+    if one.sharded != other.sharded:
+        yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
+        return
+    try:
+        a, b = (read_json(dataset.root / MANIFEST)["sha256"] for dataset in (one, other))
+    except UserError:
+        return
+    kinds = Counter(name.split("/")[0] for name in a.keys() & b.keys() if a[name] != b[name])
+    for kind, count in sorted(kinds.items()):
+        total = sum(name.startswith(f"{kind}/") for name in a.keys() & b.keys())
+        yield f"{kind}: {count} of {total} files have other bytes"

@@ -1,0 +1,181 @@
+"""What a dataset's labels are kept in: one annotation file a split beside the images, or shards of tar; both ways."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from hashlib import file_digest
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from skope import coco, shards
+from skope.dataset import MANIFEST, Dataset
+from skope.errors import UserError
+from skope.files import read_bytes, read_json, write_bytes, write_json
+
+FORMATS: Final = ("folder", "shards")
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A frame's rows of the annotation file, with its files."""
+
+    name: str
+    """<site>/<recording>_<frame>."""
+    image: Mapping[str, Any]
+    annotations: list[Any]
+    sha256: Mapping[str, str]
+    """Checksums of its files, by path in the dataset."""
+    tally: Any
+    """What the card counts."""
+
+
+class Writer(Protocol):
+    """Writes the labels of takes, and then the manifest."""
+
+    def add_file(self, path: Path) -> None:
+        """Name a file of the dataset, by its path in it, in the manifest."""
+        ...
+
+    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
+        """Write the frames of a take, whose files are in the folder `source`."""
+        ...
+
+    def finish(self) -> None: ...
+
+
+class _Manifest:
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.sums: dict[str, str] = {}
+        self.tallies: dict[str, Any] = {}
+
+    def add_file(self, path: Path) -> None:
+        self.sums[str(path)] = checksum_of(self.root / path)
+
+    def finish(self) -> None:
+        write_json(self.root / MANIFEST, {"sha256": dict(sorted(self.sums.items())), "tallies": self.tallies})
+
+
+class Folder(_Manifest):
+    """Annotation files; images and depth beside them."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self._splits: dict[str, tuple[list[Any], list[Any]]] = {}
+
+    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
+        images, annotations = self._splits.setdefault(split, ([], []))
+        for frame in frames:
+            image = {**frame.image}
+            for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
+                if key in image:
+                    there = image[key]
+                    image[key] = f"{kind}/{frame.name}{Path(there).suffix}"
+                    self.sums[image[key]] = frame.sha256[there]
+                    if source != self.root:
+                        write_bytes(self.root / image[key], shards.read(source / there))
+            images.append(image)
+            annotations += frame.annotations
+            self.tallies[image["file_name"]] = frame.tally
+
+    def finish(self) -> None:
+        for split, (images, annotations) in self._splits.items():
+            path = Path("annotations") / f"{split}.json"
+            coco.write_rows(self.root / path, {"split": split}, images, annotations)
+            self.add_file(path)
+        super().finish()
+
+
+class Shards(_Manifest):
+    """A shard for each take, which takes the place of its loose files."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self._numbers: dict[str, int] = {}
+
+    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
+        number = self._numbers.get(split, 0)
+        self._numbers[split] = number + 1
+        path = Path(shards.FOLDER) / f"{split}-{number:06d}.tar"
+        shard, loose = self.root / path, list[Path]()
+        members = self._members(path, frames, source, loose)
+        if shard.with_suffix(".json").is_file():
+            # Its index came last: it is whole, and its files may be gone.
+            for _ in members:
+                pass
+        else:
+            shards.write_shard(shard, ((name, content) for name, content in _read(members)))
+        for file in (path, path.with_suffix(".json")):
+            self.add_file(file)
+        if source == self.root:
+            for file in loose:
+                file.unlink(missing_ok=True)
+                with suppress(OSError):  # until it is empty
+                    file.parent.rmdir()
+                    file.parent.parent.rmdir()
+
+    def _members(
+        self, path: Path, frames: Iterable[Labels], source: Path, loose: list[Path]
+    ) -> Iterator[tuple[str, Path | bytes]]:
+        for frame in frames:
+            image = {**frame.image}
+            for key, kind in (("file_name", ""), ("depth_file_name", ".depth")):
+                if key in image:
+                    there = image[key]
+                    member = f"{frame.name}{kind}{Path(there).suffix}"
+                    image[key] = f"{path}/{member}"
+                    self.sums[image[key]] = frame.sha256[there]
+                    loose.append(source / there)
+                    yield member, source / there
+            self.tallies[image["file_name"]] = frame.tally
+            labels = {"image": image, "annotations": frame.annotations}
+            yield f"{frame.name}.json", json.dumps(labels, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:
+    for name, content in members:
+        yield name, content if isinstance(content, bytes) else read_bytes(content)
+
+
+def writer_of(form: str, root: Path) -> Writer:
+    """The writer of a format."""
+    return Shards(root) if form == "shards" else Folder(root)
+
+
+def checksum_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    try:
+        with path.open("rb") as file:
+            return file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
+    """The frames of a dataset that `skope gen` made, as they are written down."""
+    manifest = read_json(dataset.root / MANIFEST)
+    for image, annotations in rows_of(dataset, split):
+        name = f"{image['site']}/{image['recording']}_{image['frame_index']:06d}"
+        files = [image[key] for key in ("file_name", "depth_file_name") if key in image]
+        try:
+            sums, tally = {file: manifest["sha256"][file] for file in files}, manifest["tallies"][files[0]]
+        except KeyError as error:
+            raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
+        yield Labels(name, image, annotations, sums, tally)
+
+
+def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:
+    """A split's images as its files have them, each with its annotations."""
+    if dataset.sharded:
+        for shard in shards.shards_of(dataset.root, split):
+            yield from ((labels["image"], labels["annotations"]) for labels in shards.labels_in(shard))
+        return
+    document = read_json(dataset.root / "annotations" / f"{split}.json")
+    own: dict[int, list[Any]] = {image["id"]: [] for image in document["images"]}
+    for annotation in document["annotations"]:
+        own[annotation["image_id"]].append(annotation)
+    for image in document["images"]:
+        yield image, own[image["id"]]

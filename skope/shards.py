@@ -1,0 +1,111 @@
+"""Datasets of many frames as tar shards in the WebDataset convention: image, depth and one JSON of labels a frame.
+
+`shards/<split>-<number>.tar` holds `<site>/<recording>_<frame>` with `.json` and the suffixes of image and depth file;
+beside it `<split>-<number>.json` says where in it each member lies, so that members are read one by one, in any order.
+A member is named like a file: `shards/train-000000.tar/t01_mill_corner/00_000000.jpg`.
+"""
+
+import io
+import json
+import tarfile
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from skope.errors import UserError
+from skope.files import read_bytes, read_json, replacing, write_json
+
+FOLDER: Final = "shards"
+_INDEX: Final = 4096
+"""Indices that are kept in memory."""
+
+
+def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
+    """Write a shard and its index, each atomically and the index last; equal members make equal bytes."""
+    index = {}
+    with replacing(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, data in members:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            header = tar.offset
+            tar.addfile(info, io.BytesIO(data))
+            index[name] = [header + tarfile.BLOCKSIZE, len(data)]
+    write_json(path.with_suffix(".json"), index)
+
+
+def split_member(path: Path) -> tuple[Path, str] | None:
+    """The shard and the member that a path like `shards/train-000000.tar/a/b.jpg` names; None for other paths."""
+    parts = path.parts
+    for k in range(len(parts) - 1, 0, -1):
+        if parts[k - 1].endswith(".tar"):
+            return Path(*parts[:k]), "/".join(parts[k:])
+    return None
+
+
+def read(path: Path) -> bytes:
+    """A file's content, or that of a shard's member that is named like one."""
+    member = split_member(path)
+    return read_member(*member) if member else read_bytes(path)
+
+
+def read_member(shard: Path, name: str) -> bytes:
+    """A member's bytes; a UserError names what is missing or broken."""
+    offset, size = _place(shard, name)
+    try:
+        with shard.open("rb") as file:
+            file.seek(offset)
+            data = file.read(size)
+    except FileNotFoundError:
+        raise UserError(f"{shard}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{shard}: cannot be read: {error.strerror or error}") from None
+    if len(data) < size:
+        raise UserError(f"{shard}/{name}: truncated shard")
+    return data
+
+
+def member_size(shard: Path, name: str) -> int:
+    """Bytes of a member, without reading it."""
+    return _place(shard, name)[1]
+
+
+def _place(shard: Path, name: str) -> tuple[int, int]:
+    places = _index(shard.with_suffix(".json"), shard.with_suffix(".json").is_file())
+    if name not in places:
+        raise UserError(f"{shard}/{name}: no such file")
+    offset, size = places[name]
+    return offset, size
+
+
+@lru_cache(maxsize=_INDEX)
+def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
+    value = read_json(path)
+    good = isinstance(value, dict) and all(
+        isinstance(place, list) and len(place) == 2 and all(isinstance(n, int) and n >= 0 for n in place)
+        for place in value.values()
+    )
+    if not good:
+        raise UserError(f"{path}: not an index of a shard")
+    return {name: (offset, size) for name, (offset, size) in value.items()}
+
+
+def shards_of(root: Path, split: str) -> list[Path]:
+    """A split's shards in their order."""
+    return sorted((root / FOLDER).glob(f"{split}-[0-9][0-9][0-9][0-9][0-9][0-9].tar"))
+
+
+def splits_of(root: Path) -> tuple[str, ...]:
+    """Splits that have shards, in alphabetical order."""
+    return tuple(sorted({path.name.rpartition("-")[0] for path in (root / FOLDER).glob("*-*.tar")}))
+
+
+def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
+    """The labels of a shard's frames: {"image": ..., "annotations": [...]}, in one go through the file."""
+    names = sorted(_index(shard.with_suffix(".json"), True).items(), key=lambda item: item[1])
+    for name, _ in names:
+        if name.endswith(".json"):
+            try:
+                yield json.loads(read_member(shard, name))
+            except ValueError as error:
+                raise UserError(f"{shard}/{name}: not valid JSON: {error}") from None
