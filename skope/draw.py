@@ -13,12 +13,14 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.boxes import xywh_to_xyxy
+from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import replacing
-from skope.schema import Annotation, Result
+from skope.schema import Annotation, Box3D, Result
 
 Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -76,6 +78,49 @@ def results(image: Pixels, found: Iterable[Result], *, scale: int = 1) -> Pixels
         shown = np.ones(keypoints.K, dtype=bool)
         canvas.vehicle(result.bbox, result.keypoints, shown, result.keypoints[:, 2] >= 0.5, color)
         canvas.label(result.bbox, f"{result.score:.2f}", color)
+    return canvas.pixels
+
+
+def boxes_3d(image: Pixels, vehicles: Iterable[Annotation], camera: Camera) -> Pixels:
+    """The edges of vehicles' 3D boxes on a copy of (H, W, 3) `image`, those of the front end thicker."""
+    canvas = _Canvas(image, 1)
+    for vehicle in vehicles:
+        if vehicle.box_3d is None:
+            continue
+        color = IGNORED if vehicle.ignored else PALETTE[(vehicle.track_id or vehicle.id) % len(PALETTE)]
+        canvas.box_3d(vehicle.box_3d, camera, color)
+    return canvas.pixels
+
+
+def masks(image: Pixels, vehicles: Iterable[Annotation], *, strength: float = 0.45) -> Pixels:
+    """Vehicles' visible pixels tinted on a copy of (H, W, 3) `image`."""
+    out = image.astype(np.float32)
+    for vehicle in vehicles:
+        if isinstance(vehicle.segmentation, dict):
+            color = IGNORED if vehicle.ignored else PALETTE[(vehicle.track_id or vehicle.id) % len(PALETTE)]
+            counts = str(vehicle.segmentation["counts"]).encode()
+            inside = coco_mask.decode({**vehicle.segmentation, "counts": counts}).astype(bool)
+            out[inside] = (1 - strength) * out[inside] + strength * np.array(color, dtype=np.float32)
+    return np.rint(out).astype(np.uint8)
+
+
+def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
+    """(H, W) metres as colours by nearness, from red at `near` to blue far away; sky is dark."""
+    nearness = np.clip(255 * near / np.maximum(metres, near), 0, 255).astype(np.uint8)
+    colors = cv2.cvtColor(cv2.applyColorMap(nearness, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+    colors[~np.isfinite(metres)] = _DARK
+    return np.asarray(colors, dtype=np.uint8)
+
+
+def occlusion(image: Pixels, vehicles: Iterable[Annotation]) -> Pixels:
+    """Each vehicle's box with the share of it that something hides, on a copy of (H, W, 3) `image`."""
+    canvas = _Canvas(image, 1)
+    for vehicle in vehicles:
+        share = vehicle.occlusion or 0.0
+        color = (round(80 + 175 * share), round(200 * (1 - share)), 60)
+        canvas.dashed_box(vehicle.bbox, color)
+        text = f"{share:.0%} hidden" + (f", {vehicle.ignore_reason}" if vehicle.ignored else "")
+        canvas.label(vehicle.bbox, text, color)
     return canvas.pixels
 
 
@@ -143,6 +188,19 @@ class _Canvas:
         radius = float(np.clip(extent / 50, 1.5, 2.25 * self._unit))
         for i in np.flatnonzero(shown):
             self._point(points[i, :2], radius, keypoints.COLORS[i], filled=bool(sure[i]))
+
+    def box_3d(self, box: Box3D, camera: Camera, color: Color) -> None:
+        """A box's edges, as finely as a lens bends them; what is behind the camera is left out."""
+        corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * box.size_lwh @ box.R.T + box.center
+        for a, b in itertools.combinations(range(8), 2):
+            if (a ^ b).bit_count() != 1:
+                continue
+            along = np.linspace(0, 1, 17)[:, None]
+            pixels, _, valid = camera.project(corners[a] * (1 - along) + corners[b] * along)
+            front = a >= 4 and b >= 4
+            for start, end, good in zip(pixels, pixels[1:], valid[1:] & valid[:-1], strict=False):
+                if good:
+                    self._polyline([start, end], color, 2 * self._line if front else max(1, self._line))
 
     def dashed_box(self, bbox: ArrayLike, color: Color) -> None:
         """The outline of a box in dashes."""

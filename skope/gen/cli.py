@@ -1,34 +1,27 @@
 """`skope gen`: make datasets and check them."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
-from skope.gen import sites_cli, vehicles_cli
+from skope.gen import look_cli, sites_cli, vehicles_cli
+from skope.gen.hire import AddressOption, EngineOption, WorkersOption, hired
 from skope.gen.options import asks_for_a_dataset
 
 if TYPE_CHECKING:
-    from skope.gen.crew import Crew
     from skope.gen.plan import Parameters
 
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles_cli.app, name="vehicles")
 app.command()(sites_cli.sites)
+for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.video):
+    app.command()(command)
 
 DEFAULT = Path("data/skope")
 OutOption = Annotated[Path, typer.Option(help="Dataset folder.")]
-WorkersOption = Annotated[int | None, typer.Option(help="Worker processes; by default one per core.")]
-EngineOption = Annotated[
-    str, typer.Option(help="local: processes of this machine; ray: a Ray cluster's (pip install skope[ray]).")
-]
-AddressOption = Annotated[
-    str | None, typer.Option(help="Of the Ray cluster; by default one that this machine belongs to, or a new one here.")
-]
 
 
 @app.callback()
@@ -49,7 +42,7 @@ def gen(
     from skope.gen.produce import produce
 
     console, (parameters, why) = Console(quiet), asked()
-    hire, who = _crew(engine, workers, address)
+    hire, who = hired(engine, workers, address)
     _announce(console, parameters, f"{who}, {why}")
     made = produce(parameters, out, hire, console)
     _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
@@ -70,7 +63,7 @@ def simulate(
     from skope.gen.produce import simulate_only
 
     console, (parameters, _) = Console(quiet), asked()
-    hire, who = _crew(engine, workers, address)
+    hire, who = hired(engine, workers, address)
     _announce(console, parameters, who)
     made = simulate_only(parameters, out, hire, console)
     _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {out}")
@@ -90,27 +83,9 @@ def render(
     from skope.gen.produce import render_only
 
     console = Console(quiet)
-    hire, _ = _crew(engine, workers, address)
+    hire, _ = hired(engine, workers, address)
     made = render_only(dataset, renderer, hire, console)
     _next(console, dataset, "wrote" if made else "", f"skope train{_data(dataset)} --epochs 10")
-
-
-def _crew(
-    engine: str, workers: int | None, address: str | None
-) -> tuple[Callable[[], "AbstractContextManager[Crew]"], str]:
-    """How to hire who does the work, and who that is."""
-    from skope.errors import UserError, one_of
-    from skope.gen.crew import check_workers, default_workers, local
-
-    count = check_workers(workers) if workers is not None else None
-    if one_of("--engine", engine, ("local", "ray")) == "ray":
-        from skope.gen.ray_crew import cluster
-
-        return partial(cluster, count, address), f"{count or 'all'} workers of Ray"
-    if address is not None:
-        raise UserError("--address: is for --engine ray")
-    count = count or default_workers()
-    return partial(local, count), f"{count} worker{'' if count == 1 else 's'}"
 
 
 def _announce(console: Console, parameters: "Parameters", who: str) -> None:
@@ -148,54 +123,6 @@ def convert(
     console = Console(quiet)
     write(open_dataset(dataset), to, out, console)
     console.result(f"wrote {out}; next: skope gen check {out}")
-
-
-@app.command()
-def check(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = DEFAULT,
-    repair: Annotated[bool, typer.Option("--repair", help="Make what is broken again.")] = False,
-    against: Annotated[Path | None, typer.Option(help="Another dataset: say how the two differ instead.")] = None,
-    workers: WorkersOption = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
-) -> None:
-    """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
-    from skope.dataset import open_dataset
-    from skope.gen.check import check as find
-    from skope.gen.compare import differences
-    from skope.gen.repair import repair as mend
-
-    console, folder = Console(quiet), open_dataset(dataset)
-    if against is not None:
-        found = list(differences(folder, open_dataset(against)))
-    else:
-        findings = list(find(folder))
-        found = list(map(str, findings))
-    for line in found:
-        console.result(line)
-    one, what = len(found) == 1, "difference" if against else "finding"
-    console.result(f"{dataset}: {len(found) or 'no'} {what}{'' if one else 's'}{f' from {against}' if against else ''}")
-    if found and repair and against is None:
-        hire, _ = _crew("local", workers, None)
-        mend(folder, findings, hire, console)
-        console.result(f"repaired {dataset}; next: skope gen check {dataset}")
-    elif found:
-        raise typer.Exit(1)
-
-
-@app.command()
-def stats(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")] = Path("data/skope"),
-    quiet: QuietOption = False,
-    version: VersionOption = False,
-) -> None:
-    """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
-    from skope.dataset import open_dataset
-    from skope.gen.stats import split_stats, table
-
-    console, folder = Console(quiet), open_dataset(dataset)
-    for line in table({split: split_stats(folder, split) for split in folder.splits}):
-        console.result(line)
 
 
 @app.command()

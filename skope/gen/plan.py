@@ -24,7 +24,7 @@ from skope.gen.recording import RecordingPlan
 from skope.gen.render.lens import pinhole_of
 from skope.gen.simulate import versions
 from skope.gen.towns import Site, site, sites
-from skope.gen.traffic import STEP
+from skope.gen.traffic import step_for
 
 _SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
 """Conditions that belong to a light."""
@@ -75,8 +75,7 @@ class Parameters:
             raise UserError(f"--seed: expected a whole number from 0, got {self.seed}")
         if not 5 <= self.fov_deg <= 150:
             raise UserError(f"--fov: expected degrees from 5 to 150, got {self.fov_deg}")
-        if self.interval_s < STEP or abs(self.interval_s / STEP - round(self.interval_s / STEP)) > 1e-6:
-            raise UserError(f"--interval: expected a multiple of {STEP} seconds, got {self.interval_s}")
+        step_for(self.interval_s)
         check_settings(self.settings)
         cameras.check_ranges(self.cameras)
         self._check_lens()

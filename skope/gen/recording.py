@@ -48,7 +48,7 @@ class RecordingPlan:
     index: int
     frames: int
     interval: float
-    """Seconds between frames, a multiple of the traffic's step."""
+    """Seconds between frames, a multiple of 0.005."""
     size: tuple[int, int]
     fov_deg: float
     seed: int

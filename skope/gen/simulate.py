@@ -24,7 +24,7 @@ from skope.gen.towns.parking import Bay
 from skope.gen.towns.place import know
 from skope.gen.towns.scenery import scenery
 from skope.gen.towns.sidewalks import sidewalks
-from skope.gen.traffic import LAMPS, STEP, Driven, Snapshot, Traffic
+from skope.gen.traffic import LAMPS, Driven, Snapshot, Traffic, step_for
 from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.world import Pose, World, at_rest
@@ -70,21 +70,22 @@ def simulate(plan: RecordingPlan) -> Recording:
     """Run traffic and physics, and record every frame of the plan."""
     site = plan.site
     know(site.place)
+    step = step_for(plan.interval)
     rng = np.random.default_rng([plan.seed, zlib.crc32(site.name.encode()), plan.index])
-    warm_up = round(rng.uniform(*WARM_UP) / STEP)
+    warm_up = round(rng.uniform(*WARM_UP) / step)
     own = [plan.seed, zlib.crc32(site.name.encode()), plan.index]
     spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
     conditions = Conditions.drawn(spans, np.random.default_rng([*own, 4]))
     camera = cameras.drawn(
         site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, np.random.default_rng([*own, 5])
     )
-    stride, settle = round(plan.interval / STEP), round(SETTLE / STEP)
+    stride, settle = round(plan.interval / step), round(SETTLE / step)
     models = _models(plan)
     log = _Log(camera, plan, models, lamps_on=lamps_on(conditions))
     paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
     walkers = Walkers(paths, np.random.default_rng([*own, 1]))
     log.park(parked(site.town, log.in_view(scenery(site.town).bays), models, np.random.default_rng([*own, 3])))
-    duration = (warm_up + settle + plan.frames * stride) * STEP
+    duration = (warm_up + settle + plan.frames * stride) * step
     with (
         Traffic(
             network(site.town),
@@ -94,8 +95,9 @@ def simulate(plan: RecordingPlan) -> Recording:
             rng=rng,
             flows=site.flows,
             passing=Layout.of(site.town).seen_by(site.place.camera, REACH) if site.place else frozenset(),
+            step=step,
         ) as traffic,
-        World(STEP) as world,
+        World(step) as world,
     ):
         riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, own)
         traffic.warm_up(warm_up)
@@ -103,9 +105,9 @@ def simulate(plan: RecordingPlan) -> Recording:
             snapshot = traffic.step()
             near = log.near(snapshot, traffic)
             world.advance(near)
-            riding = riders.follow(snapshot.riders, STEP)
+            riding = riders.follow(snapshot.riders, step)
             if k >= settle and (k - settle) % stride == 0:
-                time = (k - settle) * STEP
+                time = (k - settle) * step
                 far = log.far(snapshot, traffic)
                 poses = world.poses() | {name: at_rest(*placed) for name, placed in far.items()}
                 log.add(time, near | far, poses, snapshot, traffic)

@@ -1,18 +1,27 @@
 """What a dataset holds, split by split, in numbers: how many vehicles, how large, how far, how hidden."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from skope import shards
 from skope.dataset import Dataset
+from skope.files import replacing
+from skope.keypoints import K
 from skope.schema import Annotation, Image
 
 PICTURES: Final = 200
 """Images of a split, evenly spread, whose brightness is measured."""
+_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
+"""Okabe and Ito's, fit for colour-blind readers;"""
+_LINES: Final = ("solid", "dashed", "dotted", "dashdot", "solid")
+"""and never colour alone."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,8 @@ def _brightness(dataset: Dataset, images: tuple[Image, ...]) -> float:
     chosen = sorted({round(i) for i in np.linspace(0, len(images) - 1, PICTURES)}) if images else []
     levels = []
     for i in chosen:
-        picture = cv2.imread(str(dataset.root / images[i].file_name), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+        data = np.frombuffer(shards.read(dataset.root / images[i].file_name), dtype=np.uint8)
+        picture = cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_8)
         if picture is not None:
             levels.append(float(picture.mean()))
     return _mean(np.array(levels))
@@ -119,3 +129,44 @@ def table(stats: Mapping[str, SplitStats]) -> list[str]:
         row("brightness, of 255", *(f"{s.brightness:.0f}" for s in columns)),
         *(row(f"  {kind}", *(str(s.types.get(kind, 0)) for s in columns)) for kind, _ in types.most_common()),
     ]
+
+
+def plot(dataset: Dataset, out: Path) -> Path:
+    """Draw distributions of every split into `out`/stats.png: distance, size, occlusion, keypoints, weather, types."""
+    from matplotlib.figure import Figure
+
+    files = {split: dataset.read(split) for split in dataset.splits}
+    known = {split: [a for a in file.annotations if not a.iscrowd] for split, file in files.items()}
+    figure = Figure(figsize=(15, 12), layout="constrained")
+    axes = figure.subplots(3, 2)
+    spreads: list[tuple[Any, str, Callable[[Annotation], float | None], NDArray[np.float64]]] = [
+        (axes[0, 0], "distance, m", lambda a: a.distance, np.linspace(0, 160, 33)),
+        (axes[0, 1], "box height, px", lambda a: float(a.bbox[3]), np.geomspace(8, 1080, 33)),
+        (axes[1, 0], "hidden share", lambda a: a.occlusion, np.linspace(0, 1, 26)),
+    ]
+    for axis, title, value, bins in spreads:
+        for number, (split, annotations) in enumerate(known.items()):
+            values = [v for a in annotations if (v := value(a)) is not None]
+            share = np.histogram(values, bins)[0] / max(1, len(values))
+            style = {"linestyle": _LINES[number % len(_LINES)], "color": _COLORS[number % len(_COLORS)]}
+            axis.stairs(share, bins, label=f"{split} ({len(values)})", linewidth=1.8, **style)
+        axis.set(xlabel=title, ylabel="share of vehicles")
+        axis.legend(frameon=False)
+    axes[0, 1].set_xscale("log")
+    seen = np.array([a.keypoints[:, 2] == 2 for annotations in known.values() for a in annotations]).reshape(-1, K)
+    axes[1, 1].bar(range(K), seen.mean(axis=0) if len(seen) else np.zeros(K), color=_COLORS[0])
+    axes[1, 1].set(
+        xlabel="keypoint", ylabel="share of vehicles where it is visible", xticks=range(0, K, 2), ylim=(0, 1)
+    )
+    weather = Counter(image.weather or "unknown" for file in files.values() for image in file.images)
+    types = Counter(a.vehicle_type or "unknown" for annotations in known.values() for a in annotations)
+    for axis, counts, unit in ((axes[2, 0], weather, "images"), (axes[2, 1], types, "vehicles")):
+        names = [name for name, _ in counts.most_common()]
+        axis.barh(names[::-1], [counts[name] for name in names[::-1]], color=_COLORS[0])
+        axis.set_xlabel(unit)
+    for axis in axes.flat:
+        axis.spines[["top", "right"]].set_visible(False)
+    path = out / "stats.png"
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=100)
+    return path

@@ -14,18 +14,21 @@ from typing import Final
 
 import numpy as np
 
+from skope.errors import UserError
 from skope.gen.demand import RIDERS, Trip, trips, write_types
 from skope.gen.flows import scheduled
 from skope.gen.vehicles import FleetEntry
 
 STEP: Final = 0.025
-"""Seconds a step. SUMO counts whole milliseconds, so 30 Hz itself cannot be had; 40 Hz divides the frame interval."""
+"""Seconds a step, where the frames' interval is a multiple of it."""
+_STEPS_MS: Final = (25, 20, 10, 5)
+"""What a step can be: SUMO counts whole milliseconds and its drivers act every 100 of them."""
 
 LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 _SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
 
 _OPTIONS: Final = {
-    **{"step-length": STEP, "no-step-log": "", "no-warnings": "", "time-to-teleport": -1, "collision.action": "none"},
+    **{"no-step-log": "", "no-warnings": "", "time-to-teleport": -1, "collision.action": "none"},
     **{"lateral-resolution": 0.6, "default.action-step-length": 0.1},
 }
 _TRAIL_STEP: Final = 0.05
@@ -34,6 +37,15 @@ _TRAIL_EVERY: Final = 4
 """Steps between the heights that are kept while nobody watches."""
 _TRAIL: Final = 25.0
 """How far back they are kept, metres."""
+
+
+def step_for(interval: float) -> float:
+    """The longest step that frames `interval` seconds apart are whole numbers of; UserError when there is none."""
+    milliseconds = round(1000 * interval)
+    fits = [ms for ms in _STEPS_MS if milliseconds >= ms and milliseconds % ms == 0]
+    if not fits or abs(1000 * interval - milliseconds) > 1e-6:
+        raise UserError(f"--interval: expected a multiple of 0.005 seconds, got {interval:g}")
+    return fits[0] / 1000
 
 
 @dataclass(frozen=True)
@@ -105,9 +117,10 @@ class Traffic:
         rng: np.random.Generator,
         flows: str = "",
         passing: frozenset[str] = frozenset(),
+        step: float = STEP,
     ) -> None:
         """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges."""
-        self._network, self._fleet, self._rng = network, fleet, rng
+        self._network, self._fleet, self._rng, self._step = network, fleet, rng, step
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
             if flows
@@ -120,7 +133,12 @@ class Traffic:
         import libsumo
 
         self._sumo = libsumo
-        options = {**_OPTIONS, "net-file": self._network, "seed": int(self._rng.integers(1, 2**30))}
+        options = {
+            **_OPTIONS,
+            "step-length": self._step,
+            "net-file": self._network,
+            "seed": int(self._rng.integers(1, 2**30)),
+        }
         with tempfile.TemporaryDirectory() as folder:
             types = Path(folder) / "types.add.xml"
             write_types(types, self._fleet)
@@ -139,7 +157,7 @@ class Traffic:
         self._sumo.close()
 
     def warm_up(self, steps: int) -> None:
-        """Go on by some steps of `STEP` seconds, which nobody watches."""
+        """Go on by some steps, which nobody watches."""
         vehicle = self._sumo.vehicle
         for k in range(steps):
             self._sumo.simulationStep()
@@ -155,7 +173,7 @@ class Traffic:
         return self._trails[name]
 
     def step(self) -> Snapshot:
-        """Go on by `STEP` seconds and say where everyone is."""
+        """Go on by a step and say where everyone is."""
         sumo = self._sumo
         sumo.simulationStep()
         present = sumo.vehicle.getIDList()

@@ -1,0 +1,81 @@
+"""Pictures of a dataset: overlays of single images, and sheets of several."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import draw
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.schema import Annotation, Image
+
+Pixels = NDArray[np.uint8]
+
+LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
+SHEET: Final = 12
+"""Images of a sheet."""
+_CELL: Final = 640
+"""Width of an image on a sheet, pixels."""
+
+
+def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], layers: Sequence[str]) -> Pixels:
+    """An image with some of `LAYERS` drawn on it; depth comes in the image's place."""
+    pixels = dataset.image(image)
+    if "depth" in layers:
+        metres = dataset.depth(image)
+        if metres is None:
+            raise UserError(f"{dataset.root}: image {image.id} has no depth file")
+        pixels = draw.depth(metres)
+    if "mask" in layers:
+        pixels = draw.masks(pixels, annotations)
+    if "boxes_3d" in layers:
+        if image.camera is None:
+            raise UserError(f"{dataset.root}: image {image.id} has no camera")
+        pixels = draw.boxes_3d(pixels, annotations, image.camera)
+    if "occlusion" in layers:
+        pixels = draw.occlusion(pixels, annotations)
+    if "keypoints" in layers:
+        pixels = draw.annotations(pixels, annotations)
+    return pixels
+
+
+def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -> Path:
+    """Write the overlay of the image with an id; the file's path."""
+    for split in dataset.splits:
+        file = dataset.read(split)
+        for image in file.images:
+            if image.id == number:
+                path = out / f"{Path(image.file_name).with_suffix('').as_posix().replace('/', '_')}.png"
+                draw.write(path, overlay(dataset, image, file.by_image()[image.id], layers))
+                return path
+    raise UserError(f"{dataset.root}: no image has id {number}")
+
+
+def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path) -> list[Path]:
+    """Write a sheet of `SHEET` images, evenly spread, of each split, or of one site; the files' paths."""
+    groups: dict[str, list[tuple[Image, list[Annotation]]]] = {}
+    for split in dataset.splits:
+        file = dataset.read(split)
+        own = file.by_image()
+        for image in file.images:
+            if site is None or image.site == site:
+                groups.setdefault(site or split, []).append((image, own[image.id]))
+    if not groups:
+        raise UserError(f"{dataset.root}: no image is of site {site!r}" if site else f"{dataset.root}: has no images")
+    paths = []
+    for name, pairs in groups.items():
+        chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET)})]
+        cells = [_cell(overlay(dataset, image, own, layers), f"{image.id}  {image.file_name}") for image, own in chosen]
+        paths.append(out / f"{name}.png")
+        draw.write(paths[-1], draw.contact_sheet(cells, 3))
+    return paths
+
+
+def _cell(pixels: Pixels, text: str) -> Pixels:
+    import cv2
+
+    height = round(pixels.shape[0] * _CELL / pixels.shape[1])
+    return draw.caption(np.asarray(cv2.resize(pixels, (_CELL, height), interpolation=cv2.INTER_AREA), np.uint8), text)

@@ -1,0 +1,113 @@
+"""Footage of a site with its labels: a video file, and the annotation file of its frames."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import draw
+from skope.coco import write
+from skope.console import Console
+from skope.errors import UserError
+from skope.files import replacing
+from skope.gen.annotate import Rules, annotate
+from skope.gen.recording import Recording, RecordingPlan
+from skope.gen.render import make_renderer
+from skope.gen.simulate import simulate
+from skope.schema import Annotation, AnnotationFile, Image
+
+FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
+"""Frame rates that traffic's steps of whole milliseconds divide."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What `write_footage` wrote."""
+
+    video: Path
+    labels: Path
+    overlay: Path | None
+
+
+def plan_of(plan: RecordingPlan, fps: float, seconds: float) -> RecordingPlan:
+    """The plan with as many frames, as far apart, as a video has."""
+    if fps not in FPS:
+        raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FPS)}, got {fps:g}")
+    if not 0 < seconds <= 3600:
+        raise UserError(f"--seconds: expected seconds up to 3600, got {seconds:g}")
+    return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
+
+
+def write_footage(plan: RecordingPlan, renderer: str, out: Path, *, with_overlay: bool, console: Console) -> Footage:
+    """Simulate and render a plan into `out`/<site>.mp4 with <site>.json, and <site>_labels.mp4 when asked for."""
+    name = plan.site.name
+    console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
+    recording = simulate(plan)
+    footage = Footage(out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None)
+    size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
+    images: list[Image] = []
+    annotations: list[Annotation] = []
+    with ExitStack() as stack:
+        plain = stack.enter_context(_video(footage.video, size, fps))
+        drawn = stack.enter_context(_video(footage.overlay, size, fps)) if footage.overlay else None
+        frames = _frames(recording, renderer, footage.video.name)
+        for pixels, image, vehicles in console.bar(frames, total=len(recording), unit="image", label="rendering"):
+            numbered = [replace(vehicle, id=len(annotations) + i + 1) for i, vehicle in enumerate(vehicles)]
+            plain.add(pixels)
+            if drawn:
+                drawn.add(draw.annotations(pixels, numbered))
+            images.append(image)
+            annotations += numbered
+    info = {"split": recording.split, "video": footage.video.name, "fps": fps}
+    write(footage.labels, AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name))
+    return footage
+
+
+def _frames(
+    recording: Recording, renderer_name: str, video: str
+) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation]]]:
+    renderer = make_renderer(renderer_name, recording)
+    for frame in range(len(recording)):
+        view = renderer.render(frame)
+        vehicles, _ = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=frame + 1)
+        image = Image(
+            id=frame + 1,
+            file_name=f"{video}/{frame:06d}",
+            width=recording.camera.width,
+            height=recording.camera.height,
+            town=recording.town,
+            site=recording.site,
+            recording=recording.name,
+            frame_index=frame,
+            time_s=float(recording.times_s[frame]),
+            split=recording.split,
+            weather=recording.weather,
+            sun_elevation_deg=recording.conditions.sun_elevation_deg,
+            camera=recording.camera,
+        )
+        yield view.rgb, image, vehicles
+
+
+class _Video:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        if not self._writer.isOpened():
+            raise UserError(f"{path}: cannot be written as a video")
+
+    def add(self, rgb: NDArray[np.uint8]) -> None:
+        self._writer.write(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+
+    def close(self) -> None:
+        self._writer.release()
+
+
+@contextmanager
+def _video(path: Path, size: tuple[int, int], fps: float) -> Iterator[_Video]:
+    """An MP4 file that takes its place when it is whole."""
+    with replacing(path) as temporary, closing(_Video(temporary, size, fps)) as video:
+        yield video
