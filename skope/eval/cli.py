@@ -8,10 +8,12 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError, one_of
+from skope.keypoints import SCHEME
 
 DATA = Path("data/skope")
 RUN = Path("runs/skope")
 GIVEN = "given"
+PAPER = "paper"
 
 app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
 
@@ -38,7 +40,15 @@ def run(
         Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    protocol: Annotated[str, typer.Option(help="What the table shows: pooled or paper.")] = "pooled",
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="What the table shows: pooled or paper.", show_default="pooled, or paper beside the paper's rows"
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(help="paper: print the published rows below ours (splits easy, medium, hard).")
+    ] = None,
     labelled: Annotated[
         str, typer.Option(help="Keypoints that count: visible, or all (hidden ones inside the image too).")
     ] = "visible",
@@ -50,6 +60,19 @@ def run(
     alpha: Annotated[
         float, typer.Option(help="A keypoint is correct within this share of the box's longer edge.")
     ] = 0.1,
+    iou: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            show_default="0.9,0.8,0.7,0.6",
+        ),
+    ] = None,
+    keypoint_score: Annotated[
+        float, typer.Option(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+    ] = 0.0,
+    scheme: Annotated[
+        str, typer.Option(help="Keypoint scheme of --predictions; the points that mean the same are scored.")
+    ] = SCHEME,
     max_images: Annotated[
         int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
     ] = None,
@@ -58,17 +81,29 @@ def run(
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
     from skope.eval import inputs
-    from skope.eval.match import BOX_KINDS
-    from skope.eval.metrics import PROTOCOLS, Options
+    from skope.eval.match import BOX_KINDS, THRESHOLDS
     from skope.eval.run import Job, evaluate
+    from skope.eval.tally import PROTOCOLS, Options
 
-    one_of("--protocol", protocol, PROTOCOLS)
+    if compare is not None:
+        one_of("--compare", compare, (PAPER,))
+    protocol = one_of("--protocol", protocol or ("paper" if compare else "pooled"), PROTOCOLS)
     one_of("--boxes", boxes, (*BOX_KINDS, GIVEN))
-    options = Options(score=score, alpha=alpha, labelled=labelled, boxes="full" if boxes == GIVEN else boxes)
+    options = Options(
+        score=score,
+        alpha=alpha,
+        labelled=labelled,
+        boxes="full" if boxes == GIVEN else boxes,
+        iou=_thresholds(iou) or THRESHOLDS,
+        keypoint_score=keypoint_score,
+        points=inputs.scheme_points(scheme),
+    )
     if max_images is not None and max_images < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
-    splits = [name.strip() for value in split or () for name in value.split(",") if name.strip()]
+    splits = _separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if scheme != SCHEME and not predictions:
+        raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     out = out or _default_out(checkpoint, predictions)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
@@ -84,10 +119,25 @@ def run(
             given_boxes=boxes == GIVEN,
             device=device,
             max_images=max_images,
+            scheme=scheme,
+            beside_paper=compare == PAPER,
         ),
         Console(quiet),
         width=shutil.get_terminal_size((120, 24)).columns,
     )
+
+
+def _separated(values: list[str] | None) -> list[str]:
+    """The parts of a flag that may be repeated and hold several parts separated by commas."""
+    return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
+
+
+def _thresholds(values: list[str] | None) -> tuple[float, ...]:
+    """IoU thresholds from the strictest."""
+    try:
+        return tuple(sorted((float(part) for part in _separated(values)), reverse=True))
+    except ValueError:
+        raise UserError(f"--iou: expected numbers, got {', '.join(values or ())}") from None
 
 
 def _refuse_mixtures(

@@ -11,18 +11,20 @@ from pycocotools.cocoeval import COCOeval
 
 from skope import keypoints, schema
 from skope.eval.match import box_of
-from skope.eval.metrics import Options
+from skope.eval.tally import Options
 from skope.schema import Annotation, AnnotationFile, Result
 
 MAX_DETECTIONS: Final = 300
 """Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
+NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
+"""What is reported where results leave out what scores low: AP of those would mean nothing."""
 
 
 def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
     """AP over IoU (or OKS) 0.50 to 0.95 and at 0.50, of all results whatever they score; None without ground truth.
 
     An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. A vehicle without a
-    labelled keypoint is the same to the keypoint figures. `options.score` and `options.alpha` play no part.
+    labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes and points play a part.
     """
     truth = [_truth_row(annotation, options) for annotation in file.annotations]
     found = [_result_row(i, result) for i, result in enumerate(results, start=1)]
@@ -36,6 +38,7 @@ def _truth_row(annotation: Annotation, options: Options) -> dict[str, Any]:
     points = annotation.keypoints.copy()
     hidden_too = options.labelled == "all"
     unlabelled = points[:, 2] < (1 if hidden_too else 2)
+    unlabelled |= ~np.isin(np.arange(keypoints.K), options.points)
     # A crowd region has a box and no points of its own.
     points[unlabelled | annotation.ignored] = 0.0
     box = box_of(annotation, options.boxes)

@@ -1,19 +1,20 @@
 """One evaluation: predict (or read results), match, measure, draw, write, print."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco, draw
+from skope import coco, draw, keypoints
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
 from skope.eval import inputs, metrics, table
-from skope.eval.coco_ap import average_precision
 from skope.eval.inputs import Truth
-from skope.eval.metrics import Options
-from skope.files import write_json
+from skope.eval.measure import measure, to_tallies
+from skope.eval.tally import Options
+from skope.files import write_json, write_text
 from skope.schema import AnnotationFile, Result
 
 OVERLAYS: Final = 4
@@ -34,6 +35,10 @@ class Job:
     """Place keypoints in the ground-truth boxes instead of detecting vehicles."""
     device: str = "auto"
     max_images: int | None = None
+    scheme: str = keypoints.SCHEME
+    """Keypoint scheme of `predictions`."""
+    beside_paper: bool = False
+    """Print the published rows below ours."""
 
 
 def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
@@ -42,19 +47,17 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
     results = _predicted(job, splits, console) if job.checkpoint else _read(job, splits)
-    figures = {
-        file.name: {
-            **metrics.score_split(file, results[file.name], job.options),
-            "coco": average_precision(file, results[file.name], job.options),
-            "by": {},
-        }
-        for file in splits
-    }
-    document = metrics.document(job.options, figures)
+    measured = [measure(file, results[file.name], job.options, job.truth.fleet) for file in splits]
+    figures = {split.file.name: split.entry for split in measured}
+    scheme = job.scheme if job.predictions else keypoints.SCHEME
+    document = metrics.document(job.options, figures, scheme=scheme)
     write_json(job.out / "metrics.json", document)
+    tallies = {split.file.name: to_tallies(split) for split in measured}
+    write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
     pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 
-    console.result(table.render(document, job.protocol, width))
+    beside = table.published() if job.beside_paper else None
+    console.result(table.render(document, job.protocol, width, beside=beside))
     for line in _advice(job, figures, results):
         console.result(line)
     console.result(_last_line(job, splits, pictures))
@@ -78,7 +81,7 @@ def _predicted(job: Job, splits: Sequence[AnnotationFile], console: Console) -> 
 def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
     assert job.predictions is not None
     (whole,), (part,) = job.truth.splits, splits
-    return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole), part)}
+    return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole, job.scheme), part)}
 
 
 def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:

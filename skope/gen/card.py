@@ -7,6 +7,7 @@ from skope.depth import DEPTH_SCALE
 from skope.gen import annotate
 from skope.gen.plan import Parameters
 from skope.gen.store import Counts
+from skope.gen.vehicles import fleet
 
 LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own; do with them what you like."
 
@@ -29,6 +30,12 @@ def card(parameters: Parameters, counts: Counts, localizer_difference: dict[str,
             "taken_by_paper": counts.tally["occluded_paper"],
         },
         "localizer_difference_m": localizer_difference,
+        "fleet": {
+            "held_out": sorted(name for name, entry in fleet().items() if entry.held_out),
+            "substituted": {
+                name: list(entry.vehicle.substituted) for name, entry in fleet().items() if entry.vehicle.substituted
+            },
+        },
         "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther",
         "renderer": parameters.renderer,
         "foliage": "solid in depth and visibility" if parameters.renderer == "pybullet" else "cut out leaf by leaf",

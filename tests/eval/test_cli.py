@@ -39,14 +39,23 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
         "score_threshold": 0.9,
         "alpha": 0.1,
         "labelled": "visible",
+        "boxes": "full",
+        "keypoint_score_threshold": 0.0,
+        "scheme": "skope33",
+        "points": list(range(33)),
+        "calibrated": None,
     }
     (split,) = metrics["splits"].values()
     assert list(metrics["splits"]) == ["crossing"]
-    assert list(split) == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
+    assert list(split)[:7] == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
+    assert list(split)[7:] == ["localisation", "failures", "confidence", "bootstrap"]
     assert (split["images"], split["ground_truth"], split["detections"]) == (2, 2, 2)
     assert split["iou"]["0.9"]["box_precision"] == {"paper": 1.0, "pooled": 0.5}
     assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)
-    assert split["by"] == {}
+    assert set(split["by"]) == {
+        *("distance", "height", "occlusion", "truncation", "unoccluded_within_40_m", "vehicle_type", "weather"),
+        "keypoint",
+    }
 
 
 def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
@@ -60,7 +69,9 @@ def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
     for out in ("one", "two"):
         assert skope("eval", "--annotations", truth, "--predictions", "results.json", "--out", out)[0] == 0
     assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
-    assert sorted(files_of(tmp_path / "one")) == ["metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg"]
+    assert sorted(files_of(tmp_path / "one")) == [
+        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "tallies.json"),
+    ]
     sheet = cv2.imread(str(tmp_path / "one" / "overlays" / "easy_1.jpg"))
     assert sheet is not None
     assert sheet.shape[1] > 2 * 2 * 160  # two panels, enlarged twice

@@ -10,7 +10,7 @@ from pycocotools.coco import COCO
 
 from skope import coco
 from skope.eval.coco_ap import average_precision
-from skope.eval.metrics import Options
+from skope.eval.tally import Options
 from skope.schema import AnnotationFile, Result
 from tests.samples import make_annotation, make_image
 

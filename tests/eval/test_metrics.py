@@ -6,7 +6,8 @@ import pytest
 from skope import keypoints
 from skope.errors import UserError
 from skope.eval.match import THRESHOLDS, match
-from skope.eval.metrics import Options, score_split
+from skope.eval.metrics import score_split
+from skope.eval.tally import Options
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.eval import brute
 
@@ -59,6 +60,7 @@ def test_worked_case_at_08(worked: dict[str, Any]) -> None:
         "labelled": 20,
         "labelled_all": 30,
         "correct": 15,
+        "predicted": 33,
         "detections_ignored": 0,
         "pck": 0.75,
         "box_precision": both(1.0),
@@ -69,7 +71,7 @@ def test_worked_case_at_08(worked: dict[str, Any]) -> None:
 
 
 def test_worked_case_at_09(worked: dict[str, Any]) -> None:
-    counts = {"matched": 0, "labelled": 0, "labelled_all": 30, "correct": 0, "detections_ignored": 0}
+    counts = {"matched": 0, "labelled": 0, "labelled_all": 30, "correct": 0, "predicted": 33, "detections_ignored": 0}
     ratios = dict.fromkeys(("box_precision", "box_recall", "keypoint_precision", "keypoint_recall"), both(0.0))
     assert worked["iou"]["0.9"] == {**counts, "pck": None, **ratios}
 

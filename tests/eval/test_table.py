@@ -3,8 +3,9 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.eval.metrics import Options, document
+from skope.eval.metrics import document
 from skope.eval.table import render
+from skope.eval.tally import Options
 
 
 def split(pck: float | None) -> dict[str, Any]:
