@@ -20,6 +20,7 @@ app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0
 
 @app.callback(invoke_without_command=True)
 def run(
+    ctx: typer.Context,
     data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN))
@@ -80,6 +81,8 @@ def run(
     version: VersionOption = False,
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
+    if ctx.invoked_subcommand is not None:
+        return
     from skope.eval import inputs
     from skope.eval.match import BOX_KINDS, THRESHOLDS
     from skope.eval.run import Job, evaluate
@@ -125,6 +128,23 @@ def run(
         Console(quiet),
         width=shutil.get_terminal_size((120, 24)).columns,
     )
+
+
+@app.command(name="compare")
+def compare_runs(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `skope eval` wrote (its --out).")],
+    protocol: Annotated[str, typer.Option(help="pooled or paper.")] = "pooled",
+    out: Annotated[Path | None, typer.Option(help="Also write everything to this JSON file.")] = None,
+) -> None:
+    """Put evaluations side by side, with paired intervals of their differences from the first."""
+    from skope.eval import compare
+    from skope.files import write_json
+
+    document = compare.compare(folders)
+    text = compare.render(document, protocol)
+    if out:
+        write_json(out, document)
+    typer.echo(text)
 
 
 def _separated(values: list[str] | None) -> list[str]:

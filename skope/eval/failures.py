@@ -10,7 +10,7 @@ import numpy as np
 
 from skope import keypoints
 from skope.eval.match import Matches
-from skope.eval.tally import Floats, Integers, Judged, Options
+from skope.eval.tally import Floats, Integers, Judged, Options, lengths
 
 KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
@@ -65,8 +65,7 @@ def _apart(matches: Matches, judged: Judged, counterpart: Any) -> Floats:
     truth = matches.gt_keypoints[:, counterpart]
     out = np.full(judged.labelled.shape, np.inf)
     found = judged.found
-    offset = matches.det_keypoints[judged.detection[found], :, :2] - truth[found, :, :2]
-    out[found] = np.hypot(offset[..., 0], offset[..., 1])
+    out[found] = lengths(matches.det_keypoints[judged.detection[found], :, :2] - truth[found, :, :2])
     known = (truth[..., 2] > 0) & (counterpart != np.arange(keypoints.K))
     return np.where(known, out, np.inf)
 

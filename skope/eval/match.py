@@ -63,7 +63,7 @@ class Matches:
 
 def box_of(annotation: Annotation, kind: str) -> Floats:
     """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
-    box = annotation.bbox_visible if one_of("--boxes", kind, BOX_KINDS) == "visible" else annotation.bbox
+    box = annotation.bbox_visible if kind == "visible" else annotation.bbox
     if box is None:
         raise UserError(f"annotation {annotation.id}: field bbox_visible is missing, which --boxes visible needs")
     return box
@@ -82,8 +82,10 @@ def match(
     In falling score order (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
     lowest id), if that IoU reaches the threshold. Every result's image must be in the file.
     """
+    one_of("--boxes", boxes, BOX_KINDS)
     number = {image.id: i for i, image in enumerate(file.images)}
-    vehicles = sorted(file.annotations, key=lambda a: (number[a.image_id], a.id))
+    place = [number[a.image_id] for a in file.annotations]
+    vehicles = [file.annotations[i] for i in np.lexsort(([a.id for a in file.annotations], place))]
     truth = [a for a in vehicles if not a.ignored]
     ignored = [a for a in vehicles if a.ignored]
     image = np.array([number[r.image_id] for r in results], dtype=np.int64)

@@ -106,6 +106,11 @@ def predicted(matches: Matches, options: Options) -> Mask:
     return mask & (matches.det_keypoints[:, :, 2] > options.keypoint_score) if options.keypoint_score else mask
 
 
+def lengths(vectors: Floats) -> Floats:
+    """(...,) Euclidean lengths of (..., 2) vectors; of pixels, which need no care against overflow as hypot takes it."""
+    return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
+
+
 def judge(matches: Matches, threshold: float, options: Options) -> Judged:
     """Hold each vehicle against the detection that took it at `threshold`, one of `matches.taken`."""
     taken = matches.taken[threshold]
@@ -120,8 +125,7 @@ def judge(matches: Matches, threshold: float, options: Options) -> Judged:
     shown = np.zeros_like(labelled)
     shown[found] = predicted(matches, options)[detection[found]]
     offset = np.full(labelled.shape, np.inf)
-    apart = matches.det_keypoints[detection[found], :, :2] - matches.gt_keypoints[found, :, :2]
-    offset[found] = np.hypot(apart[..., 0], apart[..., 1])
+    offset[found] = lengths(matches.det_keypoints[detection[found], :, :2] - matches.gt_keypoints[found, :, :2])
     box = matches.gt_boxes_xyxy
     length = (box[:, 2:] - box[:, :2]).max(axis=1, initial=0.0)
     return Judged(detection=detection, labelled=labelled, predicted=shown, offset=offset, length=length)
