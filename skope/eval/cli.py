@@ -41,6 +41,15 @@ def run(
         Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    precision: Annotated[
+        str, typer.Option(help="float32, bfloat16, or auto: bfloat16 where the processor has it.")
+    ] = "float32",
+    batch_size: Annotated[
+        int | None, typer.Option(help="Images that go through the network together.", show_default="1, on a GPU 8")
+    ] = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Place keypoints only on detections above --score; no AP then.")
+    ] = False,
     protocol: Annotated[
         str | None,
         typer.Option(
@@ -86,6 +95,7 @@ def run(
     from skope.eval import inputs
     from skope.eval.match import BOX_KINDS, THRESHOLDS
     from skope.eval.run import Job, evaluate
+    from skope.eval.settings import Settings
     from skope.eval.tally import PROTOCOLS, Options
 
     if compare is not None:
@@ -105,6 +115,8 @@ def run(
         raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
     splits = _separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if fast and (predictions or boxes == GIVEN):
+        raise UserError("--fast is for running a checkpoint that detects vehicles")
     if scheme != SCHEME and not predictions:
         raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     out = out or _default_out(checkpoint, predictions)
@@ -119,8 +131,8 @@ def run(
             protocol=protocol,
             checkpoint=None if predictions else checkpoint or RUN,
             predictions=predictions,
-            given_boxes=boxes == GIVEN,
-            device=device,
+            settings=Settings(device=device, given=boxes == GIVEN, precision=precision, batch_size=batch_size),
+            fast=fast,
             max_images=max_images,
             scheme=scheme,
             beside_paper=compare == PAPER,
@@ -145,6 +157,42 @@ def compare_runs(
     if out:
         write_json(out, document)
     typer.echo(text)
+
+
+@app.command(name="calibrate")
+def calibrate_scores(
+    checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
+    data: Annotated[Path, typer.Option(help="Dataset folder.")] = DATA,
+    split: Annotated[
+        str, typer.Option(help="Split to fit on; of train, the part that training kept for validation.")
+    ] = "train",
+    last: Annotated[
+        float | None, typer.Option(help="Take this share of each recording, at its end.", show_default="see --split")
+    ] = None,
+    score: Annotated[float, typer.Option(help="Fit on the keypoints of detections above this.")] = 0.9,
+    max_images: Annotated[int | None, typer.Option(help="Take only so many images.")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    precision: Annotated[str, typer.Option(help="float32, bfloat16 or auto.")] = "float32",
+    batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place."""
+    from skope.eval.calibrate import Job, calibrate
+    from skope.eval.settings import Settings
+
+    if not 0 <= score <= 1:
+        raise UserError(f"--score: expected a number from 0 to 1, got {score}")
+    job = Job(
+        checkpoint=checkpoint,
+        data=data,
+        split=split,
+        last=last,
+        score=score,
+        max_images=max_images,
+        settings=Settings(device=device, precision=precision, batch_size=batch_size),
+    )
+    path = calibrate(job, Console(quiet))
+    typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
 
 
 def _separated(values: list[str] | None) -> list[str]:

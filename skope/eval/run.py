@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from skope.errors import UserError
 from skope.eval import inputs, metrics, table
 from skope.eval.inputs import Truth
 from skope.eval.measure import measure, to_tallies
+from skope.eval.settings import Settings
 from skope.eval.tally import Options
 from skope.files import write_json, write_text
 from skope.schema import AnnotationFile, Result
@@ -29,11 +30,12 @@ class Job:
     out: Path
     options: Options
     protocol: str
-    checkpoint: Path | None = None
-    predictions: Path | None = None
-    given_boxes: bool = False
-    """Place keypoints in the ground-truth boxes instead of detecting vehicles."""
-    device: str = "auto"
+    checkpoint: Path | None
+    predictions: Path | None
+    settings: Settings
+    """How `checkpoint` is run."""
+    fast: bool = False
+    """Carry only the detections that count through the keypoint head."""
     max_images: int | None = None
     scheme: str = keypoints.SCHEME
     """Keypoint scheme of `predictions`."""
@@ -46,11 +48,13 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
-    results = _predicted(job, splits, console) if job.checkpoint else _read(job, splits)
-    measured = [measure(file, results[file.name], job.options, job.truth.fleet) for file in splits]
+    results, calibrated = _predicted(job, splits, console) if job.checkpoint else (_read(job, splits), None)
+    measured = [
+        measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
+    ]
     figures = {split.file.name: split.entry for split in measured}
     scheme = job.scheme if job.predictions else keypoints.SCHEME
-    document = metrics.document(job.options, figures, scheme=scheme)
+    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=scheme)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
@@ -64,18 +68,22 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     return document
 
 
-def _predicted(job: Job, splits: Sequence[AnnotationFile], console: Console) -> dict[str, tuple[Result, ...]]:
+def _predicted(
+    job: Job, splits: Sequence[AnnotationFile], console: Console
+) -> tuple[dict[str, tuple[Result, ...]], bool]:
+    """Results by split, and whether their keypoints' scores are calibrated."""
     from skope.eval.predict import Predictor  # torch
 
     assert job.checkpoint is not None
-    predictor = Predictor(job.checkpoint, job.device, given=job.given_boxes, console=console)
+    settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
+    predictor = Predictor(job.checkpoint, settings, console)
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
         coco.write_results(path, predictor.split(file, job.truth.root))
         # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
         out[file.name] = coco.read_results(path)
-    return out
+    return out, predictor.calibrated
 
 
 def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:

@@ -107,7 +107,7 @@ def predicted(matches: Matches, options: Options) -> Mask:
 
 
 def lengths(vectors: Floats) -> Floats:
-    """(...,) Euclidean lengths of (..., 2) vectors; of pixels, which need no care against overflow as hypot takes it."""
+    """(...,) Euclidean lengths of (..., 2) vectors of pixels, which need none of the care that hypot takes."""
     return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
 
 
