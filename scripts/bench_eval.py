@@ -12,20 +12,29 @@ Inference: images a second against the stock model call of torchvision, image by
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import torch
 from pycocotools import mask as coco_mask
 
-from skope import keypoints
+from skope import detector, keypoints
+from skope.boxes import xyxy_to_xywh
+from skope.console import Console
+from skope.dataset import open_dataset, read_image, take
 from skope.eval.metrics import score_split
+from skope.eval.predict import Predictor
+from skope.eval.settings import Settings
 from skope.eval.tally import Options
 from skope.schema import Annotation, AnnotationFile, Image, Result
 
 T = TypeVar("T")
 
 IMAGES, VEHICLES = 3000, 6
+PART = 8
+"""Images that each way of running gets in turn."""
 THRESHOLDS = (0.9, 0.8, 0.7, 0.6)
 
 
@@ -145,11 +154,94 @@ def bench_metrics() -> None:
     print(f"  loops      {slow:8.2f} s, {slow / fast:.0f} times as long; apart by at most {worst:.1e}")
 
 
+class Stock:
+    """torchvision's own call, image by image, as its users write it."""
+
+    def __init__(self, checkpoint: Path, device: torch.device) -> None:
+        self._model, _, _ = detector.load_weights(detector.find_checkpoint(checkpoint), device)
+        self._model.roi_heads.detections_per_img = 100
+        self._device = device
+
+    def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
+        out = []
+        for image in file.images:
+            pixels = read_image(root / image.file_name)
+            tensor = torch.as_tensor(pixels, device=self._device).permute(2, 0, 1).float() / 255
+            with torch.inference_mode():
+                (found,) = self._model([tensor])
+            scores = found["keypoints_scores"].double().sigmoid()
+            points = torch.cat([found["keypoints"][..., :2].double(), scores[..., None]], dim=-1).cpu().numpy()
+            boxes = xyxy_to_xywh(found["boxes"].cpu().numpy())
+            rows = zip(boxes, points, found["scores"].tolist(), strict=True)
+            out += [Result(image_id=image.id, bbox=box, keypoints=p, score=score) for box, p, score in rows]
+        return tuple(out)
+
+
+def bench_inference(checkpoint: Path, data: Path, split: str, images: int, score: float, device: str) -> None:
+    dataset = open_dataset(data)
+    file = take(dataset.read(split), images)
+    where, quiet = detector.choose_device(device), Console(quiet=True)
+
+    def predictor(**settings: Any) -> Predictor:
+        return Predictor(checkpoint, Settings(device=device, calibrated=False, **settings), quiet)
+
+    ways: dict[str, Stock | Predictor] = {
+        "torchvision": Stock(checkpoint, where),
+        "skope": predictor(),
+        "skope --fast": predictor(min_score=score),
+        "skope --fast, bfloat16": predictor(min_score=score, precision="bfloat16"),
+    }
+    parts = [take(replace(file, images=file.images[i : i + PART]), PART) for i in range(0, len(file.images), PART)]
+    seconds = dict.fromkeys(ways, 0.0)
+    found: dict[str, list[Result]] = {name: [] for name in ways}
+    for way in ways.values():
+        way.split(parts[0], data)  # warms the libraries up
+    for part in parts:  # in turn, so that what else the machine does falls on all of them
+        for name, way in ways.items():
+            begun = time.perf_counter()
+            found[name] += way.split(part, data)
+            if where.type == "cuda":
+                torch.cuda.synchronize(where)
+            seconds[name] += time.perf_counter() - begun
+    print(f"inference on {len(file.images)} images of {data} ({split}), {where}, {torch.get_num_threads()} threads")
+    options = Options(score=score)
+    for name in ways:
+        entry = score_split(file, found[name], options)
+        figures = entry["iou"]["0.6"]
+        pck = "-" if figures["pck"] is None else f"{100 * figures['pck']:.2f}"
+        rate, times = len(file.images) / seconds[name], seconds["torchvision"] / seconds[name]
+        print(
+            f"  {name:24}{rate:8.2f} images/s, {times:5.2f} times torchvision; {len(found[name])} detections, {entry['detections']} above {score:g}, "
+            f"PCK@0.1 at IoU 0.6 {pck} of {figures['labelled']}"
+        )
+    for name in list(ways)[1:3]:
+        print(f"  {name}: {_apart(found['torchvision'], found[name], score)}")
+
+
+def _apart(stock: list[Result], ours: list[Result], score: float) -> str:
+    """How far the detections above `score` are from each other, image by image and in order."""
+    a, b = ([r for r in results if r.score > score] for results in (stock, ours))
+    if [r.image_id for r in a] != [r.image_id for r in b]:
+        return f"{len(a)} and {len(b)} detections above {score:g}: not the same"
+    boxes, points = (
+        max((np.abs(getattr(p, of) - getattr(q, of)).max() for p, q in zip(a, b, strict=True)), default=0.0)
+        for of in ("bbox", "keypoints")
+    )
+    return f"the same {len(a)} detections above {score:g}; boxes at most {boxes:.1e}, points {points:.1e} px apart"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", type=Path)
-    parser.parse_args()
+    parser.add_argument("--checkpoint", type=Path, help="run inference too")
+    parser.add_argument("--data", type=Path, default=Path("data/skope"))
+    parser.add_argument("--split", default="hard")
+    parser.add_argument("--images", type=int, default=24)
+    parser.add_argument("--score", type=float, default=0.9)
+    parser.add_argument("--device", default="auto")
+    flags = parser.parse_args()
     bench_metrics()
+    if flags.checkpoint:
+        bench_inference(flags.checkpoint, flags.data, flags.split, flags.images, flags.score, flags.device)
 
 
 if __name__ == "__main__":

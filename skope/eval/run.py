@@ -10,7 +10,7 @@ from skope import coco, draw, keypoints
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
-from skope.eval import inputs, metrics, table
+from skope.eval import inputs, metrics, report, table
 from skope.eval.inputs import Truth
 from skope.eval.measure import measure, to_tallies
 from skope.eval.settings import Settings
@@ -18,6 +18,7 @@ from skope.eval.tally import Options
 from skope.files import write_json, write_text
 from skope.schema import AnnotationFile, Result
 
+REPORT: Final = "report.html"
 OVERLAYS: Final = 4
 """Pictures a split."""
 
@@ -58,9 +59,11 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
+    beside = table.published() if job.beside_paper else None
+    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside)
+    write_text(job.out / REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 
-    beside = table.published() if job.beside_paper else None
     console.result(table.render(document, job.protocol, width, beside=beside))
     for line in _advice(job, figures, results):
         console.result(line)
@@ -145,6 +148,7 @@ def _below(score: float) -> float:
 
 def _last_line(job: Job, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
     names = "{" + ",".join(file.name for file in splits) + "}" if len(splits) > 1 else splits[0].name
-    files = ["metrics.json"] + ([f"predictions_{names}.json"] if job.checkpoint else [])
-    look = f"; look at {pictures[0].parent}/ (ground truth left, predictions right)" if pictures else ""
-    return f"Wrote {' and '.join(files)} to {job.out}{look}"
+    files = ["metrics.json", "tallies.json"]
+    files += [f"predictions_{names}.json"] if job.checkpoint else []
+    files += [f"{pictures[0].parent.name}/"] if pictures else []
+    return f"Wrote {', '.join(files)} to {job.out}; open {job.out / REPORT}"
