@@ -210,10 +210,9 @@ def bench_inference(checkpoint: Path, data: Path, split: str, images: int, score
         figures = entry["iou"]["0.6"]
         pck = "-" if figures["pck"] is None else f"{100 * figures['pck']:.2f}"
         rate, times = len(file.images) / seconds[name], seconds["torchvision"] / seconds[name]
-        print(
-            f"  {name:24}{rate:8.2f} images/s, {times:5.2f} times torchvision; {len(found[name])} detections, {entry['detections']} above {score:g}, "
-            f"PCK@0.1 at IoU 0.6 {pck} of {figures['labelled']}"
-        )
+        print(f"  {name:24}{rate:8.2f} images/s, {times:5.2f} times torchvision", end="; ")
+        print(f"{len(found[name])} detections, {entry['detections']} above {score:g}", end=", ")
+        print(f"PCK@0.1 at IoU 0.6 {pck} of {figures['labelled']}")
     for name in list(ways)[1:3]:
         print(f"  {name}: {_apart(found['torchvision'], found[name], score)}")
 

@@ -176,7 +176,7 @@ def drawn(bootstrap: Mapping[str, Any]) -> str:
     """What the resampling of a split drew, and what that says nothing about, in words."""
     blocks, sites, unit = bootstrap["blocks"], bootstrap["sites"], bootstrap["unit"]
     words = f"{unit}s" if unit in ("site", "image") else f"blocks of {unit}"
-    words = f"{blocks} {words}" if blocks > 1 else f"no intervals: fewer than two {words}"
+    words = f"{blocks} {words}" if blocks > 1 else f"none, fewer than two {words}"
     if unit == "image":
         return words + "; neighbouring frames, if there are any, make these too narrow"
     if sites == 1:

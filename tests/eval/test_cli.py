@@ -31,7 +31,7 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
     truth, results = write_pair(tmp_path)
     code, out, err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")
     assert (code, err) == (0, "")
-    assert out.splitlines()[-1] == "Wrote metrics.json to scores"
+    assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json to scores; open scores/report.html"
     assert "crossing" in out
     metrics = json.loads(Path("scores/metrics.json").read_text())
     assert {name: metrics[name] for name in metrics if name != "splits"} == {
@@ -70,7 +70,7 @@ def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
         assert skope("eval", "--annotations", truth, "--predictions", "results.json", "--out", out)[0] == 0
     assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
     assert sorted(files_of(tmp_path / "one")) == [
-        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "tallies.json"),
+        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "report.html", "tallies.json"),
     ]
     sheet = cv2.imread(str(tmp_path / "one" / "overlays" / "easy_1.jpg"))
     assert sheet is not None
@@ -84,10 +84,7 @@ def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path)
     code, out, _ = skope(*common)
     assert code == 0
     assert "No detection scores above 0.9 in train: there is none at all." in out
-    assert (
-        out.splitlines()[-1]
-        == "Wrote metrics.json to eval; look at eval/overlays/ (ground truth left, predictions right)"
-    )
+    assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json, overlays/ to eval; open eval/report.html"
     assert skope(*common, "--max-images", 2)[0] == 0
     assert json.loads(Path("eval/metrics.json").read_text())["splits"]["train"]["images"] == 2
 
@@ -98,7 +95,7 @@ def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp
     assert out.splitlines()[-3:] == [
         "No detection scores above 0.9 in crossing: the highest score is 0.410.",
         "To see what there is: `skope eval --score 0.3`. AP counts all detections.",
-        "Wrote metrics.json to eval",
+        "Wrote metrics.json, tallies.json to eval; open eval/report.html",
     ]
     _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3")
     assert "No detection" not in out

@@ -22,7 +22,8 @@ def test_a_checkpoint_is_evaluated_on_all_test_splits(skope: Any, random_run: Pa
     assert code == 0, err
     lines = out.splitlines()
     assert any(line.endswith("for 1 images") and line.startswith("easy: about") for line in lines)
-    assert lines[-1].startswith(f"Wrote metrics.json and predictions_{{easy,hard}}.json to {random_run}/eval; look at ")
+    assert lines[-1].startswith("Wrote metrics.json, tallies.json, predictions_{easy,hard}.json, overlays/ to ")
+    assert lines[-1].endswith(f"open {random_run}/eval/report.html")
     assert any("No detection scores above 0.999 in easy, hard" in line for line in lines)
     assert any("--recipe scratch" in line and "--init coco" in line for line in lines)
     assert list(json.loads((random_run / "eval" / "metrics.json").read_text())["splits"]) == ["easy", "hard"]

@@ -92,7 +92,7 @@ def test_published_figures_follow_the_papers_protocol() -> None:
         ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one site: this infers to no other site"),
         ({"unit": "10 s", "blocks": 30, "sites": 3}, "30 blocks of 10 s of 3 sites: too few to infer to others"),
         ({"unit": "site", "blocks": 15, "sites": 15}, "15 sites"),
-        ({"unit": "10 s", "blocks": 1, "sites": 1}, "no intervals: fewer than two blocks of 10 s of one site"),
+        ({"unit": "10 s", "blocks": 1, "sites": 1}, "none, fewer than two blocks of 10 s of one site"),
         ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
     ],
 )

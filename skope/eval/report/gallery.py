@@ -23,6 +23,8 @@ EACH: Final = 2
 LONGEST: Final = 960
 QUALITY: Final = 78
 WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
+SHORT: Final = {"left_right": "L/R", "front_rear": "F/R", "jitter": "jitter"}
+"""What stands in the picture itself, where there is little room."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,10 @@ def _layers(
     matches, image = measured.matches, measured.file.images[index]
     unit = max(1.0, image.width / 640)
     shown = list(options.points)
+
+    def label(box: Floats, text: str) -> str:
+        return _label(box, text, unit, image.width)
+
     truth, found, wrong, words = [], [], [], []
     ignored = [
         _box(box_of(a, options.boxes)) for a in measured.file.annotations if a.ignored and a.image_id == image.id
@@ -127,15 +133,15 @@ def _layers(
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
         truth.append(_vehicle(box, points, points[:, 2] > 0, points[:, 2] > 1, shown, unit, name))
         if not judged.found[g]:
-            wrong.append(_label(box, "missed", unit))
+            wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
             continue
-        counts = {WORDS[kind]: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
-        said = [f"{count} {kind}" for kind, count in counts.items() if count]
-        if said:
+        counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
+        counts = {kind: count for kind, count in counts.items() if count}
+        if counts:
             wrong.append(_strays(points, matches.det_keypoints[judged.detection[g]], kinds[g] >= 0))
-            wrong.append(_label(box, ", ".join(said), unit))
-            words.append(f"{name}: {', '.join(said)}")
+            wrong.append(label(box, ", ".join(f"{count} {SHORT[kind]}" for kind, count in counts.items())))
+            words.append(f"{name}: {', '.join(f'{count} {WORDS[kind]}' for kind, count in counts.items())}")
     false = false_detections(matches, judged)
     for d in np.flatnonzero(matches.det_image == index):
         box = measured.results[matches.det_result[d]].bbox
@@ -143,7 +149,7 @@ def _layers(
         name = f"detection, score {matches.det_score[d]:.2f}"
         found.append(_vehicle(box, points, np.ones(len(points), bool), points[:, 2] >= 0.5, shown, unit, name))
         if false[d]:
-            wrong.append(_label(box, "false", unit))
+            wrong.append(label(box, "false"))
             words.append(f"false {name}")
     layers = {"ignored": ignored, "truth": truth, "found": found, "wrong": wrong}
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
@@ -181,7 +187,11 @@ def _at(point: Floats) -> str:
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
-def _label(box_xywh: Floats, text: str, unit: float) -> str:
-    x0, y0, _, _ = xywh_to_xyxy(box_xywh)
+def _label(box_xywh: Floats, text: str, unit: float, width: int) -> str:
+    """Text above a box, kept inside the image; it ends with the box where it begins in the image's last fifth."""
+    x0, y0, x1, _ = xywh_to_xyxy(box_xywh)
     size = 11 * unit
-    return f'<text x="{max(x0, 0):.1f}" y="{max(y0 - 3, size):.1f}" font-size="{size:g}">{escape(text)}</text>'
+    late = x0 > 0.8 * width
+    x, anchor = (min(x1, width), "end") if late else (max(x0, 0.0), "start")
+    attributes = f'x="{x:.1f}" y="{max(y0 - 3, size):.1f}" text-anchor="{anchor}" font-size="{size:g}"'
+    return f"<text {attributes}>{escape(text)}</text>"

@@ -31,7 +31,7 @@ _PARTS: Final = {
 _LAYERS: Final = {
     "truth": "ground truth (solid; rings: hidden)",
     "found": "predictions (dashed; rings: score under 0.5)",
-    "wrong": "failures",
+    "wrong": "failures (L/R sides swapped, F/R ends swapped)",
     "ignored": "ignored vehicles (dotted)",
 }
 
@@ -104,7 +104,7 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         "the published table has it."
     )
     sources = "".join(
-        tag("li", f"{escape(name)}: intervals from {escape(drawn(split['bootstrap']))}")
+        tag("li", escape(f"Intervals of {name}: {drawn(split['bootstrap'])}"))
         for name, split in document["splits"].items()
     )
     heads = ("split", "images", "vehicles", "ignored", "detections", "box AP", "AP50", "keypoint AP", "AP50")
@@ -182,6 +182,11 @@ def _split(measured: Measured, root: Path, options: Options) -> str:
         tag("h3", "What goes wrong"),
         _failures(entry["failures"]),
         tag("h3", "Images"),
+        tag(
+            "p",
+            "Quality is the share of an image's labelled keypoints that are right, times vehicles / (vehicles + false "
+            "detections). Lines lead from a wrong keypoint to its place.",
+        ),
         tag("div", _switches(name), shown, class_="gallery") if shown else tag("p", "No image file is there."),
     )
 
