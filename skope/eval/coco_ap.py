@@ -74,7 +74,8 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
 def _ap(
     images: list[dict[str, Any]], truth: list[dict[str, Any]], found: list[dict[str, Any]], kind: str
 ) -> tuple[float | None, float | None]:
-    with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints as it goes
+    # pycocotools prints as it goes, and squares whatever a stray keypoint is.
+    with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
         evaluation.params.maxDets = [MAX_DETECTIONS]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0.0, 1e10]], ["all"]

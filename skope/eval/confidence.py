@@ -16,14 +16,18 @@ CURVE_POINTS: Final = 101
 
 
 def confidence(matches: Matches, judged: Judged, options: Options) -> dict[str, Any]:
-    """The entry `confidence` of a split: all at the IoU threshold of `judged`, with counts."""
+    """The entry `confidence` of a split: all at the IoU threshold of `judged`, with counts.
+
+    Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
+    """
     found = judged.found
     points = np.array(options.points)
     score = matches.det_keypoints[judged.detection[found]][:, points, 2]
     v = matches.gt_keypoints[found][:, points, 2]
     offset, reach = judged.offset[found][:, points], options.alpha * judged.length[found, None]
     right = (v == 2) & (offset <= reach)
-    table = reliability(score.ravel(), right.ravel())
+    probabilities = bool(((score >= 0) & (score <= 1)).all())
+    table = reliability(score.ravel(), right.ravel()) if probabilities else []
     return {
         "points": int(score.size),
         "right": int(right.sum()),

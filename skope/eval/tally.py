@@ -107,8 +107,11 @@ def predicted(matches: Matches, options: Options) -> Mask:
 
 
 def lengths(vectors: Floats) -> Floats:
-    """(...,) Euclidean lengths of (..., 2) vectors of pixels, which need none of the care that hypot takes."""
-    return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
+    """(...,) Euclidean lengths of (..., 2) vectors of pixels: several times faster than hypot, which takes care that
+    no square overflows; here such a length is infinite, and as wrong as it was.
+    """
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
 
 
 def judge(matches: Matches, threshold: float, options: Options) -> Judged:

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import pytest
 
-from skope import coco
+from skope import coco, keypoints
 from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
@@ -206,6 +206,15 @@ def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: A
         (("--boxes", "round"), "--boxes: 'round' is not one of full, visible, given"),
         (("--score", "2"), "--score: expected a number from 0 to 1, got 2.0"),
         (("--alpha", "-1"), "--alpha: expected a positive number, got -1.0"),
+        (("--iou", "0.5,high"), "--iou: expected numbers, got 0.5,high"),
+        (("--iou", "0"), "--iou: expected numbers above 0 and up to 1, got 0.0"),
+        (("--iou", "0.5,0.5"), "--iou: expected different numbers, got 0.5, 0.5"),
+        (("--keypoint-score", "3"), "--keypoint-score: expected a number from 0 to 1, got 3.0"),
+        (("--compare", "rumour"), "--compare: 'rumour' is not one of paper"),
+        (("--precision", "float8"), "--precision: 'float8' is not one of float32, bfloat16, auto"),
+        (("--batch-size", "0"), "--batch-size: expected a whole number from 1, got 0"),
+        (("--scheme", "face68"), "--scheme: 'face68' is not one of skope33, apollo24, carfusion14, veri20, skope3d"),
+        (("--scheme", "veri20"), "--scheme needs --predictions"),
         (("--max-images", "0"), "--max-images: expected a whole number from 1, got 0"),
         (("--checkpoint", "nowhere"), "nowhere: no such checkpoint"),
         (("--device", "abacus"), "abacus"),
@@ -275,3 +284,96 @@ def test_a_broken_image_costs_its_overlay_only(skope: Any, tmp_path: Path) -> No
     assert code == 0
     assert "no overlay: " in out
     assert [path.name for path in Path("eval/overlays").iterdir()] == ["easy_2.jpg"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"bbox": [-500, -500, 100, 100]},
+        {"bbox": [5, 5, -3, -4]},
+        {"bbox": [10, 10, 0, 0]},
+        {"keypoints": [1e200] * 99},
+        {"id": 1},
+        {"category_id": None, "keypoints": [10.0, 10.0, 7.5] * 33},
+        {"keypoints": [10.0, 10.0, -3.0] * 33},
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_results_are_scored_for_what_they_are(skope: Any, tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Outside the image, inverted, empty, ids that stand twice, and keypoint scores that are logits."""
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    rows = [{"id": 1, **rows[0]}, {**rows[0], "score": 0.94, **changes}]
+    rows[1] = {name: value for name, value in rows[1].items() if value is not None}
+    results.write_text(json.dumps(rows))
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results)
+    assert (code, err) == (0, "")
+    split = json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]
+    assert (split["detections"], split["iou"]["0.6"]["matched"]) == (2, 1)
+    assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)
+
+
+def test_scores_that_are_no_probabilities_are_not_held_to_any(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    rows[0]["keypoints"][2] = 7.5
+    results.write_text(json.dumps(rows))
+    assert skope("eval", "--annotations", truth, "--predictions", results)[0] == 0
+    confidence = json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]["confidence"]
+    assert confidence["reliability"] == []
+    assert confidence["calibration_error"] is None
+    assert confidence["right"] == 33
+
+
+# ------------------------------------------------------------------------------------------------ other detectors
+
+
+@pytest.mark.parametrize("scheme", keypoints.FOREIGN_SCHEMES)
+def test_another_scheme_is_scored_on_the_points_that_mean_the_same(skope: Any, tmp_path: Path, scheme: str) -> None:
+    table, count = keypoints.FOREIGN_SCHEMES[scheme], keypoints.FOREIGN_K[scheme]
+    truth, results = write_pair(tmp_path)
+    (vehicle, _) = coco.read(truth).annotations
+    theirs = [[500.0, 500.0, 0.0]] * count  # what has no counterpart here may lie anywhere
+    for foreign, ours in table.items():
+        theirs[foreign] = [*vehicle.keypoints[ours, :2], 0.7]
+    theirs[min(table)] = [500.0, 500.0, 0.7]  # and one that has is wrong
+    row = {"image_id": 1, "bbox": vehicle.bbox.tolist(), "score": 0.97, "keypoints": [x for p in theirs for x in p]}
+    results.write_text(json.dumps([row]))
+    common = ("eval", "--annotations", truth, "--predictions", results)
+    code, _, err = skope(*common, "--scheme", scheme)
+    assert (code, err) == (0, "")
+    document = json.loads(Path("eval/metrics.json").read_text())
+    assert document["scheme"] == scheme
+    assert document["points"] == sorted(table.values())
+    figures = document["splits"]["crossing"]["iou"]["0.9"]
+    n = len(table)
+    assert (figures["correct"], figures["labelled"], figures["labelled_all"]) == (n - 1, n, 2 * n)
+    assert figures["keypoint_precision"] == {"paper": (n - 1) / n, "pooled": (n - 1) / n}
+    other = next(k for k in (14, 20, 24, 33) if k != count)
+    row["keypoints"] = [1.0] * 3 * other
+    results.write_text(json.dumps([row]))
+    code, _, err = skope(*common, "--scheme", scheme)
+    assert (code, err) == (
+        2,
+        f"skope: {results}: results[0]: keypoints: expected {count} x 3 numbers, got {3 * other}\n",
+    )
+
+
+def test_fewer_points_of_a_foreign_vehicle_still_give_its_box(skope: Any, tmp_path: Path) -> None:
+    """The extent of all of its points, those without a counterpart too."""
+    truth, results = write_pair(tmp_path)
+    points = [[40.0, 30.0, 0.9]] * 14
+    points[8], points[13] = [10.0, 10.0, 0.9], [70.0, 50.0, 0.9]  # neither has a counterpart
+    results.write_text(json.dumps([{"image_id": 1, "score": 0.97, "keypoints": [x for p in points for x in p]}]))
+    common = ("--annotations", truth, "--predictions", results, "--scheme", "carfusion14")
+    assert skope("eval", *common)[0] == 0
+    assert json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]["iou"]["0.9"]["matched"] == 1
+
+
+def test_thresholds_are_chosen_and_reported_from_the_strictest(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    common = ("eval", "--annotations", truth, "--predictions", results)
+    assert skope(*common, "--iou", "0.5,0.75", "--iou", "0.95", "--keypoint-score", "0.5")[0] == 0
+    document = json.loads(Path("eval/metrics.json").read_text())
+    assert list(document["splits"]["crossing"]["iou"]) == ["0.95", "0.75", "0.5"]
+    assert document["keypoint_score_threshold"] == 0.5
