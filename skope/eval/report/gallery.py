@@ -131,7 +131,8 @@ def _layers(
         vehicle = matches.vehicles[g]
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
-        truth.append(_vehicle(box, points, points[:, 2] > 0, points[:, 2] > 1, shown, unit, name))
+        known = points[:, 2] > 0
+        truth.append(_vehicle(box, points, known, points[:, 2] > 1, known, shown, unit, name))
         if not judged.found[g]:
             wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
@@ -147,7 +148,8 @@ def _layers(
         box = measured.results[matches.det_result[d]].bbox
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
-        found.append(_vehicle(box, points, np.ones(len(points), bool), points[:, 2] >= 0.5, shown, unit, name))
+        sure = points[:, 2] >= 0.5
+        found.append(_vehicle(box, points, np.ones(len(points), bool), sure, sure, shown, unit, name))
         if false[d]:
             wrong.append(label(box, "false"))
             words.append(f"false {name}")
@@ -164,12 +166,14 @@ def _box(box_xywh: Floats, name: str | None = None) -> str:
     return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
 
 
-def _vehicle(box: Floats, points: Floats, known: Any, sure: Any, shown: list[int], unit: float, name: str) -> str:
-    """A box, the skeleton, and the points: dots where sure (visible; score of 0.5 and more), rings where not."""
+def _vehicle(
+    box: Floats, points: Floats, known: Any, sure: Any, joined: Any, shown: list[int], unit: float, name: str
+) -> str:
+    """A box, the skeleton between joined points, and the known points: dots where sure, else rings."""
     edges = "".join(
         f"M{_at(points[a])}L{_at(points[b])}"
         for a, b in keypoints.SKELETON
-        if a in shown and b in shown and known[a] and known[b]
+        if a in shown and b in shown and joined[a] and joined[b]
     )
     r = 1.6 * unit
     ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
