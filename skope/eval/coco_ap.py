@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
@@ -26,7 +27,8 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. A vehicle without a
     labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes and points play a part.
     """
-    truth = [_truth_row(annotation, options) for annotation in file.annotations]
+    left_out = ~np.isin(np.arange(keypoints.K), options.points)
+    truth = [_truth_row(annotation, options, left_out) for annotation in file.annotations]
     found = [_result_row(i, result) for i, result in enumerate(results, start=1)]
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     box, box50 = _ap(images, truth, found, "bbox")
@@ -34,13 +36,12 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     return {"box_ap": box, "box_ap50": box50, "keypoint_ap": points, "keypoint_ap50": points50}
 
 
-def _truth_row(annotation: Annotation, options: Options) -> dict[str, Any]:
+def _truth_row(annotation: Annotation, options: Options, left_out: NDArray[np.bool_]) -> dict[str, Any]:
     points = annotation.keypoints.copy()
     hidden_too = options.labelled == "all"
     unlabelled = points[:, 2] < (1 if hidden_too else 2)
-    unlabelled |= ~np.isin(np.arange(keypoints.K), options.points)
     # A crowd region has a box and no points of its own.
-    points[unlabelled | annotation.ignored] = 0.0
+    points[unlabelled | left_out | annotation.ignored] = 0.0
     box = box_of(annotation, options.boxes)
     area = annotation.area_full if annotation.area_full is not None else annotation.area
     return {

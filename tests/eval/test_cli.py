@@ -377,3 +377,36 @@ def test_thresholds_are_chosen_and_reported_from_the_strictest(skope: Any, tmp_p
     document = json.loads(Path("eval/metrics.json").read_text())
     assert list(document["splits"]["crossing"]["iou"]) == ["0.95", "0.75", "0.5"]
     assert document["keypoint_score_threshold"] == 0.5
+
+
+def test_what_the_card_says_of_the_models_is_told_apart(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data", images=3, splits=("easy",))
+    path = root / "annotations" / "easy.json"
+    file = coco.read(path)
+    models = ("van_b", "sedan_a")
+    vehicles = tuple(replace(a, model=models[i % 2], parked=i % 3 == 0) for i, a in enumerate(file.annotations))
+    coco.write(path, replace(file, annotations=vehicles))
+    card = json.loads((root / "dataset.json").read_text())
+    card["fleet"] = {"held_out": ["van_b"], "substituted": {"van_b": ["hood_front_left"]}}
+    (root / "dataset.json").write_text(json.dumps(card))
+    coco.write_results(
+        tmp_path / "found.json",
+        [Result(image_id=a.image_id, score=0.95, bbox=a.bbox, keypoints=a.keypoints) for a in vehicles[::2]],
+    )
+    common = ("eval", "--data", root, "--split", "easy", "--predictions", "found.json")
+    code, out, err = skope(*common)
+    assert (code, err) == (0, "")
+    by = json.loads(Path("eval/metrics.json").read_text())["splits"]["easy"]["by"]
+    assert {name: by["model"][name]["0.6"]["box_recall"] for name in by["model"]} == {"seen": 0.0, "unseen": 1.0}
+    assert by["keypoint_kind"]["substituted"]["0.6"]["labelled_all"] == 3
+    assert by["parked"]["parked"]["0.6"]["ground_truth"] == 2
+    for words in ("models unseen in training", "models seen in training", "parked vehicles", "substituted keypoints"):
+        assert f"easy   {words}" in out
+
+    for fleet, said in (
+        ({"held_out": []}, "fleet: expected held_out and substituted"),
+        ({"held_out": [], "substituted": {"van_b": ["wing"]}}, "fleet.substituted: no keypoint 'wing'"),
+    ):
+        (root / "dataset.json").write_text(json.dumps({**card, "fleet": fleet}))
+        code, _, err = skope(*common)
+        assert (code, err) == (2, f"skope: {root / 'dataset.json'}: {said}\n")
