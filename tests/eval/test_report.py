@@ -121,10 +121,20 @@ def test_curves_agree_with_the_figures_at_their_place() -> None:
 
 def test_the_best_the_median_and_the_worst_are_chosen() -> None:
     values = np.array([0.5, np.nan, 0.9, 0.1, 0.4, 0.6, 0.8, 0.2, 0.45])
-    chosen = [(c.index, c.kind) for c in gallery.choose(values)]
-    assert chosen == [(2, "best"), (6, "best"), (8, "median"), (0, "median"), (3, "worst"), (7, "worst")]
-    assert [(c.index, c.kind) for c in gallery.choose(values[:3])] == [(2, "best"), (0, "best")]
-    assert gallery.choose(np.array([np.nan])) == []
+
+    def chosen(values: np.ndarray, blocks: list[int]) -> list[tuple[int, str]]:
+        return [(c.index, c.kind) for c in gallery.choose(values, np.array(blocks))]
+
+    alone = list(range(9))
+    assert sorted(chosen(values, alone)) == sorted(
+        [(2, "best"), (6, "best"), (0, "median"), (8, "median"), (3, "worst"), (7, "worst")]
+    )
+    assert [kind for _, kind in chosen(values, alone)] == ["best"] * 2 + ["median"] * 2 + ["worst"] * 2
+    assert chosen(values[:3], alone) == [(2, "best"), (0, "best")]
+    assert chosen(np.array([np.nan]), [0]) == []
+    # 6 is of the same block as 2, and 7 as 3: the next best and next worst of another block come instead.
+    assert [i for i, kind in chosen(values, [0, 1, 2, 3, 4, 5, 2, 3, 8]) if kind != "median"] == [2, 5, 3, 4]
+    assert len(chosen(values, [0] * 9)) == 6
 
 
 def test_quality_is_what_the_page_says() -> None:

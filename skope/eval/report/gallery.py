@@ -48,20 +48,26 @@ def quality(measured: Measured, threshold: float) -> Floats:
         return np.asarray(found * counts.ground_truth / (counts.ground_truth + false))
 
 
-def choose(values: Floats) -> list[Choice]:
-    """The best, those around the median, and the worst; few images are shown once each, as the first that they are."""
+def choose(values: Floats, blocks: Integers) -> list[Choice]:
+    """The best, those around the median, and the worst; few images are shown once each, as the first that they are.
+
+    Of each kind the images come from different `blocks`, where there are enough: neighbouring frames look alike.
+    """
     order = [int(i) for i in np.argsort(values, kind="stable") if not np.isnan(values[i])]
-    middle = max(0, len(order) // 2 - EACH // 2)
-    wanted = [
-        *((i, "best") for i in order[::-1][:EACH]),
-        *((i, "worst") for i in order[:EACH]),
-        *((i, "median") for i in order[middle : middle + EACH]),
-    ]
+    rank = {i: place for place, i in enumerate(order)}
+    inwards = sorted(order, key=lambda i: abs(rank[i] - (len(order) - 1) / 2))
     kinds: dict[int, str] = {}
-    for i, kind in wanted:
-        kinds.setdefault(i, kind)
+    for kind, candidates in (("best", order[::-1]), ("worst", order), ("median", inwards)):
+        for i in _spread([i for i in candidates if i not in kinds], blocks)[:EACH]:
+            kinds[i] = kind
     chosen = [Choice(i, kind, float(values[i])) for i, kind in kinds.items()]
     return sorted(chosen, key=lambda c: ("best", "median", "worst").index(c.kind))
+
+
+def _spread(candidates: list[int], blocks: Integers) -> list[int]:
+    """The same in another order: first the first one of each block."""
+    first = {int(blocks[i]): i for i in reversed(candidates)}
+    return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 
 
 def gallery(measured: Measured, root: Path, options: Options) -> str:
@@ -70,7 +76,7 @@ def gallery(measured: Measured, root: Path, options: Options) -> str:
     judged = measured.judged[threshold]
     kinds = wrong_points(measured.matches, judged, options)
     figures = []
-    for choice in choose(quality(measured, threshold)):
+    for choice in choose(quality(measured, threshold), measured.blocks.number):
         image = measured.file.images[choice.index]
         try:
             picture = _embedded(root / image.file_name, (image.width, image.height))
