@@ -40,11 +40,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, s
 
 
 def bar(value: float | None) -> str:
-    """A share as a number with a bar behind it."""
+    """A share in percent with a bar behind it."""
     if value is None:
         return "–"
     return f'<span class="bar" style="--v:{100 * value:.1f}%">{100 * value:.1f}</span>'
 
 
 def details(summary: str, *children: str) -> str:
+    """What is shown when its summary is opened."""
     return tag("details", tag("summary", escape(summary)), *children)

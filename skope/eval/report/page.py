@@ -103,6 +103,10 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         "pooled: sums over the whole split, the figures to decide by; paper: the mean of each image's own figures, as "
         "the published table has it."
     )
+    partial = (
+        "Only detections above the score threshold were carried through (--fast): there is no average precision, "
+        "and the curves end where that threshold is."
+    )
     sources = "".join(
         tag("li", escape(f"Intervals of {name}: {drawn(split['bootstrap'])}"))
         for name, split in document["splits"].items()
@@ -124,7 +128,12 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         tag("p", meaning),
         tag("ul", sources),
         table(heads, counts, caption="Counts and average precision"),
+        tag("p", partial) if any(_lacks_low_scores(split) for split in document["splits"].values()) else "",
     )
+
+
+def _lacks_low_scores(split: Mapping[str, Any]) -> bool:
+    return bool(split["ground_truth"]) and split["coco"]["box_ap"] is None
 
 
 def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:
