@@ -55,6 +55,7 @@ $(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
 	$(SKOPE) eval --data $(DATA) --checkpoint $(RUN)
 
 bench: $(STAMP)
+	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_localize.py
 	$(VENV)/bin/python scripts/bench_render.py
 

@@ -25,8 +25,8 @@ cat << END
 
 Done. Look at
   $DATA/images                 generated frames; $DATA/README.md says what they are
-  $RUN/eval_seen/overlays      ground truth beside predictions on the frames it knows
-  $RUN/eval/overlays           the same at sites it never saw
+  $RUN/eval_seen/report.html   in a browser: figures, curves and pictures of the frames it knows
+  $RUN/eval/report.html        the same at sites it never saw
   $RUN/eval_seen/metrics.json  the figures of the tables above
 To train on all frames: $SKOPE train --epochs 10, then $SKOPE eval --split hard
 END

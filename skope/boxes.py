@@ -35,21 +35,41 @@ def area(boxes_xyxy: ArrayLike) -> Array:
 
 def intersection(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
     """(N, M) areas shared by each of N boxes with each of M boxes."""
-    a = np.asarray(a_xyxy, dtype=np.float64).reshape(-1, 1, 4)
-    b = np.asarray(b_xyxy, dtype=np.float64).reshape(1, -1, 4)
-    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    return np.asarray(np.prod(np.maximum(sides, 0.0), axis=-1))
+    return _shared(*_crossed(a_xyxy, b_xyxy))
 
 
 def iou(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
     """(N, M) intersection over union; 0 where both boxes are empty."""
-    shared = intersection(a_xyxy, b_xyxy)
-    union = area(a_xyxy).reshape(-1, 1) + area(b_xyxy).reshape(1, -1) - shared
-    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+    return iou_each(*_crossed(a_xyxy, b_xyxy))
+
+
+def iou_each(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
+    """(...,) intersection over union of boxes in two arrays (..., 4) that broadcast; 0 where both are empty."""
+    shared = _shared(a_xyxy, b_xyxy)
+    return _quotient(shared, area(a_xyxy) + area(b_xyxy) - shared)
 
 
 def share_inside(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
     """(N, M) share of each of N boxes' own area that lies inside each of M boxes; 0 for an empty box."""
-    shared = intersection(a_xyxy, b_xyxy)
-    own = np.broadcast_to(area(a_xyxy).reshape(-1, 1), shared.shape)
-    return np.divide(shared, own, out=np.zeros_like(shared), where=own > 0)
+    return share_inside_each(*_crossed(a_xyxy, b_xyxy))
+
+
+def share_inside_each(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
+    """(...,) share of each first box's own area inside the second, arrays (..., 4) that broadcast; 0 if empty."""
+    shared = _shared(a_xyxy, b_xyxy)
+    return _quotient(shared, np.broadcast_to(area(a_xyxy), shared.shape))
+
+
+def _crossed(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> tuple[Array, Array]:
+    a, b = np.asarray(a_xyxy, dtype=np.float64), np.asarray(b_xyxy, dtype=np.float64)
+    return a.reshape(-1, 1, 4), b.reshape(1, -1, 4)
+
+
+def _shared(a_xyxy: ArrayLike, b_xyxy: ArrayLike) -> Array:
+    a, b = np.asarray(a_xyxy, dtype=np.float64), np.asarray(b_xyxy, dtype=np.float64)
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    return np.asarray(np.prod(np.maximum(sides, 0.0), axis=-1))
+
+
+def _quotient(numerator: Array, denominator: Array) -> Array:
+    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator > 0)

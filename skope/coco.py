@@ -128,21 +128,30 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
     return Annotation(**values)
 
 
-def read_results(path: Path) -> tuple[Result, ...]:
-    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints."""
+def read_results(path: Path, scheme: str = keypoints.SCHEME) -> tuple[Result, ...]:
+    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints.
+
+    Of another `scheme` of `keypoints.FOREIGN_SCHEMES` the points that mean the same are taken over; the others are 0.
+    """
     document = read_json(path)
     if not isinstance(document, list):
         raise UserError(f"{path}: expected a list of results, got a {type(document).__name__}")
-    return _parse_rows(path, "results", document, result_from_dict)
+    return _parse_rows(path, "results", document, lambda row: result_from_dict(row, scheme))
 
 
-def result_from_dict(row: Mapping[str, Any]) -> Result:
-    """One element of a results file."""
-    points = schema.array("keypoints", row["keypoints"], keypoints.K, 3)
+def result_from_dict(row: Mapping[str, Any], scheme: str = keypoints.SCHEME) -> Result:
+    """One element of a results file (see `read_results`)."""
+    own = scheme == keypoints.SCHEME
+    theirs = schema.array("keypoints", row["keypoints"], keypoints.K if own else keypoints.FOREIGN_K[scheme], 3)
     bbox = row.get("bbox")
     if bbox is None:
-        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        low, high = theirs[:, :2].min(axis=0), theirs[:, :2].max(axis=0)
         bbox = np.concatenate([low, high - low])
+    points = theirs
+    if not own:
+        table = keypoints.FOREIGN_SCHEMES[scheme]
+        points = np.zeros((keypoints.K, 3))
+        points[list(table.values())] = theirs[list(table)]
     return Result(
         image_id=row["image_id"],
         category_id=row.get("category_id", schema.CATEGORY_ID),

@@ -322,7 +322,8 @@ class Detections:
     keypoints: NDArray[np.float64]
     """(N, 33, 3) x, y, p: pixels of the original image, and the sigmoid of the heat map's peak, 0 to 1.
 
-    p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden.
+    p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
+    taken in float64, from which the peak can be had back (`skope.eval.calibration` does).
     """
 
 
@@ -387,7 +388,7 @@ def _as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Te
 
 def _with_probability(points: torch.Tensor, logits: torch.Tensor) -> NDArray[np.float64]:
     """(N, 33, 3) torchvision's points, whose third column is always 1, and (N, 33) peak logits -> x, y, p."""
-    return _float64(torch.cat([points[..., :2], logits.sigmoid()[..., None]], dim=-1))
+    return _float64(torch.cat([points[..., :2].double(), logits.double().sigmoid()[..., None]], dim=-1))
 
 
 def _float64(tensor: torch.Tensor) -> NDArray[np.float64]:

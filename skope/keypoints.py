@@ -142,6 +142,11 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
     "skope3d": SKOPE3D,
 }
 
+FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
+"""How many keypoints each scheme has, those without a counterpart too."""
+
 assert K == 33
+assert all(max(FOREIGN_SCHEMES[name]) < count for name, count in FOREIGN_K.items())
+assert FOREIGN_K.keys() == FOREIGN_SCHEMES.keys()
 assert all(FLIP[FLIP[i]] == i for i in range(K))
 assert {tuple(sorted((FLIP[a], FLIP[b]))) for a, b in SKELETON} == {tuple(sorted(edge)) for edge in SKELETON}

@@ -8,16 +8,19 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError, one_of
+from skope.keypoints import SCHEME
 
 DATA = Path("data/skope")
 RUN = Path("runs/skope")
 GIVEN = "given"
+PAPER = "paper"
 
 app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
 
 
 @app.callback(invoke_without_command=True)
 def run(
+    ctx: typer.Context,
     data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN))
@@ -38,7 +41,24 @@ def run(
         Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    protocol: Annotated[str, typer.Option(help="What the table shows: pooled or paper.")] = "pooled",
+    precision: Annotated[
+        str, typer.Option(help="float32, bfloat16, or auto: bfloat16 where the processor has it.")
+    ] = "float32",
+    batch_size: Annotated[
+        int | None, typer.Option(help="Images that go through the network together.", show_default="1, on a GPU 8")
+    ] = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Place keypoints only on detections above --score; no AP then.")
+    ] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="What the table shows: pooled or paper.", show_default="pooled, or paper beside the paper's rows"
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(help="paper: print the published rows below ours (splits easy, medium, hard).")
+    ] = None,
     labelled: Annotated[
         str, typer.Option(help="Keypoints that count: visible, or all (hidden ones inside the image too).")
     ] = "visible",
@@ -50,6 +70,19 @@ def run(
     alpha: Annotated[
         float, typer.Option(help="A keypoint is correct within this share of the box's longer edge.")
     ] = 0.1,
+    iou: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            show_default="0.9,0.8,0.7,0.6",
+        ),
+    ] = None,
+    keypoint_score: Annotated[
+        float, typer.Option(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+    ] = 0.0,
+    scheme: Annotated[
+        str, typer.Option(help="Keypoint scheme of --predictions; the points that mean the same are scored.")
+    ] = SCHEME,
     max_images: Annotated[
         int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
     ] = None,
@@ -57,18 +90,35 @@ def run(
     version: VersionOption = False,
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
+    if ctx.invoked_subcommand is not None:
+        return
     from skope.eval import inputs
-    from skope.eval.match import BOX_KINDS
-    from skope.eval.metrics import PROTOCOLS, Options
+    from skope.eval.match import BOX_KINDS, THRESHOLDS
     from skope.eval.run import Job, evaluate
+    from skope.eval.settings import Settings
+    from skope.eval.tally import PROTOCOLS, Options
 
-    one_of("--protocol", protocol, PROTOCOLS)
+    if compare is not None:
+        one_of("--compare", compare, (PAPER,))
+    protocol = one_of("--protocol", protocol or ("paper" if compare else "pooled"), PROTOCOLS)
     one_of("--boxes", boxes, (*BOX_KINDS, GIVEN))
-    options = Options(score=score, alpha=alpha, labelled=labelled, boxes="full" if boxes == GIVEN else boxes)
+    options = Options(
+        score=score,
+        alpha=alpha,
+        labelled=labelled,
+        boxes="full" if boxes == GIVEN else boxes,
+        iou=_thresholds(iou) or THRESHOLDS,
+        keypoint_score=keypoint_score,
+        points=inputs.scheme_points(scheme),
+    )
     if max_images is not None and max_images < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
-    splits = [name.strip() for value in split or () for name in value.split(",") if name.strip()]
+    splits = _separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if fast and (predictions or boxes == GIVEN):
+        raise UserError("--fast is for running a checkpoint that detects vehicles")
+    if scheme != SCHEME and not predictions:
+        raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     out = out or _default_out(checkpoint, predictions)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
@@ -81,13 +131,81 @@ def run(
             protocol=protocol,
             checkpoint=None if predictions else checkpoint or RUN,
             predictions=predictions,
-            given_boxes=boxes == GIVEN,
-            device=device,
+            settings=Settings(device=device, given=boxes == GIVEN, precision=precision, batch_size=batch_size),
+            fast=fast,
             max_images=max_images,
+            scheme=scheme,
+            beside_paper=compare == PAPER,
         ),
         Console(quiet),
         width=shutil.get_terminal_size((120, 24)).columns,
     )
+
+
+@app.command(name="compare")
+def compare_runs(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `skope eval` wrote (its --out).")],
+    protocol: Annotated[str, typer.Option(help="pooled or paper.")] = "pooled",
+    out: Annotated[Path | None, typer.Option(help="Also write everything to this JSON file.")] = None,
+) -> None:
+    """Put evaluations side by side, with paired intervals of their differences from the first."""
+    from skope.eval import compare
+    from skope.files import write_json
+
+    document = compare.compare(folders)
+    text = compare.render(document, protocol)
+    if out:
+        write_json(out, document)
+    typer.echo(text)
+
+
+@app.command(name="calibrate")
+def calibrate_scores(
+    checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
+    data: Annotated[Path, typer.Option(help="Dataset folder.")] = DATA,
+    split: Annotated[
+        str, typer.Option(help="Split to fit on; of train, the part that training kept for validation.")
+    ] = "train",
+    last: Annotated[
+        float | None, typer.Option(help="Take this share of each recording, at its end.", show_default="see --split")
+    ] = None,
+    score: Annotated[float, typer.Option(help="Fit on the keypoints of detections above this.")] = 0.9,
+    max_images: Annotated[int | None, typer.Option(help="Take only so many images.")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    precision: Annotated[str, typer.Option(help="float32, bfloat16 or auto.")] = "float32",
+    batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place."""
+    from skope.eval.calibrate import Job, calibrate
+    from skope.eval.settings import Settings
+
+    if not 0 <= score <= 1:
+        raise UserError(f"--score: expected a number from 0 to 1, got {score}")
+    job = Job(
+        checkpoint=checkpoint,
+        data=data,
+        split=split,
+        last=last,
+        score=score,
+        max_images=max_images,
+        settings=Settings(device=device, precision=precision, batch_size=batch_size),
+    )
+    path = calibrate(job, Console(quiet))
+    typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
+
+
+def _separated(values: list[str] | None) -> list[str]:
+    """The parts of a flag that may be repeated and hold several parts separated by commas."""
+    return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
+
+
+def _thresholds(values: list[str] | None) -> tuple[float, ...]:
+    """IoU thresholds from the strictest."""
+    try:
+        return tuple(sorted((float(part) for part in _separated(values)), reverse=True))
+    except ValueError:
+        raise UserError(f"--iou: expected numbers, got {', '.join(values or ())}") from None
 
 
 def _refuse_mixtures(

@@ -6,25 +6,29 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from skope import keypoints, schema
 from skope.eval.match import box_of
-from skope.eval.metrics import Options
+from skope.eval.tally import Options
 from skope.schema import Annotation, AnnotationFile, Result
 
 MAX_DETECTIONS: Final = 300
 """Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
+NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
+"""What is reported where results leave out what scores low: AP of those would mean nothing."""
 
 
 def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
     """AP over IoU (or OKS) 0.50 to 0.95 and at 0.50, of all results whatever they score; None without ground truth.
 
     An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. A vehicle without a
-    labelled keypoint is the same to the keypoint figures. `options.score` and `options.alpha` play no part.
+    labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes and points play a part.
     """
-    truth = [_truth_row(annotation, options) for annotation in file.annotations]
+    left_out = ~np.isin(np.arange(keypoints.K), options.points)
+    truth = [_truth_row(annotation, options, left_out) for annotation in file.annotations]
     found = [_result_row(i, result) for i, result in enumerate(results, start=1)]
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     box, box50 = _ap(images, truth, found, "bbox")
@@ -32,12 +36,12 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     return {"box_ap": box, "box_ap50": box50, "keypoint_ap": points, "keypoint_ap50": points50}
 
 
-def _truth_row(annotation: Annotation, options: Options) -> dict[str, Any]:
+def _truth_row(annotation: Annotation, options: Options, left_out: NDArray[np.bool_]) -> dict[str, Any]:
     points = annotation.keypoints.copy()
     hidden_too = options.labelled == "all"
     unlabelled = points[:, 2] < (1 if hidden_too else 2)
     # A crowd region has a box and no points of its own.
-    points[unlabelled | annotation.ignored] = 0.0
+    points[unlabelled | left_out | annotation.ignored] = 0.0
     box = box_of(annotation, options.boxes)
     area = annotation.area_full if annotation.area_full is not None else annotation.area
     return {
@@ -71,7 +75,8 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
 def _ap(
     images: list[dict[str, Any]], truth: list[dict[str, Any]], found: list[dict[str, Any]], kind: str
 ) -> tuple[float | None, float | None]:
-    with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints as it goes
+    # pycocotools prints as it goes, and squares whatever a stray keypoint is.
+    with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
         evaluation.params.maxDets = [MAX_DETECTIONS]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0.0, 1e10]], ["all"]

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from skope import coco, dataset
-from skope.errors import UserError
+from skope import coco, dataset, keypoints
+from skope.errors import UserError, one_of
+from skope.eval.breakdown import Fleet
 from skope.eval.match import box_of
 from skope.schema import AnnotationFile, Result
 
@@ -20,6 +21,7 @@ class Truth:
     splits: tuple[AnnotationFile, ...]
     root: Path
     """The folder that file names are relative to."""
+    fleet: Fleet
 
 
 def read_dataset(root: Path, names: Sequence[str]) -> Truth:
@@ -29,17 +31,40 @@ def read_dataset(root: Path, names: Sequence[str]) -> Truth:
     if not wanted:
         there = ", ".join(data.splits) or "none"
         raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
-    return Truth(splits=tuple(data.read(name) for name in wanted), root=root)
+    return Truth(splits=tuple(data.read(name) for name in wanted), root=root, fleet=_fleet(root, data.card))
+
+
+def _fleet(root: Path, card: dict[str, Any]) -> Fleet:
+    """What a dataset's card says of its models; datasets of elsewhere say nothing."""
+    told = card.get("fleet")
+    if told is None:
+        return Fleet()
+    try:
+        substituted = {str(model): tuple(names) for model, names in told["substituted"].items()}
+        unknown = {name for names in substituted.values() for name in names} - set(keypoints.NAMES)
+        if unknown:
+            raise UserError(f"{root / dataset.CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
+        return Fleet(held_out=frozenset(told["held_out"]), substituted=substituted)
+    except (KeyError, TypeError, AttributeError):
+        raise UserError(f"{root / dataset.CARD}: fleet: expected held_out and substituted") from None
 
 
 def read_annotations(path: Path) -> Truth:
     """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
-    return Truth(splits=(coco.read(path),), root=path.parent.parent)
+    return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet())
 
 
-def read_results(path: Path, file: AnnotationFile) -> tuple[Result, ...]:
+def scheme_points(scheme: str) -> tuple[int, ...]:
+    """Our indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
+    one_of("--scheme", scheme, (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES))
+    if scheme == keypoints.SCHEME:
+        return tuple(range(keypoints.K))
+    return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
+
+
+def read_results(path: Path, file: AnnotationFile, scheme: str = keypoints.SCHEME) -> tuple[Result, ...]:
     """Results of any detector for the images of `file`; a UserError names a result that is for none of them."""
-    results = coco.read_results(path)
+    results = coco.read_results(path, scheme)
     images = {image.id for image in file.images}
     categories = {a.category_id for a in file.annotations}
     for i, result in enumerate(results):

@@ -3,7 +3,7 @@
 Metrics are pure functions of the `Matches` made here.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+_PAIRS_AT_ONCE: Final = 1 << 20
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matches:
@@ -37,6 +39,8 @@ class Matches:
     images: int
     ignored: int
     """Number of ignored vehicles."""
+    vehicles: tuple[Annotation, ...]
+    """The G ground-truth vehicles."""
     gt_image: Integers
     """(G,) image number."""
     gt_boxes_xyxy: Floats
@@ -45,6 +49,10 @@ class Matches:
     """(G, 33, 3) x, y, v."""
     det_image: Integers
     """(D,) image number."""
+    det_result: Integers
+    """(D,) place in the results."""
+    det_score: Floats
+    """(D,)"""
     det_keypoints: Floats
     """(D, 33, 3) x, y, score."""
     det_on_ignored: Mask
@@ -55,7 +63,7 @@ class Matches:
 
 def box_of(annotation: Annotation, kind: str) -> Floats:
     """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
-    box = annotation.bbox_visible if one_of("--boxes", kind, BOX_KINDS) == "visible" else annotation.bbox
+    box = annotation.bbox_visible if kind == "visible" else annotation.bbox
     if box is None:
         raise UserError(f"annotation {annotation.id}: field bbox_visible is missing, which --boxes visible needs")
     return box
@@ -74,28 +82,37 @@ def match(
     In falling score order (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
     lowest id), if that IoU reaches the threshold. Every result's image must be in the file.
     """
+    one_of("--boxes", boxes, BOX_KINDS)
     number = {image.id: i for i, image in enumerate(file.images)}
-    vehicles = sorted(file.annotations, key=lambda a: (number[a.image_id], a.id))
+    place = [number[a.image_id] for a in file.annotations]
+    vehicles = [file.annotations[i] for i in np.lexsort(([a.id for a in file.annotations], place))]
     truth = [a for a in vehicles if not a.ignored]
     ignored = [a for a in vehicles if a.ignored]
-    counted = sorted((r for r in results if r.score > score), key=lambda r: (number[r.image_id], -r.score))
+    image = np.array([number[r.image_id] for r in results], dtype=np.int64)
+    scores = np.array([r.score for r in results], dtype=np.float64)
+    order = np.lexsort((-scores, image))
+    order = order[scores[order] > score]
+    counted = [results[i] for i in order]
 
     gt_image = np.array([number[a.image_id] for a in truth], dtype=np.int64)
     gt_boxes = _xyxy([box_of(a, boxes) for a in truth])
-    det_image = np.array([number[r.image_id] for r in counted], dtype=np.int64)
+    det_image = image[order]
     det_boxes = _xyxy([r.bbox for r in counted])
     ignored_image = np.array([number[a.image_id] for a in ignored], dtype=np.int64)
     ignored_boxes = _xyxy([box_of(a, boxes) for a in ignored])
 
-    on_ignored, _, _ = _pairs(det_image, det_boxes, ignored_image, ignored_boxes, box_math.share_inside, least=0.5)
-    overlaps = _pairs(det_image, det_boxes, gt_image, gt_boxes, box_math.iou, least=min(thresholds))
+    on_ignored, _, _ = _pairs(det_image, det_boxes, ignored_image, ignored_boxes, box_math.share_inside_each, least=0.5)
+    overlaps = _pairs(det_image, det_boxes, gt_image, gt_boxes, box_math.iou_each, least=min(thresholds))
     return Matches(
         images=len(file.images),
         ignored=len(ignored),
+        vehicles=tuple(truth),
         gt_image=gt_image,
         gt_boxes_xyxy=gt_boxes,
         gt_keypoints=_keypoints([a.keypoints for a in truth]),
         det_image=det_image,
+        det_result=order,
+        det_score=scores[order],
         det_keypoints=_keypoints([r.keypoints for r in counted]),
         det_on_ignored=np.isin(np.arange(len(counted)), on_ignored),
         taken={t: _greedy(len(counted), len(truth), *overlaps, t) for t in thresholds},
@@ -110,13 +127,6 @@ def _keypoints(points: list[Floats]) -> Floats:
     return np.array(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
 
 
-def _shared_images(a_image: Integers, b_image: Integers) -> Iterator[tuple[slice, slice]]:
-    """Slices of two sorted columns of image numbers, for each image that both have."""
-    for image in np.intersect1d(a_image, b_image):
-        (a0, a1), (b0, b1) = (np.searchsorted(column, (image, image + 1)) for column in (a_image, b_image))
-        yield slice(a0, a1), slice(b0, b1)
-
-
 def _pairs(
     a_image: Integers,
     a_boxes: Floats,
@@ -126,25 +136,39 @@ def _pairs(
     *,
     least: float,
 ) -> tuple[Integers, Integers, Floats]:
-    """Indices (P,), (P,) and values (P,) of the pairs of one image whose measure is at least `least`."""
+    """Indices (P,), (P,) and values (P,) of the pairs of one image whose measure is at least `least`.
+
+    The columns of image numbers are sorted, so that the boxes of `b` that share an image with one of `a` are a range.
+    """
+    first = np.searchsorted(b_image, a_image, side="left")
+    counts = np.searchsorted(b_image, a_image, side="right") - first
+    ends = np.cumsum(counts)
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
-    for a, b in _shared_images(a_image, b_image):
-        table = measure(a_boxes[a], b_boxes[b])
-        row, column = np.nonzero(table >= least)
-        rows.append(row + a.start)
-        columns.append(column + b.start)
-        values.append(table[row, column])
+    start = 0
+    while start < len(a_image):  # in parts, so that memory stays small
+        begun = ends[start] - counts[start]
+        stop = max(start + 1, int(np.searchsorted(ends, begun + _PAIRS_AT_ONCE, side="right")))
+        n = counts[start:stop]
+        row = np.repeat(np.arange(start, stop), n)
+        column = np.arange(n.sum()) + np.repeat(first[start:stop] - (ends[start:stop] - n - begun), n)
+        value = measure(a_boxes[row], b_boxes[column])
+        keep = value >= least
+        rows.append(row[keep])
+        columns.append(column[keep])
+        values.append(value[keep])
+        start = stop
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
 
 def _greedy(detections: int, truths: int, det: Integers, gt: Integers, iou: Floats, threshold: float) -> Integers:
     """(D,) ground truth taken by each detection, -1 for none, from the pairs that overlap."""
-    taken = np.full(detections, -1, dtype=np.int64)
-    free = np.ones(truths, dtype=bool)
+    taken, free = [-1] * detections, [True] * truths
     # Detections stand in the order in which they choose, ground truth by id: sorting the pairs by detection, falling
     # IoU and ground truth lists each one's choices from its best, ties to the lowest id.
-    for pair in np.lexsort((gt, -iou, det)):
-        if iou[pair] >= threshold and taken[det[pair]] < 0 and free[gt[pair]]:
-            taken[det[pair]] = gt[pair]
-            free[gt[pair]] = False
-    return taken
+    enough = np.flatnonzero(iou >= threshold)
+    order = enough[np.lexsort((gt[enough], -iou[enough], det[enough]))]
+    for d, g in zip(det[order].tolist(), gt[order].tolist(), strict=True):
+        if free[g] and taken[d] < 0:
+            taken[d] = g
+            free[g] = False
+    return np.array(taken, dtype=np.int64)

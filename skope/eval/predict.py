@@ -1,7 +1,12 @@
-"""Run the detector over a split."""
+"""Run the detector over a split: images decoded beside the computing, in batches where that helps."""
 
+import itertools
 import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,56 +14,112 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, dataset, detector
 from skope.console import Console, minutes
-from skope.schema import Annotation, AnnotationFile, Result
+from skope.eval import bfloat16, calibration
+from skope.eval.settings import Settings
+from skope.schema import Annotation, AnnotationFile, Image, Result
 
 Pixels = NDArray[np.uint8]
 
+GPU_BATCH: Final = 8
+"""A CPU gains nothing from batches."""
+_DECODERS: Final = 2
+
 
 class Predictor:
-    """A checkpoint on a device.
+    """A checkpoint on a device."""
 
-    `given`: leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes.
-    """
-
-    def __init__(self, checkpoint: Path, device: str, *, given: bool, console: Console) -> None:
-        self._device = detector.choose_device(device)
-        self._given = given
-        self._console = console
-        path = detector.find_checkpoint(checkpoint)
+    def __init__(self, checkpoint: Path, settings: Settings, console: Console) -> None:
+        self._settings, self._console = settings, console
+        self._device = detector.choose_device(settings.device)
+        self._batch = settings.batch_size or (GPU_BATCH if self._device.type == "cuda" else 1)
+        self.weights = detector.find_checkpoint(checkpoint)
         self._model: KeypointRCNN
-        self._model, config, _ = detector.load_weights(path, self._device)
+        self._model, config, self.metadata = detector.load_weights(self.weights, self._device)
+        self._calibration = calibration.read(self.weights) if settings.calibrated else None
+        low = settings.precision != "float32" and (settings.precision != "auto" or bfloat16.native(self._device))
+        if low:
+            bfloat16.convert(self._model)
+            if not bfloat16.native(self._device):
+                console.say(f"{self._device} has no instructions for bfloat16: float32 would be faster")
         sides = f"short side {config.min_size}, long side at most {config.max_size} px"
-        console.say(f"{path} on {self._device} ({sides})")
+        scores = "calibrated" if self.calibrated else "uncalibrated"
+        number = "bfloat16" if low else "float32"
+        console.say(f"{self.weights} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether keypoint scores are probabilities that were fitted for these weights."""
+        return self._calibration is not None
 
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
         """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""
         annotations = file.by_image()
         out: list[Result] = []
-        bar = self._console.bar(total=len(file.images), unit="image", label=file.name)
-        with bar:
-            for i, image in enumerate(file.images):
-                start = time.perf_counter()
-                pixels = dataset.read_image(root / image.file_name, size=(image.width, image.height))
-                if self._given:
-                    out += self._on_boxes(image.id, pixels, annotations[image.id])
+        with self._console.bar(total=len(file.images), unit="image", label=file.name) as bar:
+            begun, done = time.perf_counter(), 0
+            for batch in _batches(_decoded(file.images, root, 2 * self._batch), self._batch):
+                if self._settings.given:
+                    for image, pixels in batch:
+                        out += self._on_boxes(image.id, pixels, annotations[image.id])
                 else:
-                    out += self._found(image.id, pixels)
-                bar.update()
-                # The first image also warms the libraries up: where there is a second one, that one tells.
-                if i == min(1, len(file.images) - 1) and not self._console.quiet:
-                    seconds = (time.perf_counter() - start) * len(file.images)
+                    out += self._found(batch)
+                bar.update(len(batch))
+                # The first batch also warms the libraries up: where there is a second one, that one tells.
+                if bar.n == len(batch) < len(file.images):
+                    begun, done = time.perf_counter(), bar.n
+                elif bar.n <= 2 * self._batch and not self._console.quiet:
+                    seconds = (time.perf_counter() - begun) * len(file.images) / (bar.n - done)
                     bar.write(f"{file.name}: about {minutes(seconds)} for {len(file.images)} images")
         return tuple(out)
 
-    def _found(self, image_id: int, pixels: Pixels) -> list[Result]:
-        (found,) = detector.detect(self._model, [pixels], self._device)
-        rows = zip(boxes.xyxy_to_xywh(found.boxes_xyxy), found.scores, found.keypoints, strict=True)
-        return [Result(image_id=image_id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
+    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
+        pixels = [pixels for _, pixels in batch]
+        least = self._settings.min_score
+        answers = detector.detect(
+            self._model, pixels, self._device, min_score=detector.MIN_SCORE if least is None else least
+        )
+        out = []
+        for (image, _), found in zip(batch, answers, strict=True):
+            rows = zip(boxes.xyxy_to_xywh(found.boxes_xyxy), found.scores, self._scored(found.keypoints), strict=True)
+            out += [Result(image_id=image.id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
+        return out
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.
         truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
         given = np.array([a.bbox for a in truth]).reshape(-1, 4)
         points = detector.detect_on_boxes(self._model, pixels, boxes.xywh_to_xyxy(given), self._device)
-        rows = zip(truth, points, strict=True)
+        rows = zip(truth, self._scored(points), strict=True)
         return [Result(image_id=image_id, bbox=vehicle.bbox, score=1.0, keypoints=p) for vehicle, p in rows]
+
+    def _scored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._calibration(points) if self._calibration else points
+
+
+def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
+    """Images with their pixels, in order; up to `ahead` of them are decoded while the caller computes."""
+
+    def read(image: Image) -> Pixels:
+        return dataset.read_image(root / image.file_name, size=(image.width, image.height))
+
+    left = iter(images)
+    waiting: deque[tuple[Image, Future[Any]]] = deque()
+    with ThreadPoolExecutor(_DECODERS) as pool:
+        try:
+            for image in itertools.islice(left, ahead):
+                waiting.append((image, pool.submit(read, image)))
+            while waiting:
+                image, future = waiting.popleft()
+                pixels = future.result()
+                for following in itertools.islice(left, 1):
+                    waiting.append((following, pool.submit(read, following)))
+                yield image, pixels
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _batches(images: Iterator[tuple[Image, Pixels]], size: int) -> Iterator[list[tuple[Image, Pixels]]]:
+    """Neighbours of equal size, `size` at most together: another's padding would change what is found."""
+    for _, alike in itertools.groupby(images, key=lambda pair: pair[1].shape):
+        while batch := list(itertools.islice(alike, size)):
+            yield batch

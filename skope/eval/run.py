@@ -1,21 +1,24 @@
 """One evaluation: predict (or read results), match, measure, draw, write, print."""
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco, draw
+from skope import coco, draw, keypoints
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
-from skope.eval import inputs, metrics, table
-from skope.eval.coco_ap import average_precision
+from skope.eval import inputs, metrics, report, table
 from skope.eval.inputs import Truth
-from skope.eval.metrics import Options
-from skope.files import write_json
+from skope.eval.measure import measure, to_tallies
+from skope.eval.settings import Settings
+from skope.eval.tally import Options
+from skope.files import write_json, write_text
 from skope.schema import AnnotationFile, Result
 
+REPORT: Final = "report.html"
 OVERLAYS: Final = 4
 """Pictures a split."""
 
@@ -28,12 +31,17 @@ class Job:
     out: Path
     options: Options
     protocol: str
-    checkpoint: Path | None = None
-    predictions: Path | None = None
-    given_boxes: bool = False
-    """Place keypoints in the ground-truth boxes instead of detecting vehicles."""
-    device: str = "auto"
+    checkpoint: Path | None
+    predictions: Path | None
+    settings: Settings
+    """How `checkpoint` is run."""
+    fast: bool = False
+    """Carry only the detections that count through the keypoint head."""
     max_images: int | None = None
+    scheme: str = keypoints.SCHEME
+    """Keypoint scheme of `predictions`."""
+    beside_paper: bool = False
+    """Print the published rows below ours."""
 
 
 def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
@@ -41,44 +49,50 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
-    results = _predicted(job, splits, console) if job.checkpoint else _read(job, splits)
-    figures = {
-        file.name: {
-            **metrics.score_split(file, results[file.name], job.options),
-            "coco": average_precision(file, results[file.name], job.options),
-            "by": {},
-        }
-        for file in splits
-    }
-    document = metrics.document(job.options, figures)
+    results, calibrated = _predicted(job, splits, console) if job.checkpoint else (_read(job, splits), None)
+    measured = [
+        measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
+    ]
+    figures = {split.file.name: split.entry for split in measured}
+    scheme = job.scheme if job.predictions else keypoints.SCHEME
+    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=scheme)
     write_json(job.out / "metrics.json", document)
+    tallies = {split.file.name: to_tallies(split) for split in measured}
+    write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
+    beside = table.published() if job.beside_paper else None
+    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside)
+    write_text(job.out / REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 
-    console.result(table.render(document, job.protocol, width))
+    console.result(table.render(document, job.protocol, width, beside=beside))
     for line in _advice(job, figures, results):
         console.result(line)
     console.result(_last_line(job, splits, pictures))
     return document
 
 
-def _predicted(job: Job, splits: Sequence[AnnotationFile], console: Console) -> dict[str, tuple[Result, ...]]:
+def _predicted(
+    job: Job, splits: Sequence[AnnotationFile], console: Console
+) -> tuple[dict[str, tuple[Result, ...]], bool]:
+    """Results by split, and whether their keypoints' scores are calibrated."""
     from skope.eval.predict import Predictor  # torch
 
     assert job.checkpoint is not None
-    predictor = Predictor(job.checkpoint, job.device, given=job.given_boxes, console=console)
+    settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
+    predictor = Predictor(job.checkpoint, settings, console)
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
         coco.write_results(path, predictor.split(file, job.truth.root))
         # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
         out[file.name] = coco.read_results(path)
-    return out
+    return out, predictor.calibrated
 
 
 def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
     assert job.predictions is not None
     (whole,), (part,) = job.truth.splits, splits
-    return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole), part)}
+    return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole, job.scheme), part)}
 
 
 def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
@@ -134,6 +148,7 @@ def _below(score: float) -> float:
 
 def _last_line(job: Job, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
     names = "{" + ",".join(file.name for file in splits) + "}" if len(splits) > 1 else splits[0].name
-    files = ["metrics.json"] + ([f"predictions_{names}.json"] if job.checkpoint else [])
-    look = f"; look at {pictures[0].parent}/ (ground truth left, predictions right)" if pictures else ""
-    return f"Wrote {' and '.join(files)} to {job.out}{look}"
+    files = ["metrics.json", "tallies.json"]
+    files += [f"predictions_{names}.json"] if job.checkpoint else []
+    files += [f"{pictures[0].parent.name}/"] if pictures else []
+    return f"Wrote {', '.join(files)} to {job.out}; open {job.out / REPORT}"

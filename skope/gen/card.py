@@ -10,6 +10,7 @@ from skope.gen import annotate
 from skope.gen.annotate import Rules
 from skope.gen.frames import Encoding
 from skope.gen.store import Counts
+from skope.gen.vehicles import fleet
 
 LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own; do with them what you like."
 
@@ -40,6 +41,12 @@ def card(
         else "none",
         "renderer": values["renderer"],
         "foliage": "solid in depth and visibility" if solid else "cut out leaf by leaf",
+        "fleet": {
+            "held_out": sorted(name for name, entry in fleet().items() if entry.held_out),
+            "substituted": {
+                name: list(entry.vehicle.substituted) for name, entry in fleet().items() if entry.vehicle.substituted
+            },
+        },
         "versions": values["versions"],
         "parameters": values,
         "takes": takes,

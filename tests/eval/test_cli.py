@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import pytest
 
-from skope import coco
+from skope import coco, keypoints
 from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
@@ -31,7 +31,7 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
     truth, results = write_pair(tmp_path)
     code, out, err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")
     assert (code, err) == (0, "")
-    assert out.splitlines()[-1] == "Wrote metrics.json to scores"
+    assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json to scores; open scores/report.html"
     assert "crossing" in out
     metrics = json.loads(Path("scores/metrics.json").read_text())
     assert {name: metrics[name] for name in metrics if name != "splits"} == {
@@ -39,14 +39,23 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
         "score_threshold": 0.9,
         "alpha": 0.1,
         "labelled": "visible",
+        "boxes": "full",
+        "keypoint_score_threshold": 0.0,
+        "scheme": "skope33",
+        "points": list(range(33)),
+        "calibrated": None,
     }
     (split,) = metrics["splits"].values()
     assert list(metrics["splits"]) == ["crossing"]
-    assert list(split) == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
+    assert list(split)[:7] == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
+    assert list(split)[7:] == ["localisation", "failures", "confidence", "bootstrap"]
     assert (split["images"], split["ground_truth"], split["detections"]) == (2, 2, 2)
     assert split["iou"]["0.9"]["box_precision"] == {"paper": 1.0, "pooled": 0.5}
     assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)
-    assert split["by"] == {}
+    assert set(split["by"]) == {
+        *("distance", "height", "occlusion", "truncation", "unoccluded_within_40_m", "vehicle_type", "weather"),
+        "keypoint",
+    }
 
 
 def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
@@ -60,7 +69,9 @@ def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
     for out in ("one", "two"):
         assert skope("eval", "--annotations", truth, "--predictions", "results.json", "--out", out)[0] == 0
     assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
-    assert sorted(files_of(tmp_path / "one")) == ["metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg"]
+    assert sorted(files_of(tmp_path / "one")) == [
+        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "report.html", "tallies.json"),
+    ]
     sheet = cv2.imread(str(tmp_path / "one" / "overlays" / "easy_1.jpg"))
     assert sheet is not None
     assert sheet.shape[1] > 2 * 2 * 160  # two panels, enlarged twice
@@ -73,10 +84,7 @@ def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path)
     code, out, _ = skope(*common)
     assert code == 0
     assert "No detection scores above 0.9 in train: there is none at all." in out
-    assert (
-        out.splitlines()[-1]
-        == "Wrote metrics.json to eval; look at eval/overlays/ (ground truth left, predictions right)"
-    )
+    assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json, overlays/ to eval; open eval/report.html"
     assert skope(*common, "--max-images", 2)[0] == 0
     assert json.loads(Path("eval/metrics.json").read_text())["splits"]["train"]["images"] == 2
 
@@ -87,7 +95,7 @@ def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp
     assert out.splitlines()[-3:] == [
         "No detection scores above 0.9 in crossing: the highest score is 0.410.",
         "To see what there is: `skope eval --score 0.3`. AP counts all detections.",
-        "Wrote metrics.json to eval",
+        "Wrote metrics.json, tallies.json to eval; open eval/report.html",
     ]
     _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3")
     assert "No detection" not in out
@@ -198,6 +206,15 @@ def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: A
         (("--boxes", "round"), "--boxes: 'round' is not one of full, visible, given"),
         (("--score", "2"), "--score: expected a number from 0 to 1, got 2.0"),
         (("--alpha", "-1"), "--alpha: expected a positive number, got -1.0"),
+        (("--iou", "0.5,high"), "--iou: expected numbers, got 0.5,high"),
+        (("--iou", "0"), "--iou: expected numbers above 0 and up to 1, got 0.0"),
+        (("--iou", "0.5,0.5"), "--iou: expected different numbers, got 0.5, 0.5"),
+        (("--keypoint-score", "3"), "--keypoint-score: expected a number from 0 to 1, got 3.0"),
+        (("--compare", "rumour"), "--compare: 'rumour' is not one of paper"),
+        (("--precision", "float8"), "--precision: 'float8' is not one of float32, bfloat16, auto"),
+        (("--batch-size", "0"), "--batch-size: expected a whole number from 1, got 0"),
+        (("--scheme", "face68"), "--scheme: 'face68' is not one of skope33, apollo24, carfusion14, veri20, skope3d"),
+        (("--scheme", "veri20"), "--scheme needs --predictions"),
         (("--max-images", "0"), "--max-images: expected a whole number from 1, got 0"),
         (("--checkpoint", "nowhere"), "nowhere: no such checkpoint"),
         (("--device", "abacus"), "abacus"),
@@ -267,3 +284,129 @@ def test_a_broken_image_costs_its_overlay_only(skope: Any, tmp_path: Path) -> No
     assert code == 0
     assert "no overlay: " in out
     assert [path.name for path in Path("eval/overlays").iterdir()] == ["easy_2.jpg"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"bbox": [-500, -500, 100, 100]},
+        {"bbox": [5, 5, -3, -4]},
+        {"bbox": [10, 10, 0, 0]},
+        {"keypoints": [1e200] * 99},
+        {"id": 1},
+        {"category_id": None, "keypoints": [10.0, 10.0, 7.5] * 33},
+        {"keypoints": [10.0, 10.0, -3.0] * 33},
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_results_are_scored_for_what_they_are(skope: Any, tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Outside the image, inverted, empty, ids that stand twice, and keypoint scores that are logits."""
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    rows = [{"id": 1, **rows[0]}, {**rows[0], "score": 0.94, **changes}]
+    rows[1] = {name: value for name, value in rows[1].items() if value is not None}
+    results.write_text(json.dumps(rows))
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results)
+    assert (code, err) == (0, "")
+    split = json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]
+    assert (split["detections"], split["iou"]["0.6"]["matched"]) == (2, 1)
+    assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)
+
+
+def test_scores_that_are_no_probabilities_are_not_held_to_any(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    rows[0]["keypoints"][2] = 7.5
+    results.write_text(json.dumps(rows))
+    assert skope("eval", "--annotations", truth, "--predictions", results)[0] == 0
+    confidence = json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]["confidence"]
+    assert confidence["reliability"] == []
+    assert confidence["calibration_error"] is None
+    assert confidence["right"] == 33
+
+
+# ------------------------------------------------------------------------------------------------ other detectors
+
+
+@pytest.mark.parametrize("scheme", keypoints.FOREIGN_SCHEMES)
+def test_another_scheme_is_scored_on_the_points_that_mean_the_same(skope: Any, tmp_path: Path, scheme: str) -> None:
+    table, count = keypoints.FOREIGN_SCHEMES[scheme], keypoints.FOREIGN_K[scheme]
+    truth, results = write_pair(tmp_path)
+    (vehicle, _) = coco.read(truth).annotations
+    theirs = [[500.0, 500.0, 0.0]] * count  # what has no counterpart here may lie anywhere
+    for foreign, ours in table.items():
+        theirs[foreign] = [*vehicle.keypoints[ours, :2], 0.7]
+    theirs[min(table)] = [500.0, 500.0, 0.7]  # and one that has is wrong
+    row = {"image_id": 1, "bbox": vehicle.bbox.tolist(), "score": 0.97, "keypoints": [x for p in theirs for x in p]}
+    results.write_text(json.dumps([row]))
+    common = ("eval", "--annotations", truth, "--predictions", results)
+    code, _, err = skope(*common, "--scheme", scheme)
+    assert (code, err) == (0, "")
+    document = json.loads(Path("eval/metrics.json").read_text())
+    assert document["scheme"] == scheme
+    assert document["points"] == sorted(table.values())
+    figures = document["splits"]["crossing"]["iou"]["0.9"]
+    n = len(table)
+    assert (figures["correct"], figures["labelled"], figures["labelled_all"]) == (n - 1, n, 2 * n)
+    assert figures["keypoint_precision"] == {"paper": (n - 1) / n, "pooled": (n - 1) / n}
+    other = next(k for k in (14, 20, 24, 33) if k != count)
+    row["keypoints"] = [1.0] * 3 * other
+    results.write_text(json.dumps([row]))
+    code, _, err = skope(*common, "--scheme", scheme)
+    assert (code, err) == (
+        2,
+        f"skope: {results}: results[0]: keypoints: expected {count} x 3 numbers, got {3 * other}\n",
+    )
+
+
+def test_fewer_points_of_a_foreign_vehicle_still_give_its_box(skope: Any, tmp_path: Path) -> None:
+    """The extent of all of its points, those without a counterpart too."""
+    truth, results = write_pair(tmp_path)
+    points = [[40.0, 30.0, 0.9]] * 14
+    points[8], points[13] = [10.0, 10.0, 0.9], [70.0, 50.0, 0.9]  # neither has a counterpart
+    results.write_text(json.dumps([{"image_id": 1, "score": 0.97, "keypoints": [x for p in points for x in p]}]))
+    common = ("--annotations", truth, "--predictions", results, "--scheme", "carfusion14")
+    assert skope("eval", *common)[0] == 0
+    assert json.loads(Path("eval/metrics.json").read_text())["splits"]["crossing"]["iou"]["0.9"]["matched"] == 1
+
+
+def test_thresholds_are_chosen_and_reported_from_the_strictest(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    common = ("eval", "--annotations", truth, "--predictions", results)
+    assert skope(*common, "--iou", "0.5,0.75", "--iou", "0.95", "--keypoint-score", "0.5")[0] == 0
+    document = json.loads(Path("eval/metrics.json").read_text())
+    assert list(document["splits"]["crossing"]["iou"]) == ["0.95", "0.75", "0.5"]
+    assert document["keypoint_score_threshold"] == 0.5
+
+
+def test_what_the_card_says_of_the_models_is_told_apart(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data", images=3, splits=("easy",))
+    path = root / "annotations" / "easy.json"
+    file = coco.read(path)
+    models = ("van_b", "sedan_a")
+    vehicles = tuple(replace(a, model=models[i % 2], parked=i % 3 == 0) for i, a in enumerate(file.annotations))
+    coco.write(path, replace(file, annotations=vehicles))
+    card = json.loads((root / "dataset.json").read_text())
+    card["fleet"] = {"held_out": ["van_b"], "substituted": {"van_b": ["hood_front_left"]}}
+    (root / "dataset.json").write_text(json.dumps(card))
+    coco.write_results(
+        tmp_path / "found.json",
+        [Result(image_id=a.image_id, score=0.95, bbox=a.bbox, keypoints=a.keypoints) for a in vehicles[::2]],
+    )
+    common = ("eval", "--data", root, "--split", "easy", "--predictions", "found.json")
+    code, out, err = skope(*common)
+    assert (code, err) == (0, "")
+    by = json.loads(Path("eval/metrics.json").read_text())["splits"]["easy"]["by"]
+    assert {name: by["model"][name]["0.6"]["box_recall"] for name in by["model"]} == {"seen": 0.0, "unseen": 1.0}
+    assert by["keypoint_kind"]["substituted"]["0.6"]["labelled_all"] == 3
+    assert by["parked"]["parked"]["0.6"]["ground_truth"] == 2
+    for words in ("models unseen in training", "models seen in training", "parked vehicles", "substituted keypoints"):
+        assert f"easy   {words}" in out
+
+    for fleet, said in (
+        ({"held_out": []}, "fleet: expected held_out and substituted"),
+        ({"held_out": [], "substituted": {"van_b": ["wing"]}}, "fleet.substituted: no keypoint 'wing'"),
+    ):
+        (root / "dataset.json").write_text(json.dumps({**card, "fleet": fleet}))
+        code, _, err = skope(*common)
+        assert (code, err) == (2, f"skope: {root / 'dataset.json'}: {said}\n")

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
 
 from skope import coco
 from skope.eval.coco_ap import average_precision
-from skope.eval.metrics import Options
+from skope.eval.tally import Options
 from skope.schema import AnnotationFile, Result
 from tests.samples import make_annotation, make_image
 
@@ -127,3 +128,35 @@ def test_pycocotools_loads_what_we_write(tmp_path: Path) -> None:
         loaded = truth.loadRes(str(tmp_path / "results.json"))
     assert len(truth.anns) == len(loaded.anns) == 3
     assert len(truth.loadCats(1)[0]["keypoints"]) == 33
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_average_precision_is_that_of_pycocotools_own_files_and_loader(tmp_path: Path, seed: int) -> None:
+    """Through files, `loadRes` and a plain COCOeval whose settings are made by hand; the mean over `precision`."""
+    rng = np.random.default_rng(seed)
+    file = crowd(40, hidden=9)
+    results = []
+    for vehicle in file.annotations:
+        if rng.random() < 0.8:
+            points = vehicle.keypoints + np.pad(rng.normal(0, 4, (33, 2)), ((0, 0), (0, 1)))
+            box = vehicle.bbox + rng.normal(0, 4, 4)
+            results.append(Result(image_id=1, score=float(rng.random()), bbox=box, keypoints=points))
+    visible = tuple(replace(v, keypoints=np.where(v.keypoints[:, 2:] == 2, v.keypoints, 0.0)) for v in file.annotations)
+    coco.write(tmp_path / "truth.json", replace(file, annotations=visible))
+    coco.write_results(tmp_path / "results.json", results)
+    ours = average_precision(file, coco.read_results(tmp_path / "results.json"), Options())
+    with contextlib.redirect_stdout(io.StringIO()):
+        truth = COCO(str(tmp_path / "truth.json"))
+        # Loaded with their boxes: for keypoints `loadRes` would take the area from the points' extent.
+        found = truth.loadRes(str(tmp_path / "results.json"))
+        for kind, names in (("bbox", NAMES[:2]), ("keypoints", NAMES[2:])):
+            evaluation = COCOeval(truth, found, kind)
+            evaluation.params.maxDets = [300]
+            evaluation.params.kpt_oks_sigmas = np.full(33, 0.05)
+            evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
+            evaluation.evaluate()
+            evaluation.accumulate()
+            precision = evaluation.eval["precision"][:, :, 0, 0, 0]
+            assert 0.05 < precision.mean() < 0.95
+            assert ours[names[0]] == pytest.approx(precision.mean(), abs=1e-12)
+            assert ours[names[1]] == pytest.approx(precision[0].mean(), abs=1e-12)

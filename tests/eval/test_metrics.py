@@ -6,9 +6,11 @@ import pytest
 from skope import keypoints
 from skope.errors import UserError
 from skope.eval.match import THRESHOLDS, match
-from skope.eval.metrics import Options, score_split
+from skope.eval.metrics import score_split
+from skope.eval.tally import Options
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.eval import brute
+from tests.eval.cases import as_records, random_case
 
 
 def image(image_id: int) -> Image:
@@ -59,6 +61,7 @@ def test_worked_case_at_08(worked: dict[str, Any]) -> None:
         "labelled": 20,
         "labelled_all": 30,
         "correct": 15,
+        "predicted": 33,
         "detections_ignored": 0,
         "pck": 0.75,
         "box_precision": both(1.0),
@@ -69,7 +72,7 @@ def test_worked_case_at_08(worked: dict[str, Any]) -> None:
 
 
 def test_worked_case_at_09(worked: dict[str, Any]) -> None:
-    counts = {"matched": 0, "labelled": 0, "labelled_all": 30, "correct": 0, "detections_ignored": 0}
+    counts = {"matched": 0, "labelled": 0, "labelled_all": 30, "correct": 0, "predicted": 33, "detections_ignored": 0}
     ratios = dict.fromkeys(("box_precision", "box_recall", "keypoint_precision", "keypoint_recall"), both(0.0))
     assert worked["iou"]["0.9"] == {**counts, "pck": None, **ratios}
 
@@ -182,54 +185,7 @@ def test_options_out_of_range(values: dict[str, Any], said: str) -> None:
 # --------------------------------------------------------------------------------- against the loops, on random cases
 
 
-def random_case(rng: np.random.Generator) -> tuple[list[int], list[brute.Vehicle], list[brute.Detection]]:
-    """Few scores and boxes on a coarse grid, so that ties in score and IoU are common; some images are empty."""
-    images = (rng.permutation(9)[: rng.integers(1, 5)] + 1).tolist()
-    ids = iter(rng.permutation(99).tolist())
-    vehicles: list[brute.Vehicle] = []
-    detections: list[brute.Detection] = []
-
-    def box() -> tuple[float, ...]:
-        x, y = rng.integers(0, 6, 2) * 10.0
-        w, h = rng.choice([0.0, 20.0, 40.0, 50.0, 100.0], 2, p=[0.06, 0.24, 0.25, 0.25, 0.2])
-        return float(x), float(y), float(w), float(h)
-
-    for i in images:
-        vehicles += [
-            {"id": next(ids), "image": i, "ignored": rng.random() < 0.25, "box": box(), "points": random_points(rng)}
-            for _ in range(rng.integers(0, 6))
-        ]
-        here = [v for v in vehicles if v["image"] == i]
-        for _ in range(rng.integers(0, 8)):
-            base = here[rng.integers(len(here))]["box"] if here and rng.random() < 0.8 else box()
-            shift = rng.choice([0.0, 0.0, 2.0, 5.0, 10.0], 4) * [1, 1, 1, 0]
-            found = tuple(float(a + b) for a, b in zip(base, shift, strict=True))
-            detection = {"image": i, "score": float(rng.choice([0.5, 0.9, 0.92, 0.95, 1.0])), "box": found}
-            detections.append({**detection, "points": random_points(rng)})
-            if rng.random() < 0.2:
-                detections.append(dict(detections[-1]))
-    order = rng.permutation(len(detections))
-    return images, [vehicles[i] for i in rng.permutation(len(vehicles))], [detections[i] for i in order]
-
-
-def random_points(rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    labels = rng.choice([0, 1, 2], keypoints.K, p=[0.2, 0.3, 0.5]) if rng.random() < 0.85 else np.zeros(keypoints.K)
-    xy = rng.integers(0, 9, (keypoints.K, 2)) * (labels[:, None] > 0)
-    return [(float(x), float(y), float(v)) for (x, y), v in zip(xy, labels, strict=True)]
-
-
-def as_records(
-    images: list[int], vehicles: list[brute.Vehicle], detections: list[brute.Detection]
-) -> tuple[AnnotationFile, list[Result]]:
-    annotations = tuple(
-        vehicle(v["id"], v["box"], image_id=v["image"], iscrowd=int(v["ignored"]), keypoints=np.array(v["points"]))
-        for v in vehicles
-    )
-    results = [result(d["box"], d["score"], d["image"], np.array(d["points"])) for d in detections]
-    return AnnotationFile(images=tuple(image(i) for i in images), annotations=annotations), results
-
-
-COUNTS = {"matched": "matched", "labelled": "labelled", "labelled_all": "labelled_all", "correct": "correct"}
+COUNTS = ("matched", "labelled", "labelled_all", "correct", "predicted")
 RATIOS = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
 
 
@@ -256,11 +212,15 @@ def test_metrics_equal_the_loops(block: int) -> None:
         rng = np.random.default_rng((block, case))
         images, vehicles, detections = random_case(rng)
         file, results = as_records(images, vehicles, detections)
-        for labelled, alpha, score in (("visible", 0.1, 0.9), ("all", 0.05, 0.5)):
-            ours = score_split(file, results, Options(labelled=labelled, alpha=alpha, score=score))
+        for labelled, alpha, score, least, points in (
+            ("visible", 0.1, 0.9, 0.0, list(range(33))),
+            ("all", 0.05, 0.5, 0.5, [0, 3, 17, 32]),
+        ):
+            options = Options(labelled=labelled, alpha=alpha, score=score, keypoint_score=least, points=tuple(points))
+            ours = score_split(file, results, options)
             assert ours["images"] == len(images)
             for t in THRESHOLDS:
-                expected = brute.evaluate(images, vehicles, detections, t, labelled, score, alpha)
+                expected = brute.evaluate(images, vehicles, detections, t, labelled, score, alpha, least, points)
                 compare(ours, t, expected)
                 for name in seen:
                     seen[name] += expected["counts"][name]

@@ -3,8 +3,9 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.eval.metrics import Options, document
-from skope.eval.table import render
+from skope.eval.metrics import document
+from skope.eval.table import drawn, published, render
+from skope.eval.tally import Options
 
 
 def split(pck: float | None) -> dict[str, Any]:
@@ -57,3 +58,52 @@ def test_the_protocol_decides_which_figures_are_shown() -> None:
 def test_counts_and_average_precision_stand_below() -> None:
     last = render(METRICS, "pooled", 120).splitlines()[-1]
     assert last.split() == ["hard", "7", "20", "3", "11", "0.125", "0.500", "-", "0.000"]
+
+
+def test_the_published_rows_stand_below_ours() -> None:
+    lines = render(METRICS, "paper", 120, beside=published()).splitlines()
+    rows = [line.split() for line in lines if line.startswith("paper")]
+    assert rows[0] == [
+        *("paper", "98.65", "0.408", "0.345", "0.462", "0.931", "|"),
+        *("94.56", "0.635", "0.537", "0.433", "0.894", "|", "45.18", "0.123", "0.190", "0.146", "0.553"),
+    ]
+    assert len(rows) == 4
+    assert any("SKoPe3D" in line for line in lines)
+
+
+def test_a_split_that_was_not_published_gets_dashes() -> None:
+    lines = render(document(Options(), {"extra": split(0.5)}), "paper", 120, beside=published()).splitlines()
+    assert [line.split() for line in lines if line.startswith("paper")] == [["paper", *"-----"]] * 4
+
+
+def test_published_figures_follow_the_papers_protocol() -> None:
+    """Keypoint precision is recall x PCK x labelled share in the printed table too, but for one misprinted PCK."""
+    shares = {
+        name: [row[3] / (row[4] * row[0]) for row in table.values()] for name, table in published()["splits"].items()
+    }
+    for name, low, high in (("easy", 0.50, 0.52), ("medium", 0.50, 0.52), ("hard", 0.58, 0.60)):
+        odd = [share for share in shares[name] if not low < share < high]
+        assert len(odd) <= (1 if name == "medium" else 0)
+
+
+@pytest.mark.parametrize(
+    ("bootstrap", "words"),
+    [
+        ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one site: this infers to no other site"),
+        ({"unit": "10 s", "blocks": 30, "sites": 3}, "30 blocks of 10 s of 3 sites: too few to infer to others"),
+        ({"unit": "site", "blocks": 15, "sites": 15}, "15 sites"),
+        ({"unit": "10 s", "blocks": 1, "sites": 1}, "none, fewer than two blocks of 10 s of one site"),
+        ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
+    ],
+)
+def test_what_intervals_speak_for_is_said(bootstrap: dict[str, Any], words: str) -> None:
+    assert drawn(bootstrap).startswith(words)
+
+
+def test_intervals_are_printed_at_the_lowest_threshold() -> None:
+    both = {"paper": [0.1, 0.2], "pooled": [0.3, 0.4]}
+    names = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
+    figures = {"pck": [0.91, 0.95], **dict.fromkeys(names, both)}
+    entry = {**split(0.5), "bootstrap": {"unit": "site", "blocks": 9, "sites": 9, "iou": {"0.9": {}, "0.6": figures}}}
+    text = render(document(Options(), {"extra": entry}), "pooled", 120)
+    assert "IoU 0.6: PCK 91.00-95.00, box Pr 0.300-0.400" in text

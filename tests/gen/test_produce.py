@@ -36,6 +36,8 @@ def test_a_dataset_is_whole(whole: Path) -> None:
     assert dataset.card["counts"]["images"] == 10
     assert dataset.card["localizer_difference_m"]["max"] < 0.5
     assert {"skope", "sumo", "pybullet"} <= dataset.card["versions"].keys()
+    assert len(dataset.card["fleet"]["held_out"]) >= 4
+    assert "hood_front_left" in dataset.card["fleet"]["substituted"]["van"]
 
 
 def test_workers_make_the_same_bytes(whole: Path, tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its keypoint scores to the truth."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval import calibration, confidence, inputs
+from skope.eval.calibration import ALPHA, IOU
+from skope.eval.match import match
+from skope.eval.predict import Predictor
+from skope.eval.settings import Settings
+from skope.eval.tally import Options, judge
+from skope.schema import AnnotationFile, Image
+
+TRAIN: Final = "train"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What to calibrate, on what."""
+
+    checkpoint: Path
+    data: Path
+    split: str
+    last: float | None
+    """Share at the end of each recording that is taken; None: all of a test split, or what training validated on."""
+    score: float
+    """Detections above this are learnt from: those whose keypoints will be used."""
+    settings: Settings
+    max_images: int | None = None
+
+
+def calibrate(job: Job, console: Console) -> Path:
+    """Fit and write the calibration beside the weights; returns its path."""
+    predictor = Predictor(job.checkpoint, replace(job.settings, calibrated=False, min_score=job.score), console)
+    truth = inputs.read_dataset(job.data, [job.split])
+    share = _share(job, predictor.metadata)
+    file = inputs.limit(last_part(truth.splits[0], share), job.max_images)
+    if not file.images:
+        raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
+    results = predictor.split(file, truth.root)
+
+    matches = match(file, results, score=job.score, thresholds=(IOU,))
+    judged = judge(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
+    points = matches.det_keypoints[judged.detection[judged.found]]
+    right = judged.correct(ALPHA)[judged.found]
+    if not len(points):
+        raise UserError(
+            f"{job.data}: split {job.split}: none of {len(matches.gt_image)} vehicles is found with a score above "
+            f"{job.score:g}; train longer, or take --score lower"
+        )
+    fitted_on = {
+        "data": str(job.data),
+        "split": job.split,
+        "last": share,
+        "images": len(file.images),
+        "vehicles": len(points),
+        "alpha": ALPHA,
+        "iou": IOU,
+        "score": job.score,
+    }
+    fitted = calibration.fit(calibration.raw_maxima(points[..., 2]), right, fitted_on)
+    path = calibration.write(predictor.weights, fitted)
+    after = fitted(points)
+    for words, p in (("before", points[..., 2]), ("after", after[..., 2])):
+        error = confidence.calibration_error(confidence.reliability(p.ravel(), right.ravel()))
+        console.say(f"{words}: log loss {calibration.log_loss(p, right):.3f}, calibration error {error:.3f}")
+    return path
+
+
+def _share(job: Job, metadata: dict[str, Any]) -> float:
+    """How much of each recording to take: what training kept for validation, all of other splits."""
+    if job.last is not None:
+        if not 0 < job.last <= 1:
+            raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
+        return job.last
+    if job.split != TRAIN:
+        return 1.0
+    recipe = metadata.get("run", {}).get("recipe", {})
+    kept = recipe.get("val_fraction")
+    if not kept:
+        raise UserError(
+            "--split train: this checkpoint kept nothing of it for validation, and scores fitted to what was learnt "
+            "promise too much; name another --split, or with --last the share of each recording to take all the same"
+        )
+    return float(kept)
+
+
+def last_part(file: AnnotationFile, share: float) -> AnnotationFile:
+    """The last `share` of the frames of each recording, rounded."""
+    recordings: dict[tuple[str | None, str | None], list[Image]] = {}
+    for image in file.images:
+        recordings.setdefault((image.site, image.recording), []).append(image)
+    chosen: set[int] = set()
+    for images in recordings.values():
+        ordered = sorted(images, key=lambda image: (image.frame_index is None, image.frame_index or 0))
+        chosen |= {image.id for image in ordered[len(ordered) - round(share * len(ordered)) :]}
+    return replace(
+        file,
+        images=tuple(image for image in file.images if image.id in chosen),
+        annotations=tuple(a for a in file.annotations if a.image_id in chosen),
+    )

@@ -1,0 +1,5 @@
+"""report.html: one file that shows what an evaluation found, without a server or the network."""
+
+from skope.eval.report.page import render
+
+__all__ = ["render"]

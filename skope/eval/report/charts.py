@@ -1,0 +1,195 @@
+"""Line charts and the vehicle's outline as SVG, each with its numbers as a table below.
+
+A line is told by its dashes and the shape of its markers as well as by its colour.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Final
+
+import numpy as np
+
+from skope import keypoints
+from skope.eval.report.marks import details, plain, share, table, tag
+
+WIDTH, HEIGHT = 460, 320
+LEFT, RIGHT, TOP, BOTTOM = 48, 14, 14, 44
+_MARKERS: Final = ("circle", "square", "diamond", "triangle")
+_SHAPES: Final = {
+    "circle": "M{0} {1}m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
+    "square": "M{0} {1}m-3.6-3.6h7.2v7.2h-7.2z",
+    "diamond": "M{0} {1}m0-5l5 5l-5 5l-5-5z",
+    "triangle": "M{0} {1}m0-5l4.6 8h-9.2z",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line of a chart; points without a y are left out."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float | None]
+    notes: Sequence[str] = ()
+    """Said of each point besides its place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """What a chart's axes are; both begin at 0."""
+
+    x_label: str
+    y_label: str
+    x_end: float = 1.0
+    y_end: float = 1.0
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Position in the drawing."""
+        across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+        return round(LEFT + x / self.x_end * across, 1), round(TOP + (1 - y / self.y_end) * up, 1)
+
+
+def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> str:
+    """A figure with lines; a marker stands on each `every`th point and says its numbers."""
+    parts = [_grid(axes)]
+    if diagonal:
+        (x0, y0), (x1, y1) = axes.place(0, 0), axes.place(axes.x_end, axes.y_end)
+        parts.append(f'<path class="ideal" d="M{x0} {y0}L{x1} {y1}"/>')
+    parts += [_line(i, line, axes, every) for i, line in enumerate(lines)]
+    drawing = tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        role="img",
+        aria_label=f"{title}. The numbers are in the table below.",
+        tabindex=0,
+        class_="chart",
+    )
+    legend = tag("ul", *(_legend(i, line.name) for i, line in enumerate(lines)), class_="legend")
+    return tag("figure", tag("figcaption", escape(title)), drawing, legend, _numbers(title, axes, lines, every))
+
+
+def _grid(axes: Axes) -> str:
+    marks = []
+    for i in range(6):
+        x, y = axes.x_end * i / 5, axes.y_end * i / 5
+        (px, bottom), (left, py) = axes.place(x, 0), axes.place(0, y)
+        marks.append(f'<path class="grid" d="M{px} {TOP}V{bottom}M{left} {py}H{WIDTH - RIGHT}"/>')
+        marks.append(f'<text x="{px}" y="{bottom + 16}" text-anchor="middle">{x:g}</text>')
+        marks.append(f'<text x="{left - 6}" y="{py + 4}" text-anchor="end">{y:g}</text>')
+    middle = TOP + (HEIGHT - TOP - BOTTOM) / 2
+    marks.append(
+        f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{escape(axes.x_label)}</text>'
+        f'<text transform="translate(12 {middle}) rotate(-90)" text-anchor="middle">{escape(axes.y_label)}</text>'
+    )
+    return "".join(marks)
+
+
+def _known(line: Line) -> list[tuple[int, float, float]]:
+    return [(i, x, y) for i, (x, y) in enumerate(zip(line.x, line.y, strict=True)) if y is not None]
+
+
+def _line(number: int, line: Line, axes: Axes, every: int) -> str:
+    points = [(i, *axes.place(x, y), x, y) for i, x, y in _known(line)]
+    if not points:
+        return ""
+    path = "M" + "L".join(f"{px} {py}" for _, px, py, _, _ in points)
+    out = [f'<path class="line s{number % 4}" d="{path}"/>']
+    for i, px, py, x, y in points:
+        if i % every == 0:
+            note = f"; {line.notes[i]}" if line.notes else ""
+            tip = f"{line.name}: {axes.x_label} {x:.2g}, {axes.y_label} {y:.3f}{note}"
+            shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
+            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
+    return "".join(out)
+
+
+def _legend(number: int, name: str) -> str:
+    sample = (
+        f'<svg viewBox="0 0 34 12" aria-hidden="true"><path class="line s{number % 4}" d="M1 6H33"/>'
+        f'<path class="mark s{number % 4}" d="{_SHAPES[_MARKERS[number % 4]].format(17, 6)}"/></svg>'
+    )
+    return tag("li", sample, escape(name))
+
+
+def _numbers(title: str, axes: Axes, lines: Sequence[Line], every: int) -> str:
+    xs = sorted({x for line in lines for i, x, _ in _known(line) if i % every == 0})
+    values = [{x: y for _, x, y in _known(line)} for line in lines]
+    rows = [[f"{x:.3g}", *(plain(of.get(x)) for of in values)] for x in xs]
+    return details("Numbers", table([axes.x_label, *(line.name for line in lines)], rows, caption=title))
+
+
+# ---------------------------------------------------------------------------------------------------------- the outline
+
+# A vehicle seen from above with its sides folded out, the lower a point the farther: forward, and from the middle.
+_PLAN: Final = {
+    "roof_front": (1.0, 0.9),
+    "roof_rear": (-1.6, 0.9),
+    "windscreen_base": (2.2, 1.15),
+    "rear_window_base": (-2.7, 1.15),
+    "headlight_outer": (4.35, 1.45),
+    "headlight_inner": (4.55, 0.75),
+    "taillight_outer": (-4.35, 1.45),
+    "taillight_inner": (-4.55, 0.75),
+    "wheel_front": (2.9, 2.35),
+    "wheel_rear": (-2.9, 2.35),
+    "bumper_front": (5.3, 1.75),
+    "bumper_rear": (-5.3, 1.75),
+    "hood_front": (3.65, 0.95),
+    "trunk_rear": (-3.65, 0.95),
+    "mirror": (1.55, 1.95),
+    "beltline": (-0.3, 1.6),
+}
+_LOGO: Final = (5.0, 0.0)
+
+
+def plan(name: str) -> tuple[float, float]:
+    """Where a keypoint stands in the outline: x to the right is forward, y down is the vehicle's right."""
+    if name == "front_logo":
+        return _LOGO
+    stem, side = name.rsplit("_", 1)
+    forward, out = _PLAN[stem]
+    return forward, out if side == "right" else -out
+
+
+def outline(title: str, parts: Mapping[str, Mapping[str, Any]], threshold: str) -> str:
+    """PCK of each keypoint (entry `by.keypoint` of a split) in its place on the vehicle."""
+    places = {name: plan(name) for name in keypoints.NAMES}
+    edges = "".join(
+        "M{:g} {:g}L{:g} {:g}".format(*places[keypoints.NAMES[a]], *places[keypoints.NAMES[b]])
+        for a, b in keypoints.SKELETON
+    )
+    dots = [f'<path class="skeleton" d="{edges}"/>']
+    rows = []
+    for name, entry in parts.items():
+        figures = entry[threshold]
+        pck = figures["pck"]
+        x, y = places[name]
+        step = "none" if pck is None else f"p{int(np.clip(pck * 5, 0, 4))}"
+        text = "–" if pck is None else f"{100 * pck:.0f}"
+        tip = f"{name}: PCK {share(pck)}, {figures['correct']} of {figures['labelled']}"
+        dots.append(
+            f'<g class="dot {step}" data-tip="{escape(tip, quote=True)}"><circle cx="{x:g}" cy="{y:g}" r=".34"/>'
+            f'<text x="{x:g}" y="{y:g}" dy=".11" text-anchor="middle">{text}</text></g>'
+        )
+        cells = (share(pck), str(figures["correct"]), str(figures["labelled"]), share(figures["keypoint_recall"]))
+        rows.append([escape(name), *cells])
+    words = '<text x="6.1" y=".1" class="end">front</text><text x="-6.9" y=".1" class="end">rear</text>'
+    drawing = tag(
+        "svg",
+        *dots,
+        words,
+        viewBox="-7.1 -2.9 14.2 5.8",
+        role="img",
+        tabindex=0,
+        class_="outline chart",
+        aria_label=f"{title}. The numbers are in the table below.",
+    )
+    steps = ("under 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 % and more")
+    legend = tag(
+        "ul", *(f'<li><span class="swatch p{i}"></span>{s}</li>' for i, s in enumerate(steps)), class_="legend"
+    )
+    head = ["keypoint", "PCK", "correct", "labelled", "recall"]
+    numbers = details("Numbers", table(head, rows, caption=title, sortable=True))
+    return tag("figure", tag("figcaption", escape(title)), drawing, legend, numbers, class_="wide")

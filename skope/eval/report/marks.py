@@ -1,0 +1,51 @@
+"""Small pieces of HTML and SVG that the charts, the gallery and the page are made of."""
+
+from collections.abc import Sequence
+from html import escape
+
+
+def tag(name: str, *children: str, **attributes: object) -> str:
+    """An element; children are markup, attributes are escaped. `class_` is class, and `data_tip` data-tip."""
+    written = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    return f"<{name}{written}>{''.join(children)}</{name}>"
+
+
+def share(value: float | None) -> str:
+    """A share in percent, "–" where there was nothing to divide by."""
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def plain(value: float | None, digits: int = 3) -> str:
+    """A number, "–" where there is none."""
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, sortable: bool = False) -> str:
+    """A table; the first cell of each row is its header, cells are markup. Sortable ones have buttons for headings."""
+    titles = [tag("button", escape(title), type="button") if sortable else escape(title) for title in head]
+    top = tag("tr", *(tag("th", title, scope="col") for title in titles))
+    body = [tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in rows]
+    inner = tag(
+        "table",
+        tag("caption", escape(caption)),
+        tag("thead", top),
+        tag("tbody", *body),
+        class_="sortable" if sortable else None,
+    )
+    return tag("div", inner, class_="scroll", tabindex=0, role="region", aria_label=caption)
+
+
+def bar(value: float | None) -> str:
+    """A share in percent with a bar behind it."""
+    if value is None:
+        return "–"
+    return f'<span class="bar" style="--v:{100 * value:.1f}%">{100 * value:.1f}</span>'
+
+
+def details(summary: str, *children: str) -> str:
+    """What is shown when its summary is opened."""
+    return tag("details", tag("summary", escape(summary)), *children)

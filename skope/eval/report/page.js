@@ -1,0 +1,79 @@
+"use strict";
+// Which protocol's table is shown.
+for (const radio of document.querySelectorAll("input[name=protocol]")) {
+  radio.addEventListener("change", () => {
+    for (const panel of document.querySelectorAll("[data-protocol]")) panel.hidden = panel.dataset.protocol !== radio.value;
+  });
+}
+
+// Layers of a split's images.
+for (const box of document.querySelectorAll("input[data-layer]")) {
+  const show = () => {
+    for (const group of box.closest(".gallery").querySelectorAll("g." + box.dataset.layer)) group.classList.toggle("off", !box.checked);
+  };
+  box.addEventListener("change", show);
+  show();
+}
+
+// Tables sort by a column's numbers, or its text; a second time the other way round. What has no number goes last.
+const number = (cell) => (/^\s*[-+]?\d/.test(cell.textContent) ? parseFloat(cell.firstChild.textContent || cell.textContent) : NaN);
+for (const table of document.querySelectorAll("table.sortable")) {
+  const heads = [...table.tHead.rows[0].cells];
+  heads.forEach((head, column) => {
+    head.querySelector("button").addEventListener("click", () => {
+      const falling = head.getAttribute("aria-sort") === "ascending";
+      for (const other of heads) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", falling ? "descending" : "ascending");
+      const body = table.tBodies[0];
+      const rows = [...body.rows].map((row) => ({ row, value: number(row.cells[column]), text: row.cells[column].textContent }));
+      const numeric = column > 0 && rows.some((r) => !Number.isNaN(r.value));
+      rows.sort((a, b) => {
+        if (!numeric) return (falling ? -1 : 1) * a.text.localeCompare(b.text, "en", { numeric: true });
+        if (Number.isNaN(a.value) || Number.isNaN(b.value)) return Number.isNaN(a.value) - Number.isNaN(b.value);
+        return falling ? b.value - a.value : a.value - b.value;
+      });
+      body.append(...rows.map((r) => r.row));
+    });
+  });
+}
+
+// Tooltips: by pointer, by touch, and by the arrow keys in a chart that has the focus.
+const tip = document.getElementById("tip");
+let marked = null;
+const hide = () => {
+  tip.hidden = true;
+  if (marked) marked.classList.remove("active");
+  marked = null;
+};
+const showTip = (target) => {
+  hide();
+  marked = target;
+  target.classList.add("active");
+  tip.textContent = target.dataset.tip;
+  tip.hidden = false;
+  const at = target.getBoundingClientRect();
+  const left = Math.min(Math.max(4, at.left), innerWidth - tip.offsetWidth - 4);
+  const above = at.top - tip.offsetHeight - 8;
+  tip.style.left = left + "px";
+  tip.style.top = (above > 4 ? above : Math.min(at.bottom + 8, innerHeight - tip.offsetHeight - 4)) + "px";
+};
+for (const kind of ["pointerover", "pointerdown"]) {
+  document.addEventListener(kind, (event) => {
+    const target = event.target.closest && event.target.closest("[data-tip]");
+    if (target) showTip(target);
+    else hide();
+  });
+}
+document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape") return hide();
+  const chart = event.target.closest && event.target.closest("svg.chart");
+  const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+  if (!chart || !step) return;
+  const marks = [...chart.querySelectorAll("[data-tip]")];
+  if (!marks.length) return;
+  event.preventDefault();
+  const next = marks.indexOf(marked) < 0 ? (step > 0 ? 0 : marks.length - 1) : (marks.indexOf(marked) + step + marks.length) % marks.length;
+  showTip(marks[next]);
+});
+document.addEventListener("focusout", hide);
+addEventListener("scroll", hide, { passive: true });

@@ -1,0 +1,236 @@
+"""The page: its sections in the order in which they are read, with style and script inside."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from skope import __version__
+from skope.eval.measure import Measured
+from skope.eval.report import curves
+from skope.eval.report.charts import Axes, chart, outline
+from skope.eval.report.gallery import gallery
+from skope.eval.report.marks import bar, plain, table, tag
+from skope.eval.table import COLUMNS, drawn, published_row, row_of
+from skope.eval.tally import PROTOCOLS, Options
+
+_TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
+_PARTS: Final = {
+    "distance": "Distance, m",
+    "height": "Height of the box, px",
+    "occlusion": "Occlusion",
+    "truncation": "Truncation",
+    "weather": "Weather",
+    "vehicle_type": "Vehicle type",
+    "unoccluded_within_40_m": "Unoccluded and within 40 m",
+    "parked": "Parked or driving",
+    "model": "Model seen in training",
+    "keypoint_kind": "Keypoints of the body's own, or substituted",
+}
+_LAYERS: Final = {
+    "truth": "ground truth (solid; rings: hidden)",
+    "found": "predictions (dashed; rings: score under 0.5)",
+    "wrong": "failures (L/R sides swapped, F/R ends swapped)",
+    "ignored": "ignored vehicles (dotted)",
+}
+
+
+def render(
+    document: Mapping[str, Any],
+    measured: Sequence[Measured],
+    root: Path,
+    options: Options,
+    protocol: str,
+    beside: Mapping[str, Any] | None,
+) -> str:
+    """The whole report as HTML. Images are taken from below `root` where they are there."""
+    names = " ".join(split.file.name for split in measured)
+    body = [
+        tag("h1", "Evaluation of vehicle keypoints"),
+        _about(document),
+        _figures(document, protocol, beside),
+        *(_split(split, root, options) for split in measured),
+        tag("div", id="tip", role="status", hidden="hidden"),
+        tag("script", _text("page.js")),
+    ]
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        # No request leaves the page, whatever it holds.
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
+        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
+        '<link rel="icon" href="data:,">'
+    )
+    style = tag("style", _text("page.css"))
+    return (
+        f'<!doctype html>\n<html lang="en"><head>{head}<title>{escape(f"skope eval: {names}")}</title>{style}</head>'
+        f"<body><main>{''.join(body)}</main></body></html>\n"
+    )
+
+
+def _text(name: str) -> str:
+    return resources.files("skope.eval.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _about(document: Mapping[str, Any]) -> str:
+    scores = {
+        None: "as the detector's own program gives them",
+        True: "calibrated probabilities of being visible and near enough",
+        False: "not calibrated (skope eval calibrate)",
+    }[document["calibrated"]]
+    least = document["keypoint_score_threshold"]
+    facts = (
+        f"A detection counts when it scores above {document['score_threshold']:g}; a keypoint is correct within "
+        f"{document['alpha']:g} of the longer edge L of the ground-truth box ({document['boxes']} boxes); keypoints "
+        f"that count: {document['labelled']}; keypoint scores: {scores}; "
+        f"{'all keypoints count as predicted' if not least else f'keypoints above {least:g} count as predicted'}. "
+        f"{len(document['points'])} keypoints of scheme {document['scheme']}. skope {__version__}."
+    )
+    return tag("p", escape(facts))
+
+
+def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:
+    """The table in both protocols, one shown at a time, and the counts."""
+    choices = "".join(
+        f'<label><input type="radio" name="protocol" value="{p}"{" checked" if p == protocol else ""}> {p}</label>'
+        for p in PROTOCOLS
+    )
+    panels = [
+        tag("div", _table(document, p, beside), data_protocol=p, hidden=None if p == protocol else "hidden")
+        for p in PROTOCOLS
+    ]
+    meaning = (
+        "pooled: sums over the whole split, the figures to decide by; paper: the mean of each image's own figures, as "
+        "the published table has it."
+    )
+    partial = (
+        "Only detections above the score threshold were carried through (--fast): there is no average precision, "
+        "and the curves end where that threshold is."
+    )
+    sources = "".join(
+        tag("li", escape(f"Intervals of {name}: {drawn(split['bootstrap'])}"))
+        for name, split in document["splits"].items()
+    )
+    heads = ("split", "images", "vehicles", "ignored", "detections", "box AP", "AP50", "keypoint AP", "AP50")
+    counts = [
+        [
+            escape(name),
+            *(str(split[key]) for key in ("images", "ground_truth", "ignored", "detections")),
+            *(plain(value) for value in split["coco"].values()),
+        ]
+        for name, split in document["splits"].items()
+    ]
+    return tag(
+        "section",
+        tag("h2", "Figures"),
+        tag("fieldset", tag("legend", "Protocol"), choices, class_="choices"),
+        *panels,
+        tag("p", meaning),
+        tag("ul", sources),
+        table(heads, counts, caption="Counts and average precision"),
+        tag("p", partial) if any(_lacks_low_scores(split) for split in document["splits"].values()) else "",
+    )
+
+
+def _lacks_low_scores(split: Mapping[str, Any]) -> bool:
+    return bool(split["ground_truth"]) and split["coco"]["box_ap"] is None
+
+
+def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:
+    rows = []
+    for name, split in document["splits"].items():
+        for t, figures in split["iou"].items():
+            spans = row_of(split["bootstrap"]["iou"][t], protocol)
+            cells = [_cell(v, s, i == 0) for i, (v, s) in enumerate(zip(row_of(figures, protocol), spans, strict=True))]
+            rows.append([escape(f"{name}, IoU {t}"), *cells])
+            if beside and protocol == "paper":
+                theirs = [_cell(v, None, i == 0) for i, v in enumerate(published_row(beside, name, t))]
+                rows.append([escape(f"{name}, IoU {t}: published"), *theirs])
+    assert len(_TITLES) == len(COLUMNS) + 1
+    return table(
+        ("split, threshold", *_TITLES), rows, caption=f"Protocol {protocol}, with 95% intervals", sortable=True
+    )
+
+
+def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) -> str:
+    """A figure and its interval below it."""
+    scale, digits = (100, 2) if percent else (1, 3)
+    text = "–" if value is None else f"{scale * value:.{digits}f}"
+    if interval is None:
+        return text
+    low, high = interval
+    return f"{text}<small>{scale * low:.{digits}f}–{scale * high:.{digits}f}</small>"
+
+
+def _split(measured: Measured, root: Path, options: Options) -> str:
+    entry, name = measured.entry, measured.file.name
+    loosest = f"{options.loosest:g}"
+    boxes = Axes(x_label="recall", y_label="precision")
+    within = Axes(x_label="alpha", y_label="PCK", x_end=0.2)
+    claimed = Axes(x_label="score", y_label="share visible and near enough")
+    charts = [
+        chart("Boxes: precision over recall", boxes, curves.precision_recall(measured, options), every=5),
+        chart("PCK over alpha", within, curves.pck_over_alpha(measured, options), every=4),
+        chart("Are keypoint scores what they claim?", claimed, curves.reliability(measured), diagonal=True),
+        chart("Keypoints: precision over recall", boxes, curves.keypoint_precision_recall(measured), every=5),
+    ]
+    parts = [_part(title, entry["by"][key], loosest) for key, title in _PARTS.items() if key in entry["by"]]
+    shown = gallery(measured, root, options)
+    return tag(
+        "section",
+        tag("h2", escape(f"Split {name}")),
+        tag(
+            "div",
+            *charts,
+            outline(f"PCK of each keypoint, IoU {loosest}", entry["by"]["keypoint"], loosest),
+            class_="grid",
+        ),
+        _confidence(entry["confidence"], loosest),
+        tag("h3", f"By parts, IoU {loosest}"),
+        tag("div", *parts, class_="grid"),
+        tag("h3", "What goes wrong"),
+        _failures(entry["failures"]),
+        tag("h3", "Images"),
+        tag(
+            "p",
+            "Quality is the share of an image's labelled keypoints that are right, times vehicles / (vehicles + false "
+            "detections). Lines lead from a wrong keypoint to its place.",
+        ),
+        tag("div", _switches(name), shown, class_="gallery") if shown else tag("p", "No image file is there."),
+    )
+
+
+def _confidence(entry: Mapping[str, Any], threshold: str) -> str:
+    return tag(
+        "p",
+        escape(
+            f"Keypoint scores at IoU {threshold}: {entry['points']} keypoints of matched vehicles, {entry['right']} of "
+            f"them visible and near enough; calibration error {plain(entry['calibration_error'])}; a visible keypoint "
+            f"outscores a hidden one with probability {plain(entry['auc_visible'])} (AUC; {entry['visible']} visible, "
+            f"{entry['hidden']} hidden); average precision of keypoints {plain(entry['average_precision'])}."
+        ),
+    )
+
+
+def _part(title: str, of: Mapping[str, Any], threshold: str) -> str:
+    rows = []
+    for name, by_threshold in of.items():
+        figures = by_threshold[threshold]
+        vehicles = (str(figures["ground_truth"]), bar(figures["box_recall"])) if "ground_truth" in figures else ("", "")
+        rows.append([escape(name), *vehicles, str(figures["labelled"]), bar(figures["pck"])])
+    return table(("part", "vehicles", "recall %", "keypoints", "PCK %"), rows, caption=title, sortable=True)
+
+
+def _failures(entry: Mapping[str, Mapping[str, int]]) -> str:
+    head = ("IoU", "vehicles missed", "false vehicles", "left/right swapped", "front/rear swapped", "jitter")
+    rows = [[t, *(str(count) for count in counts.values())] for t, counts in entry.items()]
+    return table(head, rows, caption="Vehicles missed and false; wrong keypoints by kind")
+
+
+def _switches(split: str) -> str:
+    boxes = "".join(
+        f'<label><input type="checkbox" data-layer="{layer}"{"" if layer == "ignored" else " checked"}> '
+        f'<span class="key {layer}"></span>{escape(words)}</label>'
+        for layer, words in _LAYERS.items()
+    )
+    return tag("fieldset", tag("legend", escape(f"Layers of the images of {split}")), boxes, class_="choices")

@@ -1,0 +1,30 @@
+"""How a checkpoint is run; apart from what runs it, so that the command line can say what is wrong without torch."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from skope.errors import UserError, one_of
+
+PRECISIONS: Final = ("float32", "bfloat16", "auto")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How a checkpoint is run."""
+
+    device: str = "auto"
+    given: bool = False
+    """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
+    min_score: float | None = None
+    """Only detections above this go through the keypoint head; None: those above the detector's own 0.05."""
+    precision: str = "float32"
+    """Of the costly parts; "auto" is bfloat16 where the processor has it."""
+    batch_size: int | None = None
+    """Images of one size that go through the network together; by default 1 on a CPU, 8 on a GPU."""
+    calibrated: bool = True
+    """Use the calibration beside the weights, if there is one."""
+
+    def __post_init__(self) -> None:
+        one_of("--precision", self.precision, PRECISIONS)
+        if self.batch_size is not None and self.batch_size < 1:
+            raise UserError(f"--batch-size: expected a whole number from 1, got {self.batch_size}")
