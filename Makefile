@@ -56,6 +56,7 @@ $(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
 
 bench: $(STAMP)
 	$(VENV)/bin/python scripts/bench_eval.py
+	$(VENV)/bin/python scripts/bench_gen.py
 	$(VENV)/bin/python scripts/bench_localize.py
 	$(VENV)/bin/python scripts/bench_render.py
 

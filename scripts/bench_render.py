@@ -154,7 +154,7 @@ class Peer:
         projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.T_camera_world
-        self.engine.getCameraImage(
+        self.image = self.engine.getCameraImage(
             *(width, height, view.T.ravel().tolist(), projection.T.ravel().tolist()),
             lightDirection=list(self.light.direction),
             shadow=1,
