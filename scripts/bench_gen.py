@@ -1,7 +1,7 @@
 """Images per second of `skope gen`, simulation to finished dataset, against a plain loop over pybullet's camera.
 
 The peer is what one would write today: the same recording, `getCameraImage` for colour, depth and ids, once more for
-every vehicle alone (its whole silhouette, for box and occlusion), JPEG and 16-bit depth by OpenCV; one process per core.
+every vehicle alone (its whole silhouette, for box and occlusion), JPEG and depth by OpenCV; one process per core.
 With --flat: what an image costs, and the memory, of datasets of growing size.
 Run: make bench, or python scripts/bench_gen.py --flat 100,1000,5000
 """
