@@ -271,7 +271,7 @@ def test_visibility_of_200_vehicles_with_the_default_camera() -> None:
         plan = RecordingPlan(
             site=site(name), index=0, frames=8, interval=2.0, size=(1920, 1080), fov_deg=110, seed=seed
         )
-        count += agreement("gl", simulate(plan), (0, 2, 5, 7))
+        count += agreement("gl", simulate(plan), (0, 1, 3, 5, 7))
     print(dict(count))
     assert count["vehicles", True] >= 200
     assert count["near", True] >= 0.99 * (count["near", True] + count["near", False])
