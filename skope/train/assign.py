@@ -97,11 +97,12 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         logits, deltas = self.box_predictor(self.box_head(self.box_roi_pool(features, proposals, image_shapes)))
         loss_classifier, loss_box_reg = fastrcnn_loss(logits, deltas, labels, regression)
 
-        chosen = [self._choose(label) for label in labels]
+        labelled = [(target["keypoints"][..., 2] > 0).any(dim=1) for target in targets]
+        chosen = [self._choose(*each) for each in zip(labels, matched, labelled, strict=True)]
         regions = [boxes[index] for boxes, index in zip(proposals, chosen, strict=True)]
         pooled = self.keypoint_roi_pool(features, regions, image_shapes)
         loss_keypoint = keypointrcnn_loss(
-            self.keypoint_predictor(self.keypoint_head(pooled)),
+            self.keypoint_predictor(self.keypoint_head(pooled)).contiguous(),  # the loss takes no other layout
             regions,
             [target["keypoints"] for target in targets],
             [index_of[index] for index_of, index in zip(matched, chosen, strict=True)],
@@ -109,9 +110,14 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         losses = {"loss_classifier": loss_classifier, "loss_box_reg": loss_box_reg, "loss_keypoint": loss_keypoint}
         return [], losses
 
-    def _choose(self, labels: Tensor) -> Tensor:
-        """Indices of at most `_keypoint_regions` regions of vehicles, drawn without preference."""
+    def _choose(self, labels: Tensor, matched: Tensor, labelled: Tensor) -> Tensor:
+        """Indices of at most `_keypoint_regions` regions of vehicles with a labelled point, drawn without preference.
+
+        The others add nothing to the loss, which is a mean over labelled points.
+        """
         vehicles = torch.where(labels > 0)[0]
+        if len(labelled):
+            vehicles = vehicles[labelled[matched[vehicles]]]
         if self._keypoint_regions is None or len(vehicles) <= self._keypoint_regions:
             return vehicles
         return vehicles[torch.randperm(len(vehicles), device=vehicles.device)[: self._keypoint_regions]]

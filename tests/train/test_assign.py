@@ -67,7 +67,14 @@ def test_ignored_boxes_are_resized_with_the_image(model: KeypointRCNN) -> None:
 
 def test_the_keypoint_head_gets_a_bounded_number_of_vehicles(model: KeypointRCNN) -> None:
     labels = torch.tensor([0, 1, 1, 0, 1, 1])
-    chosen = model.roi_heads._choose(labels)
+    matched, labelled = torch.tensor([0, 0, 1, 0, 1, 0]), torch.tensor([True, True])
+    chosen = model.roi_heads._choose(labels, matched, labelled)
     assert len(chosen) == 2
     assert (labels[chosen] == 1).all()
-    assert model.roi_heads._choose(torch.tensor([0, 1])).tolist() == [1]
+    assert model.roi_heads._choose(torch.tensor([0, 1]), matched[:2], labelled).tolist() == [1]
+
+
+def test_regions_of_vehicles_without_a_labelled_point_are_left_out(model: KeypointRCNN) -> None:
+    labels, matched = torch.tensor([0, 1, 1, 0, 1, 1]), torch.tensor([0, 0, 1, 0, 0, 0])
+    assert model.roi_heads._choose(labels, matched, torch.tensor([False, True])).tolist() == [2]
+    assert not len(model.roi_heads._choose(labels * 0, matched, torch.zeros(0, dtype=torch.bool)))
