@@ -35,13 +35,18 @@ class Deployed(nn.Module):
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """One (3, H, W) image."""
-        answer = self.model([image])
-        # torchvision's model answers with (losses, detections) when it is scripted, else with detections.
-        if torch.jit.is_scripting():  # type: ignore[attr-defined]  # noqa: SIM108 (only a statement is left out)
-            found = answer[1][0]
-        else:
-            found = answer[0]
-        return found["boxes"], found["scores"], found["keypoints"][:, :, :2], found["keypoints_scores"].sigmoid()
+        return _in_order(self.model([image])[0])
+
+
+class _Scripted(Deployed):
+    """The same around a scripted model, which answers with its losses too."""
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return _in_order(self.model([image])[1][0])
+
+
+def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return found["boxes"], found["scores"], found["keypoints"][:, :, :2], found["keypoints_scores"].sigmoid()
 
 
 def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> Path:
@@ -54,13 +59,12 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     model, config, _ = detector.load_weights(path, "cpu")
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
-    deployed = Deployed(model).eval()
     with replacing(out) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of tracing and of the exporter's age: what matters is tested
         if to == "torchscript":
-            torch.jit.script(deployed).save(str(temporary))  # type: ignore[no-untyped-call]
+            torch.jit.script(_Scripted(model).eval()).save(str(temporary))  # type: ignore[no-untyped-call]
         else:
-            _to_onnx(deployed, temporary)
+            _to_onnx(Deployed(model).eval(), temporary)
     return out
 
 

@@ -26,6 +26,8 @@ CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
 STATE_INTERVAL_S: Final = 600.0
 
+_CURVES_INTERVAL_S = 5.0
+"""Drawing takes a third of a second: not after every epoch when epochs take seconds."""
 _MEASURED_STEPS = 2
 _LEAST_INSIDE = 0.8
 
@@ -97,7 +99,7 @@ class _Run:
         left -= self.training.steps_done * self.config.recipe.batch_size
         self._file, self._paths = sources.for_validation(self.parts, self.config.recipe.val_images)
         self._board = watch.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
-        self._saved_at = self._checkpoint_at = time.monotonic()
+        self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:
             while self.training.epochs_done < epochs:
                 self._epoch()
@@ -180,8 +182,10 @@ class _Run:
             if training.best is None or validate.rank(figures) > training.best:
                 training.best = validate.rank(figures)
                 run.save_best(self.out, self.config, training)
-        watch.curves(self.out / "curves.png", training.history)
         last = training.epochs_done == recipe.epochs
+        if last or time.monotonic() - self._drawn_at >= _CURVES_INTERVAL_S:
+            watch.curves(self.out / "curves.png", training.history)
+            self._drawn_at = time.monotonic()
         if last or time.monotonic() - self._checkpoint_at >= self.saving.checkpoint_interval_s:
             run.save_epoch(self.out, self.config, training, keep=self.saving.keep)
             self._write_card()

@@ -126,9 +126,8 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         trainable_layers=recipe.trainable_layers,
         seed=config.seed,
     )
-    model = _placed(model, recipe, device)
-    optimizer = _optimizer(model, recipe)
-    return Training(model, detector_config, optimizer, origin, list(fingerprints), 0, 0, {}, [], None)
+    model = placed(model, recipe, device)
+    return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)
 
 
 def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
@@ -152,13 +151,13 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
     done = plain["epochs_done"]
     if done > config.recipe.epochs:
         raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {done} epochs behind it already")
-    model = _placed(model, config.recipe, device)
-    optimizer = _optimizer(model, config.recipe)
+    model = placed(model, config.recipe, device)
+    sgd = optimizer(model, config.recipe)
     try:
-        optimizer.load_state_dict(saved["optimizer"])
+        sgd.load_state_dict(saved["optimizer"])
     except (ValueError, KeyError) as error:
         raise UserError(f"{path}: does not fit the run's recipe ({error})") from None
-    return Training(model, detector_config, optimizer, **plain)
+    return Training(model, detector_config, sgd, **plain)
 
 
 def record(run: Path, config: RunConfig) -> None:
@@ -195,12 +194,14 @@ def _save_weights(path: Path, config: RunConfig, training: Training) -> None:
     detector.save_weights(path, training.model, training.config, metadata)
 
 
-def _placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
+def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
+    """The model on a device, in the recipe's memory layout."""
     layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
     return model.to(device=device, memory_format=layout)
 
 
-def _optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
+def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
+    """Of the parameters that learn; one pass over memory a step."""
     return torch.optim.SGD(
         [parameter for parameter in model.parameters() if parameter.requires_grad],
         lr=recipe.learning_rate,
