@@ -28,6 +28,10 @@ STATE_INTERVAL_S: Final = 600.0
 
 _CURVES_INTERVAL_S = 5.0
 """Drawing takes a third of a second: not after every epoch when epochs take seconds."""
+_LEAST_VALIDATED = 4
+_VALIDATED_PART = 5
+"""An epoch over few images is validated on no more than a fifth of their number: to look must not cost more than to
+learn."""
 _MEASURED_STEPS = 2
 _LEAST_INSIDE = 0.8
 
@@ -97,7 +101,8 @@ class _Run:
         epochs = self.config.recipe.epochs
         left = len(self.training_set) * (epochs - self.training.epochs_done)
         left -= self.training.steps_done * self.config.recipe.batch_size
-        self._file, self._paths = sources.for_validation(self.parts, self.config.recipe.val_images)
+        most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
+        self._file, self._paths = sources.for_validation(self.parts, most)
         self._board = watch.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
         self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:
@@ -170,7 +175,7 @@ class _Run:
         row = training.history[-1]
         if self._file.images:
             model, file = training.model, self._file
-            figures = validate.validate(model, file, self._paths, self.device, bfloat16=recipe.bfloat16)
+            figures = validate.validate(model, file, self._paths, self.device)
             row["validation"] = figures
             self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"

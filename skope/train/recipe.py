@@ -56,7 +56,7 @@ class Recipe:
     val_fraction: float
     """Share of each training recording, at its end, that is validated on instead of learnt from."""
     val_images: int
-    """Most images, evenly spread over that share, that an epoch's validation looks at."""
+    """Most images, evenly spread over that share, that an epoch's validation looks at (and a fifth of those learnt)."""
     bfloat16: bool
     """Multiply in bfloat16 where autocast thinks it safe."""
     fold_norms: bool

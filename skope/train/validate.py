@@ -26,9 +26,7 @@ def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device)
     return [Result(image_id=image_id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
 
 
-def validate(
-    model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device, *, bfloat16: bool
-) -> Figures:
+def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
     """Figures of the split `file`, whose pixels lie at `paths`, pooled, at a score above 0.9 and an IoU of 0.6.
 
     `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
@@ -37,17 +35,14 @@ def validate(
     vehicles = file.by_image()
     detected: list[Result] = []
     given: list[Result] = []
-    with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-        for image, path in zip(file.images, paths, strict=True):
-            pixels = read_image(path, size=(image.width, image.height))
-            detected += found(model, pixels, image.id, device)
-            truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
-            corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
-            points = detector.detect_on_boxes(model, pixels, corners, device)
-            given += [
-                Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p)
-                for a, p in zip(truth, points, strict=True)
-            ]
+    for image, path in zip(file.images, paths, strict=True):
+        pixels = read_image(path, size=(image.width, image.height))
+        detected += found(model, pixels, image.id, device)
+        truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
+        corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
+        points = detector.detect_on_boxes(model, pixels, corners, device)
+        rows = zip(truth, points, strict=True)
+        given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
     options = metrics.Options()
     split = metrics.score_split(file, detected, options)
     at = split["iou"][_IOU]

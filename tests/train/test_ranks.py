@@ -1,35 +1,66 @@
 """Several processes train one model as torchrun starts them (here two on the CPU, over gloo)."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 
 from skope import detector
+from skope.train import ranks, step
+from skope.train.data import Sample
 from skope.train.ranks import Team
+from skope.train.recipe import RECIPES
 from tests import samples
 
-RECIPE = """
-base = "scratch"
-epochs = 2
-batch_size = 2
-min_size = 64
-max_size = 96
-regions = 4096
-keypoint_regions = "none"
-norm = "frozen"
-val_fraction = 0.25
-warmup_steps = 0
-learning_rate = 1e-3
-bfloat16 = false
-[augment]
-flip = 0.0
-"""
+SMALL = ("min_size=64", "max_size=96", "regions=8", "keypoint_regions=1", "val_fraction=0.25")
+RATES = 0.05
+BATCHES = (5, 1, 4)
+"""Images of each step; of one image a second process gets nothing."""
+
+
+class Toy(torch.nn.Module):
+    """Answers like a detector in training; its losses are means over images."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.tensor([0.5, -0.2, 0.1]))
+        self.register_buffer("running_mean", torch.zeros(3))
+
+    def forward(self, images: list[torch.Tensor], targets: list[Any]) -> dict[str, torch.Tensor]:
+        colors = torch.stack([image.mean(dim=(1, 2)) for image in images])
+        self.running_mean += colors.detach().mean(dim=0)
+        loss = ((colors @ self.weight - 1) ** 2).mean()
+        return {name: loss * factor for factor, name in enumerate(step.LOSSES, start=1)}
+
+
+def learn(out: str) -> None:
+    """A few steps in this process, one of those that the environment names."""
+    with ranks.joined(torch.device("cpu")) as (team, _):
+        toy = Toy()
+        optimizer = torch.optim.SGD(toy.parameters(), lr=RATES, momentum=0.9)
+        training: Any = SimpleNamespace(model=toy, optimizer=optimizer, epochs_done=0)
+        rng = np.random.default_rng(0)
+        losses = []
+        for count in BATCHES:
+            images = rng.integers(0, 256, (count, 3, 4, 4), dtype=np.uint8)
+            batch = [Sample(str(i), torch.as_tensor(pixels), {}) for i, pixels in enumerate(images)]
+            wish = (float(team.first), 0.5)
+            values, wishes = step.take(
+                training, team.share(batch), RECIPES["paper"], rate=RATES, images=count, team=team, wish=wish
+            )
+            assert wishes == [1.0, 0.5 * team.size], "every process learns of a wish of one"
+            losses.append(values["loss"])
+        team.average_statistics(toy)
+        state = {"weight": toy.weight.detach(), "mean": toy.running_mean, "losses": torch.tensor(losses)}
+        torch.save(state, f"{out}.{team.rank}")
 
 
 def free_port() -> int:
@@ -38,40 +69,45 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def skope_train(folder: Path, out: str, processes: int, *more: str) -> subprocess.CompletedProcess[str]:
-    torchrun = ("-m", "torch.distributed.run", "--nproc-per-node", str(processes), "--master-port", str(free_port()))
-    start = (*torchrun, "-m", "skope") if processes > 1 else ("-m", "skope")
-    flags = ("--data", str(folder / "data"), "--recipe", str(folder / "small.toml"), "--out", str(folder / out))
-    command = [sys.executable, *start, "train", *flags, "--device", "cpu", *more]
+def test_a_batch_shared_by_two_processes_teaches_the_same(tmp_path: Path) -> None:
+    learn(str(tmp_path / "alone"))
+    code = f"from tests.train.test_ranks import learn; learn({str(tmp_path / 'both')!r})"
+    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
+    members = [
+        subprocess.Popen([sys.executable, "-c", code], env={**common, "RANK": str(rank), "LOCAL_RANK": str(rank)})
+        for rank in range(2)
+    ]
+    assert [member.wait(timeout=120) for member in members] == [0, 0]
+    alone, *both = (torch.load(tmp_path / name, weights_only=True) for name in ("alone.0", "both.0", "both.1"))
+    for state in both:
+        torch.testing.assert_close(state["weight"], alone["weight"])
+        torch.testing.assert_close(state["losses"], alone["losses"])
+    assert torch.equal(both[0]["mean"], both[1]["mean"])
+    assert both[0]["mean"].min() > 0
+
+
+def torchrun(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    start = ("-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", str(free_port()))
+    flags = ("--data", str(folder / "data"), "--out", str(folder / "run"), "--device", "cpu", "--epochs", "1")
+    values = [part for value in SMALL for part in ("--set", value)]
+    command = [sys.executable, *start, "-m", "skope", "train", "--recipe", "scratch", *flags, *values, *more]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
 
-def test_two_processes_learn_what_one_does(tmp_path: Path) -> None:
-    """The same batches, shared: losses and weights agree but for the draw of regions; one process writes and talks."""
-    samples.make_dataset(tmp_path / "data", images=7, splits=("train",))  # 5 to learn: the last batch is one image
-    (tmp_path / "small.toml").write_text(RECIPE)
-    runs = {}
-    for processes in (1, 2):
-        done = skope_train(tmp_path, f"run{processes}", processes)
-        assert done.returncode == 0, done.stderr
-        out = tmp_path / f"run{processes}"
-        rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-        runs[processes] = rows, load_file(detector.find_checkpoint(out))
-        assert f"on cpu x {processes}" in done.stdout
-        assert done.stdout.count("images with") == 1
-    (one, weights), (two, shared) = runs[1], runs[2]
-    for a, b in zip(one, two, strict=True):
-        assert b["loss_classifier"] == pytest.approx(a["loss_classifier"], rel=0.05)
-        assert b["loss_keypoint"] == pytest.approx(a["loss_keypoint"], rel=0.05)
-    moved = [(shared[n] - weights[n]).norm() for n in weights if n.endswith("weight")]
-    state = torch.load(tmp_path / "run2" / "resume.pt", weights_only=True)["optimizer"]["state"]
-    assert all(torch.isfinite(value) for value in moved)
-    assert sum(moved) < 0.1 * sum(entry["momentum_buffer"].norm() for entry in state.values())
+def test_under_torchrun_one_process_writes_and_talks(tmp_path: Path) -> None:
+    samples.make_dataset(tmp_path / "data", images=5, splits=("train",))  # 3 to learn: the last batch is one image
+    done = torchrun(tmp_path, "--batch-size", "2")
+    assert done.returncode == 0, done.stderr
+    assert "on cpu x 2" in done.stdout
+    assert done.stdout.count("images with") == 1
+    (row,) = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert row["validation"]["images"] == 1
+    assert list(detector.checkpoints(tmp_path / "run")) == [1]
 
 
+@pytest.mark.slow
 def test_a_mistake_ends_all_processes(tmp_path: Path) -> None:
-    (tmp_path / "small.toml").write_text(RECIPE)
-    done = skope_train(tmp_path, "run", 2)
+    done = torchrun(tmp_path)
     assert done.returncode != 0
     assert "data: no such dataset folder" in done.stderr
     assert not (tmp_path / "run").exists()
