@@ -68,7 +68,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
     """Whatever the step it is stopped at, in whatever way, and with every augmentation."""
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
     often = Augment(**dict.fromkeys(STEPS, 0.5))
-    recipe = replace(TINY, batch_size=2, val_fraction=0.2, val_images=1, augment=often)
+    recipe = replace(TINY, batch_size=2, augment=often)
     state = torch.get_rng_state()
     whole = tmp_path / "whole"
     last = train(data, whole, recipe)
@@ -85,7 +85,6 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
     resumed = train(data, parts, recipe, resume=True)
 
     assert same_files(last, resumed), steps
-    assert same_files(whole / run.BEST, parts / run.BEST), steps
     assert (whole / "metrics.jsonl").read_text() == (parts / "metrics.jsonl").read_text(), steps
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     _, _, metadata = detector.load_weights(resumed, CPU)
@@ -207,28 +206,6 @@ def test_too_little_memory_says_what_to_lower(tmp_path: Path, monkeypatch: pytes
             UserError, match=r"out of memory at 1 images at once, short side 64, 1 keypoint regions: lower"
         ):
             train(data, tmp_path / "run", TINY)
-
-
-def test_parts_of_a_batch_add_up_to_the_batch(tmp_path: Path) -> None:
-    """With all regions learnt from, of images with as many vehicles and points: the mean of means is the mean."""
-    data = samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
-    recipe = replace(
-        TINY,
-        norm="frozen",
-        batch_size=2,
-        regions=4096,
-        keypoint_regions=None,
-        epochs=1,
-        warmup_steps=0,
-        gradient_clip=None,
-    )
-    rows = []
-    for at_once in (None, 1):
-        out = tmp_path / str(at_once)
-        train(data, out, replace(recipe, images_at_once=at_once))
-        rows.append(json.loads((out / "metrics.jsonl").read_text()))
-    for name in ("loss_classifier", "loss_keypoint"):
-        assert rows[0][name] == pytest.approx(rows[1][name], rel=0.02)
 
 
 def move_boxes(data: Path, moved: int) -> None:

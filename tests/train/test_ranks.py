@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -84,6 +85,20 @@ def test_a_batch_shared_by_two_processes_teaches_the_same(tmp_path: Path) -> Non
         torch.testing.assert_close(state["losses"], alone["losses"])
     assert torch.equal(both[0]["mean"], both[1]["mean"])
     assert both[0]["mean"].min() > 0
+
+
+def test_parts_of_a_batch_teach_what_the_batch_does() -> None:
+    weights = []
+    for at_once in (None, 2):
+        toy = Toy()
+        training: Any = SimpleNamespace(model=toy, optimizer=torch.optim.SGD(toy.parameters(), lr=RATES), epochs_done=0)
+        pixels = np.random.default_rng(0).integers(0, 256, (5, 3, 4, 4), dtype=np.uint8)
+        batch = [Sample(str(i), torch.as_tensor(each), {}) for i, each in enumerate(pixels)]
+        recipe = replace(RECIPES["paper"], images_at_once=at_once)
+        step.take(training, batch, recipe, rate=RATES, images=5, team=Team(), wish=())
+        weights.append(toy.weight.detach())
+    torch.testing.assert_close(weights[0], weights[1])
+    assert not torch.equal(weights[0], Toy().weight)
 
 
 def torchrun(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
