@@ -54,11 +54,12 @@ $(RUN)/.trained: $(DATA)/dataset.json | $(STAMP)
 $(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
 	$(SKOPE) eval --data $(DATA) --checkpoint $(RUN)
 
-bench: $(STAMP)
+bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_gen.py
 	$(VENV)/bin/python scripts/bench_localize.py
 	$(VENV)/bin/python scripts/bench_render.py
+	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

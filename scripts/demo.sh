@@ -12,7 +12,7 @@ echo "== 2/4 train from random weights on $FRAMES frames, to see the whole chain
 if [ -e "$RUN/resume.pt" ]; then
     "$SKOPE" train --out "$RUN" --resume
 else
-    "$SKOPE" train --data "$DATA" --out "$RUN" --recipe scratch --max-images "$FRAMES" --epochs 60
+    "$SKOPE" train --data "$DATA" --out "$RUN" --recipe scratch --max-images "$FRAMES" --epochs 60 --val-fraction 0
 fi
 
 echo "== 3/4 score the $FRAMES frames that it was trained on: this says that the chain works, not that it generalises"

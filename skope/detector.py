@@ -1,4 +1,4 @@
-"""Keypoint R-CNN with 33 keypoints: build, initialise, save, load, run. Stock torchvision inside.
+"""Keypoint R-CNN with 33 keypoints: build, save, load, run. Stock torchvision inside.
 
 Boxes and keypoints are continuous pixel coordinates of the image that was passed in, as everywhere in skope.
 torchvision resizes the image before the network and scales the answers back by the same two factors.
@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final, Self
-from urllib.parse import urlparse
 
 import numpy as np
 import torch
@@ -20,10 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
-from torchvision.models import ResNet50_Weights, WeightsEnum
-from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
+from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
-from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
 from torchvision.models.detection.transform import resize_boxes, resize_keypoints
 from torchvision.ops import FrozenBatchNorm2d
@@ -32,15 +29,12 @@ from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.files import replacing
 
-INITS: Final = ("auto", "coco", "imagenet", "random")
 NORMS: Final = ("frozen", "batch")
 MAX_DETECTIONS: Final = 300
 """Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
 MIN_SCORE: Final = 0.05
 
-_COCO_KEYPOINTS: Final = 17
-_DEFAULT_EPS: Final = 1e-5
-_HEADER: Final = "skope"
+HEADER: Final = "skope"
 _FORMAT_VERSION: Final = 1
 _REGIONS_AT_ONCE: Final = 128
 
@@ -97,16 +91,13 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def build(config: DetectorConfig, *, trainable_layers: int = 5) -> KeypointRCNN:
+def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointRCNN:
     """Keypoint R-CNN (ResNet50-FPN) for one class and 33 keypoints, weights drawn from torch's random state.
 
     `trainable_layers` (0 to 5) counts the backbone's stages that learn, from the last one, where normalisation is
-    frozen; with normalisation that learns all of them do, as in torchvision.
+    frozen; with normalisation that learns all of them do, as in torchvision. Another `num_keypoints` is for weights
+    that were trained on such a scheme and whose predictor is replaced next.
     """
-    return _build(config, trainable_layers, keypoints.K)
-
-
-def _build(config: DetectorConfig, trainable_layers: int, num_keypoints: int) -> KeypointRCNN:
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
     backbone = resnet_fpn_backbone(
         backbone_name="resnet50",
@@ -122,88 +113,6 @@ def _build(config: DetectorConfig, trainable_layers: int, num_keypoints: int) ->
         max_size=config.max_size,
         box_detections_per_img=MAX_DETECTIONS,
     )
-
-
-# ------------------------------------------------------------------------------------------------------- first weights
-
-
-def initialise(
-    init: str, *, min_size: int, max_size: int, trainable_layers: int, seed: int
-) -> tuple[KeypointRCNN, DetectorConfig, str]:
-    """A model with its first weights, its config, and the choice in words.
-
-    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else random ones, and never uses
-    the network; `coco` and `imagenet` download what is not there. As in torchvision, trained weights come with frozen
-    normalisation, and random ones with normalisation and all layers that learn. `seed` draws what no file gives.
-    """
-    one_of("init", init, INITS)
-    coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
-    with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(seed)
-        if init == "coco" or (init == "auto" and coco_file.is_file()):
-            # These weights were trained while FrozenBatchNorm2d added nothing to the variance.
-            config = DetectorConfig(norm="frozen", norm_eps=0.0, min_size=min_size, max_size=max_size)
-            return _from_coco(config, trainable_layers), config, "weights trained on COCO"
-        if init == "imagenet":
-            config = DetectorConfig(norm="frozen", norm_eps=_DEFAULT_EPS, min_size=min_size, max_size=max_size)
-            return _from_imagenet(config, trainable_layers), config, "a backbone trained on ImageNet"
-        config = DetectorConfig(norm="batch", norm_eps=_DEFAULT_EPS, min_size=min_size, max_size=max_size)
-        words = "random weights" + (" (no COCO weights in the cache)" if init == "auto" else "")
-        return build(config), config, words
-
-
-def _from_coco(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
-    path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
-    model = _build(config, trainable_layers, _COCO_KEYPOINTS)
-    _load_published(path, model, _read_published(path))
-    heads = model.roi_heads
-    heads.keypoint_predictor = KeypointRCNNPredictor(heads.keypoint_predictor.kps_score_lowres.in_channels, keypoints.K)
-    return model
-
-
-def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
-    path = _fetch("imagenet", ResNet50_Weights.IMAGENET1K_V1)
-    model = build(config, trainable_layers=trainable_layers)
-    state = {name: tensor for name, tensor in _read_published(path).items() if not name.startswith("fc.")}
-    _load_published(path, model.backbone.body, state)
-    return model
-
-
-def _cached(weights: WeightsEnum) -> Path:
-    return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
-
-
-def _fetch(init: str, weights: WeightsEnum) -> Path:
-    path = _cached(weights)
-    if path.is_file():
-        return path
-    digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        torch.hub.download_url_to_file(weights.url, str(path), digest.group(1) if digest else None)
-    except (OSError, RuntimeError) as error:
-        raise UserError(
-            f"--init {init}: cannot download {weights.url} ({error}); put the file at {path}, or take --init random"
-        ) from None
-    return path
-
-
-def _read_published(path: Path) -> dict[str, torch.Tensor]:
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise UserError(f"{path}: not a file of weights ({reason}); delete it and download it again") from None
-    if not isinstance(state, dict):
-        raise UserError(f"{path}: not a file of weights (it holds a {type(state).__name__}); delete it")
-    return state
-
-
-def _load_published(path: Path, model: nn.Module, state: dict[str, torch.Tensor]) -> None:
-    try:
-        model.load_state_dict(state)
-    except RuntimeError as error:
-        raise UserError(f"{path}: not the weights that its name says: {' '.join(str(error).split())[:160]}") from None
 
 
 # --------------------------------------------------------------------------------------------------------- checkpoints
@@ -226,7 +135,7 @@ def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metada
     for name in [name for name in state if name.endswith(".running_var")]:
         state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
     with replacing(path) as temporary:
-        save_file(state, str(temporary), metadata={"format": "pt", _HEADER: json.dumps(header, allow_nan=False)})
+        save_file(state, str(temporary), metadata={"format": "pt", HEADER: json.dumps(header, allow_nan=False)})
 
 
 def load_weights(
@@ -236,7 +145,7 @@ def load_weights(
 
     Raises UserError, naming the file, where it is no such checkpoint or one of another keypoint scheme.
     """
-    header, state = _read_checkpoint(path)
+    header, state = read_checkpoint(path)
     try:
         config = DetectorConfig.from_dict(header["config"])
     except UserError as error:
@@ -247,7 +156,8 @@ def load_weights(
     return model.to(device).eval(), config, header["metadata"]
 
 
-def _read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """The checked header (config, metadata ...) and the tensors of a checkpoint."""
     if not path.is_file():
         raise UserError(f"{path}: no such checkpoint file")
     try:
@@ -259,14 +169,14 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor
 
 
 def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
-    if _HEADER not in metadata:
-        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {_HEADER})")
+    if HEADER not in metadata:
+        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {HEADER})")
     try:
-        header = json.loads(metadata[_HEADER])
+        header = json.loads(metadata[HEADER])
     except json.JSONDecodeError:
         header = None
     if not isinstance(header, dict) or not {"config", "metadata"} <= set(header):
-        raise UserError(f"{path}: the header's field {_HEADER} is damaged")
+        raise UserError(f"{path}: the header's field {HEADER} is damaged")
     expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K, "scheme": keypoints.SCHEME}
     for name, value in expected.items():
         if header.get(name) != value:

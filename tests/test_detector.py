@@ -10,8 +10,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
-from torchvision.models.detection._utils import overwrite_eps
-from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoints_to_heatmap
 
 from skope import detector, keypoints
@@ -19,7 +17,6 @@ from skope.detector import DetectorConfig
 from skope.errors import UserError
 
 SMALL = {"min_size": 96, "max_size": 160}
-COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
 
 
 def config(norm: str = "batch", eps: float = 1e-5) -> DetectorConfig:
@@ -152,55 +149,6 @@ def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
     assert detector.find_checkpoint(tmp_path / "epoch_009.safetensors").name == "epoch_009.safetensors"
     with pytest.raises(UserError, match="no such"):
         detector.find_checkpoint(tmp_path / "other")
-
-
-def initialise(init: str) -> tuple[KeypointRCNN, DetectorConfig, str]:
-    return detector.initialise(init, trainable_layers=3, seed=0, **SMALL)
-
-
-def test_auto_takes_coco_weights_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    stock = KeypointRCNN(resnet_fpn_backbone(backbone_name="resnet50", weights=None), num_classes=2, num_keypoints=17)
-    use_uneven_statistics(stock)
-    overwrite_eps(stock, 0.0)
-    path = tmp_path / "hub" / "checkpoints" / COCO_FILE
-    path.parent.mkdir(parents=True)
-    torch.save(stock.state_dict(), path)
-
-    model, chosen, words = initialise("auto")
-    assert (chosen.norm, chosen.norm_eps, words) == ("frozen", 0.0, "weights trained on COCO")
-    assert torch.equal(body_outputs(model), body_outputs(stock))
-    assert model.roi_heads.keypoint_predictor.kps_score_lowres.out_channels == keypoints.K
-    assert not model.backbone.body.layer1[0].conv1.weight.requires_grad
-    assert model.backbone.body.layer2[0].conv1.weight.requires_grad
-
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(UserError, match=COCO_FILE):
-        initialise("auto")
-
-
-def test_without_a_cache_auto_takes_random_weights_that_the_seed_fixes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    before = torch.get_rng_state()
-    (one, chosen, words), (two, _, _) = initialise("auto"), initialise("random")
-    assert chosen.norm == "batch"
-    assert words == "random weights (no COCO weights in the cache)"
-    assert torch.equal(one.roi_heads.box_head.fc7.weight, two.roi_heads.box_head.fc7.weight)
-    assert torch.equal(before, torch.get_rng_state())
-    assert all(parameter.requires_grad for parameter in one.parameters())
-
-
-def test_a_failed_download_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise OSError("no route to host")
-
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    monkeypatch.setattr(torch.hub, "download_url_to_file", fail)
-    for init in ("coco", "imagenet"):
-        with pytest.raises(UserError, match=f"--init {init}: cannot download .*no route to host"):
-            initialise(init)
 
 
 @pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}])

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.roi_heads import RoIHeads, fastrcnn_loss, keypointrcnn_loss
-from torchvision.models.detection.rpn import RegionProposalNetwork
+from torchvision.models.detection.rpn import RegionProposalNetwork, RPNHead
 from torchvision.models.detection.transform import GeneralizedRCNNTransform, resize_boxes
 from torchvision.ops import box_iou
 
@@ -45,6 +45,7 @@ def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None) 
     # Only methods differ, so changing the class keeps weights, settings and hooks as they are.
     model.transform.__class__ = _Transform
     model.rpn.__class__ = _ProposalNetwork
+    model.rpn.head.__class__ = _RPNHead
     model.roi_heads.__class__ = _RoIHeads
     model.roi_heads.fg_bg_sampler.batch_size_per_image = regions
     model.roi_heads._keypoint_regions = keypoint_regions
@@ -57,6 +58,13 @@ class _Transform(GeneralizedRCNNTransform):  # type: ignore[misc]
         if target is not None:
             target[KEY] = resize_boxes(target[KEY], before, image.shape[-2:])
         return image, target
+
+
+class _RPNHead(RPNHead):  # type: ignore[misc]
+    def forward(self, x: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        """In float32: torchvision decodes boxes in the precision of the offsets, bfloat16's being 4 px at 600 px."""
+        logits, offsets = super().forward(x)
+        return [each.float() for each in logits], [each.float() for each in offsets]
 
 
 class _ProposalNetwork(RegionProposalNetwork):  # type: ignore[misc]
@@ -95,13 +103,14 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         self._ignored = [target[KEY] for target in targets]  # the assignment is not given the targets
         proposals, matched, labels, regression = self.select_training_samples(proposals, targets)
         logits, deltas = self.box_predictor(self.box_head(self.box_roi_pool(features, proposals, image_shapes)))
-        loss_classifier, loss_box_reg = fastrcnn_loss(logits, deltas, labels, regression)
+        loss_classifier, loss_box_reg = fastrcnn_loss(logits.float(), deltas.float(), labels, regression)
 
-        chosen = [self._choose(label) for label in labels]
+        labelled = [(target["keypoints"][..., 2] > 0).any(dim=1) for target in targets]
+        chosen = [self._choose(*each) for each in zip(labels, matched, labelled, strict=True)]
         regions = [boxes[index] for boxes, index in zip(proposals, chosen, strict=True)]
         pooled = self.keypoint_roi_pool(features, regions, image_shapes)
         loss_keypoint = keypointrcnn_loss(
-            self.keypoint_predictor(self.keypoint_head(pooled)),
+            self.keypoint_predictor(self.keypoint_head(pooled)).float().contiguous(),  # the loss takes no other layout
             regions,
             [target["keypoints"] for target in targets],
             [index_of[index] for index_of, index in zip(matched, chosen, strict=True)],
@@ -109,9 +118,14 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         losses = {"loss_classifier": loss_classifier, "loss_box_reg": loss_box_reg, "loss_keypoint": loss_keypoint}
         return [], losses
 
-    def _choose(self, labels: Tensor) -> Tensor:
-        """Indices of at most `_keypoint_regions` regions of vehicles, drawn without preference."""
+    def _choose(self, labels: Tensor, matched: Tensor, labelled: Tensor) -> Tensor:
+        """Indices of at most `_keypoint_regions` regions of vehicles with a labelled point, drawn without preference.
+
+        The others add nothing to the loss, which is a mean over labelled points.
+        """
         vehicles = torch.where(labels > 0)[0]
+        if len(labelled):
+            vehicles = vehicles[labelled[matched[vehicles]]]
         if self._keypoint_regions is None or len(vehicles) <= self._keypoint_regions:
             return vehicles
         return vehicles[torch.randperm(len(vehicles), device=vehicles.device)[: self._keypoint_regions]]

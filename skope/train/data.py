@@ -1,7 +1,7 @@
-"""Training samples: images and targets as torchvision's detectors want them, flips included.
+"""Training samples: images and targets as torchvision's detectors want them, augmentation included, and their order.
 
-What happens to an image depends on (seed, epoch, image id) alone, so neither the number of workers nor an interruption
-changes anything.
+What happens to an image depends on (seed, epoch, dataset, image id, how often it was drawn before) alone, so neither
+the number of workers or processes nor an interruption changes anything.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,34 +13,16 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
-from skope import boxes as boxes_module
-from skope import keypoints
 from skope.dataset import Dataset
 from skope.errors import UserError
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import Image
 from skope.train import assign
+from skope.train.augment import Augment
+from skope.train.sources import SPLIT, Source
+from skope.train.vehicles import Vehicles
 
-SPLIT = "train"
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Vehicles:
-    """What is annotated in one image."""
-
-    boxes_xyxy: Array
-    """(N, 4) ground truth."""
-    keypoints: Array
-    """(N, 33, 3) x, y, v of the ground truth; v = 0 (then x = y = 0) is not learnt."""
-    ignored_xyxy: Array
-    """(M, 4) ignored vehicles."""
-
-    def flipped(self, width: float) -> "Vehicles":
-        """As in the mirrored image: x becomes width - x, and right and left change names."""
-        points = self.keypoints[:, keypoints.FLIP].copy()
-        points[..., 0] = np.where(points[..., 2] > 0, width - points[..., 0], 0.0)
-        return Vehicles(_mirror(self.boxes_xyxy, width), points, _mirror(self.ignored_xyxy, width))
+Draw = tuple[int, int, int]
+"""Epoch, position in the training set, how often the epoch has drawn it before."""
 
 
 @dataclass(frozen=True)
@@ -55,101 +37,104 @@ class Sample:
 
     def to(self, device: torch.device) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """Pixels as (3, H, W) float32 0..1 and target, on `device`."""
-        return self.pixels.to(device).float() / 255, {key: value.to(device) for key, value in self.target.items()}
+        pixels = self.pixels.to(device, non_blocking=True).float() / 255
+        return pixels, {key: value.to(device, non_blocking=True) for key, value in self.target.items()}
+
+    def pin_memory(self) -> "Sample":
+        """The same in memory that a GPU can copy from without waiting."""
+        return Sample(self.name, self.pixels.pin_memory(), {k: v.pin_memory() for k, v in self.target.items()})
 
 
-def _mirror(boxes_xyxy: Array, width: float) -> Array:
-    return np.stack(
-        [width - boxes_xyxy[:, 2], boxes_xyxy[:, 1], width - boxes_xyxy[:, 0], boxes_xyxy[:, 3]], axis=1
-    ).reshape(-1, 4)
-
-
-def vehicles_of(image: Image, annotations: Sequence[Annotation], supervise: str) -> Vehicles:
-    """Ground truth and ignored vehicles; boxes without area inside the image are left out."""
-    corners = boxes_module.xywh_to_xyxy(np.array([a.bbox for a in annotations]).reshape(-1, 4))
-    corners = boxes_module.clip(corners, image.width, image.height)
-    solid = (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    ignored = np.array([a.ignored for a in annotations], dtype=bool)
-    points = np.array([a.keypoints for a in annotations]).reshape(-1, keypoints.K, 3)
-    points = np.where(points[..., 2:] >= (2 if supervise == "visible" else 1), points, 0.0)
-    return Vehicles(corners[solid & ~ignored], points[solid & ~ignored], corners[solid & ignored])
+@dataclass(frozen=True)
+class _Frame:
+    source: int
+    dataset: Dataset
+    image: Image
+    vehicles: Vehicles
 
 
 class TrainingSet(TorchDataset[Sample | UserError]):
-    """Images of split `train` with their vehicles; an index is a pair (epoch, position)."""
+    """Images of all datasets with their vehicles, one dataset after the other; an index is a `Draw`."""
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        *,
-        seed: int,
-        flip_probability: float,
-        supervise: str = "visible",
-        max_images: int | None = None,
-    ) -> None:
-        file = dataset.read(SPLIT)
-        self._dataset, self._seed, self._flip_probability = dataset, seed, flip_probability
-        by_image = file.by_image()
-        self._vehicles = {image.id: vehicles_of(image, by_image[image.id], supervise) for image in file.images}
-        self.images = self._spread(file, max_images)
-        self._check(dataset)
-
-    def _spread(self, file: AnnotationFile, max_images: int | None) -> tuple[Image, ...]:
-        if max_images is None:
-            return file.images
-        useful = [image for image in file.images if len(self._vehicles[image.id].boxes_xyxy)]
-        count = min(max_images, len(useful))
-        return tuple(useful[i * len(useful) // count] for i in range(count))
-
-    def _check(self, dataset: Dataset) -> None:
-        path = dataset.root / "annotations" / f"{SPLIT}.json"
-        if not self._vehicles:
-            raise UserError(f"{path}: field images is empty: nothing to train on")
-        if not self.vehicles:
-            raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
-        if not any((self._vehicles[image.id].keypoints[..., 2] > 0).any() for image in self.images):
-            raise UserError(f"{path}: field keypoints: no visible point (v = 2) in any annotation")
+    def __init__(self, sources: Sequence[Source], *, seed: int, augment: Augment, supervise: str) -> None:
+        self._seed, self._augment, self._supervise = seed, augment, supervise
+        self._frames = [
+            _Frame(number, source.dataset, image, vehicles)
+            for number, source in enumerate(sources)
+            for image, vehicles in zip(source.learnt.images, source.vehicles(), strict=True)
+        ]
+        self.sizes = tuple(len(source.learnt.images) for source in sources)
+        """Images of each dataset."""
+        if not any((frame.vehicles.supervised(supervise)[..., 2] > 0).any() for frame in self._frames):
+            path = sources[0].dataset.root / "annotations" / f"{SPLIT}.json"
+            least = "visible point (v = 2)" if supervise == "visible" else "labelled point (v > 0)"
+            raise UserError(f"{path}: field keypoints: no {least} in any annotation")
 
     @property
     def vehicles(self) -> int:
         """Number of vehicles to learn from, ignored ones not counted."""
-        return sum(len(self._vehicles[image.id].boxes_xyxy) for image in self.images)
+        return sum(len(frame.vehicles.boxes_xyxy) for frame in self._frames)
 
     def __len__(self) -> int:
-        return len(self.images)
+        return len(self._frames)
 
-    def __getitem__(self, index: tuple[int, int]) -> Sample | UserError:
+    def __getitem__(self, index: Draw) -> Sample | UserError:
         """The sample, or the mistake in the user's files: raised in a worker, it would arrive inside a traceback."""
-        epoch, position = index
-        image = self.images[position]
+        epoch, position, repeat = index
+        frame = self._frames[position]
         try:
-            pixels = self._dataset.image(image)
+            pixels = frame.dataset.image(frame.image)
         except UserError as error:
             return error
-        vehicles = self._vehicles[image.id]
-        if np.random.default_rng((self._seed, epoch, image.id)).random() < self._flip_probability:
-            pixels, vehicles = pixels[:, ::-1], vehicles.flipped(image.width)
-        return to_sample(image.file_name, pixels, vehicles)
+        rng = np.random.default_rng((self._seed, epoch, frame.source, frame.image.id, repeat))
+        pixels, vehicles = self._augment.apply(pixels, frame.vehicles, rng)
+        return to_sample(frame.image.file_name, pixels, vehicles, self._supervise)
 
 
-def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles) -> Sample:
+def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> Sample:
     """(H, W, 3) pixels and vehicles as tensors."""
     target = {
         "boxes": torch.as_tensor(vehicles.boxes_xyxy, dtype=torch.float32),
         "labels": torch.ones(len(vehicles.boxes_xyxy), dtype=torch.int64),
-        "keypoints": torch.as_tensor(vehicles.keypoints, dtype=torch.float32),
+        "keypoints": torch.as_tensor(vehicles.supervised(supervise), dtype=torch.float32),
         assign.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
     return Sample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
 
 
+def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> list[Draw]:
+    """An epoch's draws, as many as there are images, in an order drawn from (seed, epoch).
+
+    Without `mix` each image comes once. With it the first dataset gives that share of them and the others the rest by
+    their sizes: of one dataset no image comes twice before each has come once.
+    """
+    rng = np.random.default_rng((seed, epoch))
+    total = sum(sizes)
+    counts = list(sizes)
+    if mix is not None:
+        rest = total - sizes[0]
+        ends = [0, *np.rint(np.cumsum([mix] + [(1 - mix) * n / rest for n in sizes[1:]]) * total).astype(int)]
+        counts = np.diff(ends).tolist()
+    draws: list[Draw] = []
+    for start, size, count in zip(np.cumsum([0, *sizes[:-1]]), sizes, counts, strict=True):
+        for repeat in range(-(-count // size)):
+            left = min(size, count - repeat * size)
+            draws += [(epoch, int(start + i), repeat) for i in rng.permutation(size)[:left]]
+    return [draws[i] for i in rng.permutation(len(draws))]
+
+
 def batches(
-    training_set: TrainingSet, epoch: int, *, seed: int, batch_size: int, workers: int
+    training_set: TrainingSet, groups: Sequence[Sequence[Draw]], *, workers: int, pin: bool = False
 ) -> Iterator[list[Sample]]:
-    """All images once, in an order drawn from (seed, epoch)."""
-    order = np.random.default_rng((seed, epoch)).permutation(len(training_set)).tolist()
-    indices = [[(epoch, i) for i in order[start : start + batch_size]] for start in range(0, len(order), batch_size)]
-    loader = DataLoader(training_set, batch_sampler=indices, num_workers=workers, collate_fn=list)
+    """The samples of each group of draws; a mistake in a file is raised here."""
+    loader = DataLoader(
+        training_set,
+        batch_sampler=[list(group) for group in groups],
+        num_workers=workers,
+        collate_fn=list,
+        pin_memory=pin,
+        prefetch_factor=4 if workers else None,
+    )
     for batch in loader:
         for item in batch:
             if isinstance(item, UserError):

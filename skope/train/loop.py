@@ -1,130 +1,253 @@
 """Train a detector: one screen of stages, and the steps inside an epoch."""
 
+import contextlib
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
-import numpy as np
 import torch
 
 from skope.console import Console, minutes
-from skope.dataset import open_dataset
 from skope.detector import checkpoint_name
 from skope.errors import UserError
-from skope.train import assign, data, run
+from skope.files import write_text
+from skope.train import assign, card, data, ranks, run, sources, step, validate, watch
 from skope.train.data import Sample, TrainingSet
-from skope.train.recipe import Recipe
+from skope.train.fold import fold_norms
+from skope.train.ranks import Team
 from skope.train.run import RunConfig, Training
+from skope.train.sources import Source
+from skope.train.stop import Stop
 
-SAVE_INTERVAL_S: Final = 60.0
+CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
+STATE_INTERVAL_S: Final = 600.0
 
+_CURVES_INTERVAL_S = 5.0
+"""Drawing takes a third of a second: not after every epoch when epochs take seconds."""
+_LEAST_VALIDATED = 4
+_VALIDATED_PART = 5
+"""An epoch over few images is validated on no more than a fifth of their number: to look must not cost more than to
+learn."""
 _MEASURED_STEPS = 2
 _LEAST_INSIDE = 0.8
 
 
+@dataclass(frozen=True, kw_only=True)
+class Saving:
+    """When the state of a run is written, and how much of it stays."""
+
+    keep: int = 1
+    """Checkpoints of epochs that stay, beside the best one."""
+    checkpoint_interval_s: float = CHECKPOINT_INTERVAL_S
+    """After an epoch only when the last one is older than this."""
+    state_interval_s: float = STATE_INTERVAL_S
+    """Within an epoch."""
+
+
 def train(
-    config: RunConfig,
-    out: Path,
-    *,
-    device: torch.device,
-    workers: int,
-    resume: bool,
-    console: Console,
-    save_interval_s: float = SAVE_INTERVAL_S,
+    config: RunConfig, out: Path, *, device: torch.device, workers: int, resume: bool, console: Console, saving: Saving
 ) -> Path:
     """Train as `config` says, with checkpoints in the run folder `out`; returns the last checkpoint.
 
-    A checkpoint is written after the last epoch, and after each other one unless the one before is younger than
-    `save_interval_s`. Raises UserError for a dataset without anything to learn from, a broken image, a folder that
-    holds another run, and a loss that is no longer finite.
+    A checkpoint is written after the last epoch, and after each other one as `saving` has it; SIGINT and SIGTERM save
+    the state before they raise KeyboardInterrupt. Raises UserError for a dataset without anything to learn from, a
+    broken image, a folder that holds another run, a loss that is no longer finite, and too little memory.
     """
     recipe = config.recipe
-    training_set = TrainingSet(
-        open_dataset(Path(config.data)),
-        seed=config.seed,
-        flip_probability=recipe.flip_probability,
-        supervise=recipe.supervise,
-        max_images=config.max_images,
-    )
-    training = run.resume(out, config, device) if resume else run.start(out, config, device)
-    assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
-    _announce(config, training, training_set, f"on {device}, {workers} extra processes", console)
+    with ranks.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
+        console = console if team.first else Console(quiet=True)
+        parts = [_read(Path(root), config) for root in config.data]
+        training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
+        begin = run.resume if resume else run.start
+        training = begin(out, config, [part.fingerprint for part in parts], device)
+        assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+        if recipe.fold_norms:
+            fold_norms(training.model)
+        if team.first:
+            run.record(out, config)
+        _announce(config, training, training_set, f"on {device} x {team.size}, {workers} extra processes", console)
+        return _Run(config, out, training, training_set, parts, team, device, workers, saving, stop, console).go()
 
-    steps = math.ceil(len(training_set) / recipe.batch_size)
-    progress = _Progress(steps, training.epochs_done, recipe.epochs, console)
-    saved_at = time.monotonic()
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []), progress:
-        while training.epochs_done < recipe.epochs:
-            batches = data.batches(
-                training_set, training.epochs_done, seed=config.seed, batch_size=recipe.batch_size, workers=workers
+
+def _read(root: Path, config: RunConfig) -> Source:
+    recipe = config.recipe
+    return sources.read(
+        root, exclude_types=recipe.exclude_types, val_fraction=recipe.val_fraction, max_images=config.max_images
+    )
+
+
+@dataclass
+class _Run:
+    """A training under way: what its epochs share."""
+
+    config: RunConfig
+    out: Path
+    training: Training
+    training_set: TrainingSet
+    parts: Sequence[Source]
+    team: Team
+    device: torch.device
+    workers: int
+    saving: Saving
+    stop: Stop
+    console: Console
+
+    def go(self) -> Path:
+        """All epochs that are left."""
+        epochs = self.config.recipe.epochs
+        left = len(self.training_set) * (epochs - self.training.epochs_done)
+        left -= self.training.steps_done * self.config.recipe.batch_size
+        most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
+        self._file, self._paths = sources.for_validation(self.parts, most)
+        self._board = watch.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
+        self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
+        with _Progress(left, epochs, self.console) as self._progress:
+            while self.training.epochs_done < epochs:
+                self._epoch()
+                if self.team.first:
+                    self._look_and_save()
+        if self._board is not None:
+            self._board.close()
+        return self.out / checkpoint_name(self.training.epochs_done)
+
+    @property
+    def _steps(self) -> int:
+        """Of an epoch."""
+        return math.ceil(len(self.training_set) / self.config.recipe.batch_size)
+
+    @property
+    def _step(self) -> int:
+        """Steps done over the whole run."""
+        return self.training.epochs_done * self._steps + self.training.steps_done
+
+    def _epoch(self) -> None:
+        """What is left of one pass over the images, which ends with its mean losses in the history."""
+        training, recipe, seed = self.training, self.config.recipe, self.config.seed
+        epoch = training.epochs_done
+        draws = data.order(self.training_set.sizes, self.config.mix, seed=seed, epoch=epoch)
+        groups = [draws[i : i + recipe.batch_size] for i in range(0, len(draws), recipe.batch_size)]
+        todo = groups[training.steps_done :]
+        own = [self.team.share(group) for group in todo]
+        pin = self.device.type == "cuda"
+        training.model.train()
+        for group, batch in zip(todo, data.batches(self.training_set, own, workers=self.workers, pin=pin), strict=True):
+            if self._step == 0 and batch:
+                _check_first(batch, self.console)
+            step.seed(seed, epoch, training.steps_done, self.team)
+            rate = recipe.rate(epoch, self._step)
+            losses, (stops, saves) = step.take(
+                training, batch, recipe, rate=rate, images=len(group), team=self.team, wish=self._wishes()
             )
-            _epoch(config, training, batches, steps, device, progress)
-            if training.epochs_done == recipe.epochs or time.monotonic() - saved_at >= save_interval_s:
-                run.save(out, config, training)
-                saved_at = time.monotonic()
-    return out / checkpoint_name(training.epochs_done)
+            training.sums = {name: training.sums.get(name, 0.0) + value for name, value in losses.items()}
+            training.steps_done += 1
+            means = {name: value / training.steps_done for name, value in training.sums.items()}
+            self._progress.tick(epoch, len(group), means)
+            if self._board is not None:
+                for name, value in {**losses, "rate": rate}.items():
+                    self._board.add_scalar(f"train/{name}", value, self._step)
+            if stops or saves:
+                self._save_within(stops > 0)
+        row = {"epoch": epoch + 1, **{name: value / self._steps for name, value in training.sums.items()}}
+        training.epochs_done, training.steps_done, training.sums = epoch + 1, 0, {}
+        training.history.append(row)
+        self.team.average_statistics(training.model)
+
+    def _wishes(self) -> tuple[float, float]:
+        """Whether this process was asked to stop, and whether it is time to save: all act on the sum alike."""
+        due = self.team.first and time.monotonic() - self._saved_at >= self.saving.state_interval_s
+        return float(self.stop.asked is not None), float(due)
+
+    def _save_within(self, stopped: bool) -> None:
+        self.team.average_statistics(self.training.model)
+        if self.team.first:
+            run.save_state(self.out, self.training)
+        self._saved_at = time.monotonic()
+        if stopped:
+            raise KeyboardInterrupt
+
+    def _look_and_save(self) -> None:
+        """After an epoch: validation, curves, predictions to look at, and the checkpoint."""
+        training, recipe = self.training, self.config.recipe
+        row = training.history[-1]
+        if self._file.images:
+            model, file = training.model, self._file
+            figures = validate.validate(model, file, self._paths, self.device)
+            row["validation"] = figures
+            self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
+            sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
+            watch.overlays(sheet, model, file, self._paths, row["epoch"], self.device)
+            if self._board is not None:
+                for name, value in figures.items():
+                    if value is not None:
+                        self._board.add_scalar(f"validation/{name}", value, self._step)
+            if training.best is None or validate.rank(figures) > training.best:
+                training.best = validate.rank(figures)
+                run.save_best(self.out, self.config, training)
+        last = training.epochs_done == recipe.epochs
+        if last or time.monotonic() - self._drawn_at >= _CURVES_INTERVAL_S:
+            watch.curves(self.out / "curves.png", training.history)
+            self._drawn_at = time.monotonic()
+        if last or time.monotonic() - self._checkpoint_at >= self.saving.checkpoint_interval_s:
+            run.save_epoch(self.out, self.config, training, keep=self.saving.keep)
+            self._write_card()
+            self._checkpoint_at = self._saved_at = time.monotonic()
+
+    def _write_card(self) -> None:
+        datasets = [part.dataset for part in self.parts]
+        counts = [
+            (len(part.learnt.images), sum(len(each.boxes_xyxy) for each in part.vehicles())) for part in self.parts
+        ]
+        write_text(self.out / "README.md", card.text(self.config, self.training, datasets, counts))
+
+
+@contextlib.contextmanager
+def _own_randomness(device: torch.device) -> Iterator[None]:
+    """Leave torch's random state outside as it was."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        yield
+
+
+@contextlib.contextmanager
+def _memory_is_told(config: RunConfig) -> Iterator[None]:
+    """Say what to lower when memory runs out."""
+    try:
+        yield
+    except RuntimeError as error:  # torch.OutOfMemoryError is one; the CPU's has no class of its own
+        if not isinstance(error, torch.OutOfMemoryError) and "can't allocate memory" not in str(error):
+            raise
+        recipe = config.recipe
+        regions = "all" if recipe.keypoint_regions is None else recipe.keypoint_regions
+        raise UserError(
+            f"out of memory at {recipe.images_at_once or recipe.batch_size} images at once, short side "
+            f"{recipe.min_size}, {regions} keypoint regions: lower one of them (--set images_at_once=1 changes the "
+            f"result least, then --set keypoint_regions=16, then --min-size {recipe.min_size * 3 // 4})"
+        ) from None
 
 
 def _announce(config: RunConfig, training: Training, training_set: TrainingSet, where: str, console: Console) -> None:
     recipe = config.recipe
     console.say(f"{recipe.describe()}; {training.origin}; seed {config.seed}; {where}")
-    console.say(f"{config.data}: {len(training_set)} images with {training_set.vehicles} vehicles to learn from")
-    if training.epochs_done:
-        console.say(f"resumed after epoch {training.epochs_done}")
-    elif training.config.norm == "batch" and recipe.init != "random":
+    names = " + ".join(config.data)
+    console.say(f"{names}: {len(training_set)} images with {training_set.vehicles} vehicles to learn from")
+    if training.epochs_done or training.steps_done:
+        within = f" and {training.steps_done} steps" if training.steps_done else ""
+        console.say(f"resumed after epoch {training.epochs_done}{within}")
+    elif training.config.norm == "batch" and recipe.learning_rate < 0.01 and "random" in training.origin:
         console.say(f"recipe {recipe.name} fine-tunes trained weights; `--recipe scratch` is made for random ones")
 
 
-def _epoch(
-    config: RunConfig,
-    training: Training,
-    batches: Iterable[Sequence[Sample]],
-    steps: int,
-    device: torch.device,
-    progress: "_Progress",
-) -> None:
-    """One pass over the images, which ends with its mean losses in the history."""
-    epoch = training.epochs_done
-    # torchvision's samplers draw from torch's global state; seeded here, an epoch is the same wherever a run resumes.
-    torch.manual_seed(int(np.random.SeedSequence((config.seed, epoch)).generate_state(1)[0]))
-    training.model.train()
-    sums: dict[str, float] = {}
-    for step, batch in enumerate(batches):
-        if epoch == step == 0:
-            _check_first(batch, progress.console)
-        losses = _step(training, batch, config.recipe, step=epoch * steps + step, device=device)
-        sums = {name: sums.get(name, 0.0) + value for name, value in losses.items()}
-        progress.tick(epoch, {name: value / (step + 1) for name, value in sums.items()})
-    training.epochs_done += 1
-    training.history.append({"epoch": training.epochs_done, **{name: value / steps for name, value in sums.items()}})
+def _in_words(figures: Mapping[str, Any]) -> str:
+    def percent(name: str) -> str:
+        return "-" if figures[name] is None else f"{figures[name]:.1%}"
 
-
-def _step(
-    training: Training, batch: Sequence[Sample], recipe: Recipe, *, step: int, device: torch.device
-) -> dict[str, float]:
-    """One step of the optimiser, counted over the whole run; returns each loss, and their sum as `loss`."""
-    for group in training.optimizer.param_groups:
-        group["lr"] = recipe.rate(training.epochs_done, step)
-    images, targets = zip(*(sample.to(device) for sample in batch), strict=True)
-    with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
-        losses = training.model(list(images), list(targets))
-    total = torch.stack(list(losses.values())).sum()
-    values = {"loss": total.item(), **{name: loss.item() for name, loss in losses.items()}}
-    if not math.isfinite(values["loss"]):
-        names = ", ".join(sample.name for sample in batch)
-        raise UserError(
-            f"epoch {training.epochs_done + 1}: the loss is no longer a finite number, at {names}; see these "
-            "images, or take a recipe with a lower rate (the last checkpoint is as it was)"
-        )
-    training.optimizer.zero_grad(set_to_none=True)
-    total.backward()  # type: ignore[no-untyped-call]
-    if recipe.gradient_clip is not None:
-        torch.nn.utils.clip_grad_norm_(training.model.parameters(), recipe.gradient_clip)
-    training.optimizer.step()
-    return values
+    return (
+        f"PCK {percent('pck')} of found vehicles ({percent('box_recall')} of {figures['vehicles']}), "
+        f"{percent('pck_given')} in given boxes; keypoint recall {percent('keypoint_recall')}"
+    )
 
 
 def _check_first(batch: Sequence[Sample], console: Console) -> None:
@@ -141,12 +264,12 @@ def _check_first(batch: Sequence[Sample], console: Console) -> None:
 
 
 class _Progress:
-    """A bar over all steps of the run with the epoch's mean losses; says once how long the run will take."""
+    """A bar over all images of the run with the epoch's mean losses; says once how long the run will take."""
 
-    def __init__(self, steps: int, epochs_done: int, epochs: int, console: Console) -> None:
-        self.console = console
-        self._epochs, self._total, self._seen = epochs, steps * (epochs - epochs_done), 0
-        self._bar = console.bar(total=self._total, unit="step", label="training")
+    def __init__(self, images: int, epochs: int, console: Console) -> None:
+        self._console = console
+        self._epochs, self._total, self._seen, self._images = epochs, images, 0, 0
+        self._bar = console.bar(total=images, unit="image", label="training")
         self._since = time.perf_counter()
 
     def __enter__(self) -> Self:
@@ -155,15 +278,22 @@ class _Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
 
-    def tick(self, epoch: int, losses: Mapping[str, float]) -> None:
-        """A step is done."""
+    def note(self, text: str) -> None:
+        """A line above the bar."""
+        self._bar.clear()
+        self._console.say(text)
+
+    def tick(self, epoch: int, images: int, losses: Mapping[str, float]) -> None:
+        """A step over so many images is done."""
         values = {name.removeprefix("loss_"): f"{value:.3f}" for name, value in losses.items()}
         self._bar.set_postfix({"epoch": f"{epoch + 1}/{self._epochs}", **values}, refresh=False)
-        self._bar.update()
+        self._bar.update(images)
         self._seen += 1
         if self._seen == 1:  # the first step also sets up what the others find ready
-            self._since = time.perf_counter()
-        elif self._seen == 1 + _MEASURED_STEPS:
-            step_s = (time.perf_counter() - self._since) / _MEASURED_STEPS
-            self._bar.clear()
-            self.console.say(f"{step_s:.2g} s a step: about {minutes(step_s * self._total)} for {self._total} steps")
+            self._since, self._images = time.perf_counter(), 0
+            return
+        self._images += images
+        if self._seen == 1 + _MEASURED_STEPS:
+            seconds = time.perf_counter() - self._since
+            rate, each = self._images / seconds, seconds / _MEASURED_STEPS
+            self.note(f"{each:.2g} s a step: about {minutes(self._total / rate)} for {self._total} images")

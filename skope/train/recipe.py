@@ -1,13 +1,19 @@
 """Training recipes as data: every value that shapes the result, in one place."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
 from skope.errors import UserError, one_of
+from skope.schema import VEHICLE_TYPES
+from skope.train import settings
+from skope.train.augment import Augment
 
 SUPERVISE: Final = ("visible", "all")
+NORMS: Final = ("given", "frozen", "batch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +22,9 @@ class Recipe:
 
     name: str
     init: str
-    """First weights where `--init` is not given."""
+    """First weights: one of the names that `--init` takes, or a file."""
+    norm: str
+    """Normalisation: `given` by the first weights, `frozen`, or `batch` (it learns)."""
     learning_rate: float
     momentum: float
     weight_decay: float
@@ -25,7 +33,10 @@ class Recipe:
     gamma: float
     epochs: int
     batch_size: int
-    """Images a step."""
+    """Images a step, of all processes together."""
+    images_at_once: int | None
+    """Images of a step that one process takes through the network at a time; None: all of its share. Fewer save memory;
+    each part's losses count by its images."""
     warmup_steps: int
     """Steps over which the learning rate rises linearly from 0."""
     gradient_clip: float | None
@@ -38,21 +49,44 @@ class Recipe:
     """Regions that the second stage learns from, at most a quarter of them vehicles."""
     keypoint_regions: int | None
     """How many of these vehicles enter the keypoint head; None for all."""
-    flip_probability: float
     supervise: str
     """Which keypoints are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
+    exclude_types: tuple[str, ...]
+    """Vehicle types that are neither learnt nor background."""
+    val_fraction: float
+    """Share of each training recording, at its end, that is validated on instead of learnt from."""
+    val_images: int
+    """Most images, evenly spread over that share, that an epoch's validation looks at (and a fifth of those learnt)."""
     bfloat16: bool
     """Multiply in bfloat16 where autocast thinks it safe."""
+    fold_norms: bool
+    """Multiply frozen normalisation into the convolutions before it: the same up to rounding, in less time."""
+    channels_last: bool
+    """Keep channels together in memory: the same up to rounding, in less time."""
+    augment: Augment = field(default_factory=Augment)
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE)
-        for name in ("epochs", "batch_size", "step_size", "regions", "keypoint_regions"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise UserError(f"{name}: expected at least 1, got {value}")
+        one_of("norm", self.norm, NORMS)
+        for name in self.exclude_types:
+            one_of("exclude_types", name, VEHICLE_TYPES)
+        for name in ("epochs", "batch_size", "step_size", "images_at_once", "regions", "keypoint_regions"):
+            self._in_range(name, 1, math.inf)
+        for name in ("warmup_steps", "weight_decay", "learning_rate", "gradient_clip"):
+            self._in_range(name, 0, math.inf)
+        self._in_range("trainable_layers", 0, 5)
+        self._in_range("momentum", 0, 1)
+        self._in_range("val_fraction", 0, 0.5)
+        self._in_range("val_images", 1, math.inf)
+
+    def _in_range(self, name: str, low: float, high: float) -> None:
+        value = getattr(self, name)
+        if value is not None and not low <= value <= high:
+            limits = f"at least {low:g}" if high == math.inf else f"{low:g} to {high:g}"
+            raise UserError(f"{name}: expected {limits}, got {value}")
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        return {**asdict(self), "exclude_types": list(self.exclude_types)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
@@ -60,7 +94,12 @@ class Recipe:
         names = {field.name for field in fields(cls)}
         if not isinstance(values, Mapping) or set(values) != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
-        return cls(**values)
+        like: Any = RECIPES["paper"]
+        return settings.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
+
+    def with_min_size(self, min_size: int) -> Self:
+        """Another short side; the same shapes of image reach it as before."""
+        return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
 
     def rate(self, epoch: int, step: int) -> float:
         """Learning rate in `epoch` (from 0) at `step` (from 0, counted over the whole run)."""
@@ -89,8 +128,10 @@ _PAPER: Final[dict[str, Any]] = {
     "epochs": 10,
     # ... and what it leaves open.
     "init": "auto",
+    "norm": "given",
     "weight_decay": 0.0,
     "batch_size": 2,
+    "images_at_once": None,
     "warmup_steps": 0,
     "gradient_clip": None,
     "min_size": 800,
@@ -98,13 +139,23 @@ _PAPER: Final[dict[str, Any]] = {
     "trainable_layers": 3,
     "regions": 512,
     "keypoint_regions": None,
-    "flip_probability": 0.5,
     "supervise": "visible",
+    "exclude_types": (),
+    "val_fraction": 0.0,
+    "val_images": 100,
     "bfloat16": False,
+    "fold_norms": True,
+    "channels_last": True,
 }
 
 # A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
-_SMALL: Final[dict[str, Any]] = {"min_size": 360, "max_size": 640, "keypoint_regions": 16}
+_SMALL: Final[dict[str, Any]] = {
+    "min_size": 360,
+    "max_size": 640,
+    "keypoint_regions": 16,
+    "val_fraction": 0.1,
+    "val_images": 24,
+}
 
 # Random weights need a high rate, which needs a warm-up and bounded gradients; while weights change that fast the
 # running means of BatchNorm2d lag behind them and nothing is found: the slower second half mends that.
@@ -128,14 +179,29 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     }
 )
 CHOICES: Final = ("auto", *RECIPES)
+_BASE: Final = "base"
+"""In a TOML recipe: the name of the recipe that it changes."""
 
 
 def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
-    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU.
+    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU, a TOML file changes its base.
 
     `bfloat16` says that this processor multiplies such numbers faster, which all recipes but `paper` make use of: on
     two cores a step takes half the time. It is part of the recipe that the run records.
     """
+    if name.endswith(".toml"):
+        path = Path(name)
+        values = settings.read_toml(path)
+        base = values.pop(_BASE, "auto")
+        if base not in CHOICES:
+            raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
+        recipe = choose(base, gpu=gpu, bfloat16=bfloat16)
+        return settings.changed(recipe, {"name": path.stem, **values}, f"{path}: ")
     one_of("--recipe", name, CHOICES)
     recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
+
+
+def adjusted(recipe: Recipe, flags: Sequence[str]) -> Recipe:
+    """The recipe with the values of `--set name=value` flags."""
+    return settings.changed(recipe, settings.from_flags(flags, "--set"), "--set ")

@@ -1,18 +1,21 @@
 """The run folder: what was asked for, checkpoints, and what `--resume` needs.
 
-    recipe.json            configuration of the run
-    epoch_NNN.safetensors  weights after NNN epochs (the newest one only)
-    metrics.jsonl          mean losses of each epoch
-    resume.pt              optimiser, and the epoch whose weights belong to it
+    recipe.json               configuration of the run
+    epoch_NNN.safetensors     weights after NNN epochs (the newest ones)
+    best.safetensors          weights of the epoch with the best validation
+    metrics.jsonl             losses and validation of each epoch
+    resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best figure
+    README.md, curves.png, progress/, tensorboard/    the model card, and what lets one see it learn
 
-A checkpoint is written before the resume.pt that names it, and older ones are removed after that: whenever the
-process is killed, resume.pt and the checkpoint that it names lie there whole.
+resume.pt alone decides where a run goes on, and is replaced in one step: killed at any moment, a run goes on from it
+and writes again what came after. The state of every random generator follows from seed, epoch and step.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import torch
 from torchvision.models.detection import KeypointRCNN
@@ -21,9 +24,12 @@ from skope import detector, keypoints
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_json, write_text
+from skope.train import initial
 from skope.train.recipe import Recipe
 
-_VERSION = 1
+BEST: Final = "best.safetensors"
+
+_VERSION = 2
 _CONFIG = "recipe.json"
 _METRICS = "metrics.jsonl"
 _RESUME = "resume.pt"
@@ -34,10 +40,11 @@ class RunConfig:
     """Everything that shapes the result of a run."""
 
     recipe: Recipe
-    init: str
     seed: int
-    data: str
-    """Dataset folder."""
+    data: tuple[str, ...]
+    """Dataset folders."""
+    mix: float | None
+    """Share of an epoch's images that the first dataset gives; None: all images of all datasets once."""
     max_images: int | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -45,9 +52,9 @@ class RunConfig:
             "version": _VERSION,
             "scheme": keypoints.SCHEME,
             "recipe": self.recipe.to_dict(),
-            "init": self.init,
             "seed": self.seed,
-            "data": self.data,
+            "data": list(self.data),
+            "mix": self.mix,
             "max_images": self.max_images,
         }
 
@@ -58,8 +65,9 @@ class RunConfig:
         try:
             if not isinstance(values, dict) or values.get("version") != _VERSION:
                 raise UserError(f"version: expected {_VERSION}")
-            names = ("init", "seed", "data", "max_images")
-            return cls(recipe=Recipe.from_dict(values["recipe"]), **{name: values[name] for name in names})
+            names = ("seed", "mix", "max_images")
+            recipe, data = Recipe.from_dict(values["recipe"]), tuple(values["data"])
+            return cls(recipe=recipe, data=data, **{name: values[name] for name in names})
         except KeyError as error:
             raise UserError(f"{run / _CONFIG}: field {error.args[0]} is missing") from None
         except UserError as error:
@@ -75,85 +83,129 @@ class Training:
     optimizer: torch.optim.SGD
     origin: str
     """Where the first weights came from, in words."""
+    fingerprints: list[str]
+    """Of each dataset."""
     epochs_done: int
-    history: list[dict[str, float]]
-    """Mean losses of the epochs so far."""
+    steps_done: int
+    """In the epoch that is under way."""
+    sums: dict[str, float]
+    """Losses so far of the epoch that is under way."""
+    history: list[dict[str, Any]]
+    """Mean losses and validation of the epochs so far."""
+    best: list[float] | None
+    """The figures that decide which epoch is best."""
+
+    def state(self) -> dict[str, Any]:
+        """What changes, as `resume.pt` holds it."""
+        return {
+            "model": self.model.state_dict(),
+            "detector": self.config.to_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            **{name: getattr(self, name) for name in _PLAIN},
+        }
+
+
+_PLAIN = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
 
 
 def resumable(run: Path) -> bool:
-    """Whether a run folder holds an epoch to resume from."""
+    """Whether a run folder holds a state to resume from."""
     return (run / _RESUME).is_file()
 
 
-def start(run: Path, config: RunConfig, device: torch.device) -> Training:
+def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
     """Begin a run in a folder that holds none."""
     if resumable(run) or detector.checkpoints(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     recipe = config.recipe
-    model, detector_config, origin = detector.initialise(
-        config.init,
+    model, detector_config, origin = initial.initialise(
+        recipe.init,
+        norm=recipe.norm,
         min_size=recipe.min_size,
         max_size=recipe.max_size,
         trainable_layers=recipe.trainable_layers,
         seed=config.seed,
     )
-    model.to(device)
-    write_json(run / _CONFIG, config.to_dict())
-    return Training(model, detector_config, _optimizer(model, recipe), origin, 0, [])
+    model = placed(model, recipe, device)
+    return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)
 
 
-def resume(run: Path, config: RunConfig, device: torch.device) -> Training:
-    """Take up the run in a folder after the last epoch that it saved."""
+def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
+    """Take up the run in a folder where its state was saved last."""
     path = run / _RESUME
     if not resumable(run):
-        raise UserError(f"{run}: no finished epoch to resume from ({_RESUME} is missing); leave out --resume")
+        raise UserError(f"{run}: nothing saved yet to resume from ({_RESUME} is missing); leave out --resume")
     try:
-        saved = torch.load(path, map_location=device, weights_only=True)
-        epochs_done, optimizer_state = int(saved["epochs_done"]), saved["optimizer"]
+        saved = torch.load(path, map_location="cpu", weights_only=True)
+        plain = {name: saved[name] for name in _PLAIN}
+        detector_config = DetectorConfig.from_dict(saved["detector"])
+        model = detector.build(detector_config, trainable_layers=config.recipe.trainable_layers)
+        model.load_state_dict(saved["model"])
     except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
         raise UserError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0]})") from None
-    if epochs_done > config.recipe.epochs:
-        raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {epochs_done} epochs behind it already")
-    model, detector_config, metadata = detector.load_weights(
-        run / detector.checkpoint_name(epochs_done), device, trainable_layers=config.recipe.trainable_layers
-    )
-    optimizer = _optimizer(model, config.recipe)
+    for data, then, now in zip(config.data, plain["fingerprints"], fingerprints, strict=True):
+        if then != now:
+            raise UserError(
+                f"{data}: is not the dataset that the run in {run} began with (annotations or images differ)"
+            )
+    done = plain["epochs_done"]
+    if done > config.recipe.epochs:
+        raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {done} epochs behind it already")
+    model = placed(model, config.recipe, device)
+    sgd = optimizer(model, config.recipe)
     try:
-        optimizer.load_state_dict(optimizer_state)
+        sgd.load_state_dict(saved["optimizer"])
     except (ValueError, KeyError) as error:
         raise UserError(f"{path}: does not fit the run's recipe ({error})") from None
+    return Training(model, detector_config, sgd, **plain)
+
+
+def record(run: Path, config: RunConfig) -> None:
+    """Write what was asked for."""
     write_json(run / _CONFIG, config.to_dict())
-    return Training(model, detector_config, optimizer, metadata["origin"], epochs_done, _history(run, epochs_done))
 
 
-def save(run: Path, config: RunConfig, training: Training) -> Path:
-    """Write the state after an epoch; returns the checkpoint."""
-    done = training.epochs_done
-    checkpoint = run / detector.checkpoint_name(done)
-    metadata = {"run": config.to_dict(), "epoch": done, "origin": training.origin}
-    detector.save_weights(checkpoint, training.model, training.config, metadata)
-    write_text(run / _METRICS, "".join(json.dumps(row) + "\n" for row in training.history))
+def save_state(run: Path, training: Training) -> None:
+    """Write what `resume` reads."""
     with replacing(run / _RESUME) as temporary:
-        torch.save({"epochs_done": done, "optimizer": training.optimizer.state_dict()}, temporary)
+        torch.save(training.state(), temporary)
+
+
+def save_epoch(run: Path, config: RunConfig, training: Training, *, keep: int) -> Path:
+    """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
+    checkpoint = run / detector.checkpoint_name(training.epochs_done)
+    _save_weights(checkpoint, config, training)
+    write_text(run / _METRICS, "".join(json.dumps(row) + "\n" for row in training.history))
+    save_state(run, training)
+    older = [epoch for epoch in detector.checkpoints(run) if epoch <= training.epochs_done][:-keep]
     for epoch, path in detector.checkpoints(run).items():
-        if epoch != done:
+        if epoch in older or epoch > training.epochs_done:
             path.unlink()
     return checkpoint
 
 
-def _optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
+def save_best(run: Path, config: RunConfig, training: Training) -> None:
+    """Write the weights of the epoch with the best validation so far."""
+    _save_weights(run / BEST, config, training)
+
+
+def _save_weights(path: Path, config: RunConfig, training: Training) -> None:
+    metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
+    detector.save_weights(path, training.model, training.config, metadata)
+
+
+def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
+    """The model on a device, in the recipe's memory layout."""
+    layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
+    return model.to(device=device, memory_format=layout)
+
+
+def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
+    """Of the parameters that learn; one pass over memory a step."""
     return torch.optim.SGD(
         [parameter for parameter in model.parameters() if parameter.requires_grad],
         lr=recipe.learning_rate,
         momentum=recipe.momentum,
         weight_decay=recipe.weight_decay,
+        fused=True,
     )
-
-
-def _history(run: Path, epochs: int) -> list[dict[str, float]]:
-    path = run / _METRICS
-    try:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        return [row for row in rows if row["epoch"] <= epochs]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: cannot be read ({error})") from None

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.image_list import ImageList
 
 from skope import detector
 from skope.detector import DetectorConfig
@@ -48,6 +49,46 @@ def test_proposals(model: KeypointRCNN) -> None:
     assert assigned[1].tolist() == [0] * len(BOXES)
 
 
+def test_an_ignored_car_yields_no_negative_anchor_on_itself(model: KeypointRCNN) -> None:
+    """Of all anchors of an image; without the rule hundreds of them would be background."""
+    image = torch.zeros(1, 3, 256, 256)
+    features = [torch.zeros(1, 256, 256 // stride, 256 // stride) for stride in (4, 8, 16, 32, 64)]
+    anchors = model.rpn.anchor_generator(ImageList(image, [(256, 256)]), features)
+    (labels,), _ = model.rpn.assign_targets_to_anchors(anchors, [TARGET])
+    nothing = {**TARGET, assign.KEY: torch.zeros(0, 4)}
+    (without,), _ = model.rpn.assign_targets_to_anchors(anchors, [nothing])
+    x0, y0, x1, y1 = anchors[0].T
+    shared = (x1.clamp(max=160) - x0.clamp(min=100)).clamp(min=0) * (y1.clamp(max=160) - y0.clamp(min=100)).clamp(min=0)
+    on_it = shared >= 0.5 * (x1 - x0) * (y1 - y0)
+    assert (labels[on_it] == -1).all()
+    assert (without[on_it] == 0).sum() > 100
+    assert torch.equal(labels[~on_it], without[~on_it])
+
+
+def test_points_without_a_label_are_never_negative(model: KeypointRCNN) -> None:
+    """A vehicle of which one point is labelled moves nothing in the predictor but that point's channel."""
+    points = torch.zeros(1, 33, 3)
+    points[0, 5] = torch.tensor([30.0, 25, 2])
+    image = torch.rand(3, 96, 128, generator=torch.Generator().manual_seed(0))
+    losses = model.train()([image], [{**TARGET, "keypoints": points}])
+    model.zero_grad()
+    losses["loss_keypoint"].backward()
+    moved = model.roi_heads.keypoint_predictor.kps_score_lowres.weight.grad.abs().amax(dim=(0, 2, 3))
+    assert torch.nonzero(moved).flatten().tolist() == [5]
+
+
+def test_proposals_keep_their_precision_in_bfloat16(model: KeypointRCNN) -> None:
+    """Boxes around 600 px would otherwise lie on a grid of 4 px."""
+    seen = []
+    hook = model.rpn.register_forward_hook(lambda *parts: seen.extend(parts[2][0]))
+    with torch.autocast("cpu", torch.bfloat16):
+        losses = model.train()([torch.rand(3, 96, 160)], [{**TARGET, "keypoints": torch.zeros(1, 33, 3)}])
+    hook.remove()
+    assert seen[0].dtype == torch.float32
+    assert (seen[0] != seen[0].bfloat16().float()).any()
+    assert all(loss.dtype == torch.float32 for loss in losses.values())
+
+
 def test_a_vehicle_before_an_ignored_one_stays_a_vehicle() -> None:
     vehicle = torch.tensor([[105.0, 105, 155, 155]])
     boxes = torch.tensor([[106.0, 105, 156, 155], [100.0, 100, 120, 120]])
@@ -67,7 +108,14 @@ def test_ignored_boxes_are_resized_with_the_image(model: KeypointRCNN) -> None:
 
 def test_the_keypoint_head_gets_a_bounded_number_of_vehicles(model: KeypointRCNN) -> None:
     labels = torch.tensor([0, 1, 1, 0, 1, 1])
-    chosen = model.roi_heads._choose(labels)
+    matched, labelled = torch.tensor([0, 0, 1, 0, 1, 0]), torch.tensor([True, True])
+    chosen = model.roi_heads._choose(labels, matched, labelled)
     assert len(chosen) == 2
     assert (labels[chosen] == 1).all()
-    assert model.roi_heads._choose(torch.tensor([0, 1])).tolist() == [1]
+    assert model.roi_heads._choose(torch.tensor([0, 1]), matched[:2], labelled).tolist() == [1]
+
+
+def test_regions_of_vehicles_without_a_labelled_point_are_left_out(model: KeypointRCNN) -> None:
+    labels, matched = torch.tensor([0, 1, 1, 0, 1, 1]), torch.tensor([0, 0, 1, 0, 0, 0])
+    assert model.roi_heads._choose(labels, matched, torch.tensor([False, True])).tolist() == [2]
+    assert not len(model.roi_heads._choose(labels * 0, matched, torch.zeros(0, dtype=torch.bool)))

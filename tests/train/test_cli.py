@@ -17,12 +17,17 @@ from skope.train.recipe import RECIPES
 from skope.train.run import RunConfig
 from tests import samples
 
-NO_FLAGS = dict.fromkeys(("recipe", "epochs", "init", "batch_size", "max_images", "min_size", "seed"))
-TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1)
+NO_FLAGS: dict[str, Any] = {
+    **dict.fromkeys(("recipe", "epochs", "init", "batch_size", "max_images", "min_size", "seed")),
+    **dict.fromkeys(("supervise", "val_fraction", "mix")),
+    "set": (),
+    "exclude_types": (),
+}
+TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, val_fraction=0.0)
 
 
 def new(**flags: Any) -> RunConfig:
-    return plan.new(Path("data/skope"), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
+    return plan.new((Path("data/skope"),), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +38,7 @@ def new(**flags: Any) -> RunConfig:
         (["--max-images", "0"], "--max-images: expected at least 1"),
         (["--seed", "-1"], "--seed: expected a number from 0"),
         (["--recipe", "best"], "--recipe: 'best' is not one of auto, paper, laptop, scratch"),
-        (["--init", "none"], "--init: 'none' is not one of auto, coco, imagenet, random"),
+        (["--init", "none"], "--init: 'none' is neither a file nor one of auto, coco, imagenet, random"),
         (["--device", "tpu"], "device: 'tpu' is not one of auto, cpu, cuda, cuda:N"),
         (["--resume"], "no such run folder"),
         ([], "data/skope: no such dataset folder; `skope gen"),
@@ -51,7 +56,7 @@ def test_mistakes_are_one_line(
 
 def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    config = replace(new(seed=4), recipe=replace(TINY, epochs=2), init="random")
+    config = replace(new(seed=4), recipe=replace(TINY, epochs=2))
     monkeypatch.setattr(plan, "new", lambda *_, **__: config)
     samples.make_dataset(Path("data/skope"), images=2, splits=("train",))
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
@@ -78,7 +83,7 @@ def test_an_interruption_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(loop, "train", interrupted)
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
     assert result.exit_code == 130
-    assert "skope: stopped; no epoch was saved yet" in result.stderr
+    assert "skope: stopped; nothing was saved yet" in result.stderr
     Path("runs/skope").mkdir(parents=True)
     Path("runs/skope/resume.pt").touch()
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
@@ -89,25 +94,25 @@ def test_flags_change_the_recipe() -> None:
     config = new(recipe="scratch", epochs=7, batch_size=3, min_size=180, seed=5, max_images=4)
     recipe = config.recipe
     assert (recipe.epochs, recipe.batch_size, recipe.min_size, recipe.max_size) == (7, 3, 180, 320)
-    assert (config.seed, config.max_images, config.init) == (5, 4, "random")
+    assert (config.seed, config.max_images, config.recipe.init) == (5, 4, "random")
     assert new().recipe == RECIPES["laptop"]
-    assert new().init == "auto"
-    assert new(init="coco").init == "coco"
+    assert new().recipe.init == "auto"
+    assert new(init="coco").recipe.init == "coco"
 
 
 def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
     recorded = new(recipe="scratch", epochs=7, seed=5)
     write_json(tmp_path / "recipe.json", recorded.to_dict())
-    assert plan.again(tmp_path, None, NO_FLAGS) == recorded
-    assert plan.again(tmp_path, None, {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
-    longer = plan.again(tmp_path, Path("elsewhere"), {**NO_FLAGS, "epochs": 9})
-    assert longer == replace(recorded, data="elsewhere", recipe=replace(recorded.recipe, epochs=9))
+    assert plan.again(tmp_path, (), NO_FLAGS) == recorded
+    assert plan.again(tmp_path, (), {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
+    longer = plan.again(tmp_path, (Path("elsewhere"),), {**NO_FLAGS, "epochs": 9})
+    assert longer == replace(recorded, data=("elsewhere",), recipe=replace(recorded.recipe, epochs=9))
     for flags in ({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}):
         with pytest.raises(UserError, match=f"--{next(iter(flags)).replace('_', '-')} "):
-            plan.again(tmp_path, None, {**NO_FLAGS, **flags})
+            plan.again(tmp_path, (), {**NO_FLAGS, **flags})
     write_json(tmp_path / "recipe.json", {**recorded.to_dict(), "recipe": {}})
     with pytest.raises(UserError, match=r"recipe.json: recipe: expected the fields"):
-        plan.again(tmp_path, None, NO_FLAGS)
+        plan.again(tmp_path, (), NO_FLAGS)
 
 
 def test_the_next_command_carries_what_differs_from_the_defaults() -> None:

@@ -1,6 +1,7 @@
-"""Training samples: flips, what is supervised, what is ignored, and what is refused."""
+"""Training samples: their order, what is supervised, what is ignored, and what is refused."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 import torch
 
 from skope import coco, keypoints
-from skope.dataset import open_dataset
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
-from skope.train import data
-from skope.train.data import TrainingSet, Vehicles
+from skope.train import data, sources
+from skope.train.augment import Augment
+from skope.train.data import TrainingSet
+from skope.train.sources import Source
+from skope.train.vehicles import Vehicles
 from tests import samples
 
 
@@ -25,30 +28,12 @@ def write(root: Path, images: list[Image], annotations: list[Annotation]) -> Pat
     return root
 
 
-def training_set(root: Path, **options: object) -> TrainingSet:
-    return TrainingSet(open_dataset(root), **{"seed": 0, "flip_probability": 0.0, **options})
+def source(root: Path, **options: Any) -> Source:
+    return sources.read(root, **{"exclude_types": (), "val_fraction": 0.0, "max_images": None, **options})
 
 
-@pytest.mark.parametrize("k", range(keypoints.K))
-def test_a_flip_moves_pixel_and_keypoint_together(k: int) -> None:
-    width, height = 41, 23
-    col, row = 3 + k, 5
-    pixels = np.zeros((height, width, 3), np.uint8)
-    pixels[row, col] = 255
-    points = np.zeros((1, keypoints.K, 3))
-    points[0, k] = [col + 0.5, row + 0.5, 2]
-    vehicles = Vehicles(np.array([[col, row, col + 4.0, row + 6.0]]), points, np.array([[1.0, 2.0, 5.0, 9.0]]))
-
-    flipped = vehicles.flipped(width)
-    lit_row, lit_col = np.argwhere(pixels[:, ::-1, 0])[0]
-    partner = keypoints.FLIP[k]
-    assert flipped.keypoints[0, partner].tolist() == [lit_col + 0.5, lit_row + 0.5, 2]
-    assert not np.delete(flipped.keypoints[0], partner, axis=0).any()
-    assert flipped.boxes_xyxy.tolist() == [[width - col - 4.0, row, width - col, row + 6.0]]
-    assert flipped.ignored_xyxy.tolist() == [[width - 5.0, 2.0, width - 1.0, 9.0]]
-    back = flipped.flipped(width)
-    assert np.array_equal(back.keypoints, points)
-    assert np.array_equal(back.boxes_xyxy, vehicles.boxes_xyxy)
+def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str = "visible") -> TrainingSet:
+    return TrainingSet([source(root) for root in roots], seed=seed, augment=Augment(flip=flip), supervise=supervise)
 
 
 def test_targets(tmp_path: Path) -> None:
@@ -60,7 +45,7 @@ def test_targets(tmp_path: Path) -> None:
         samples.make_annotation(4, 1, boxes[2]),
     ]
     root = write(tmp_path, [samples.make_image(1), samples.make_image(2)], vehicles)
-    sample = training_set(root)[0, 0]
+    sample = training_set(root)[0, 0, 0]
     assert isinstance(sample, data.Sample)
     assert sample.target["boxes"].tolist() == [[10, 20, 70, 60], [100, 70, 130, 100]]
     assert sample.target["ignored_boxes"].tolist() == [[80, 20, 140, 60]]
@@ -68,21 +53,22 @@ def test_targets(tmp_path: Path) -> None:
     assert sample.target["keypoints"].shape == (2, keypoints.K, 3)
     assert sample.pixels.shape == (3, 120, 160)
     assert not sample.target["keypoints"][0, -3:].any(), "hidden points are not learnt"
-    everything = training_set(root, supervise="all")[0, 0]
+    everything = training_set(root, supervise="all")[0, 0, 0]
     assert isinstance(everything, data.Sample)
     assert (everything.target["keypoints"][0, -3:, 2] == 1).all()
-    empty = training_set(root)[0, 1]
+    empty = training_set(root)[0, 1, 0]
     assert isinstance(empty, data.Sample)
     assert empty.target["boxes"].shape == (0, 4)
     assert empty.target["keypoints"].shape == (0, keypoints.K, 3)
 
 
-def test_flips_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
+def test_changes_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
     root = samples.make_dataset(tmp_path, images=8, splits=("train",))
 
     def seen(seed: int, epoch: int, workers: int = 0) -> list[tuple[str, torch.Tensor]]:
-        images = training_set(root, seed=seed, flip_probability=0.5)
-        batches = data.batches(images, epoch, seed=seed, batch_size=3, workers=workers)
+        images = training_set(root, seed=seed, flip=0.5)
+        draws = data.order(images.sizes, None, seed=seed, epoch=epoch)
+        batches = data.batches(images, [draws[:3], draws[3:]], workers=workers)
         return [(sample.name, sample.target["boxes"]) for batch in batches for sample in batch]
 
     def equal(a: list[tuple[str, torch.Tensor]], b: list[tuple[str, torch.Tensor]]) -> bool:
@@ -94,13 +80,40 @@ def test_flips_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
     assert len({name for name, _ in seen(0, 0)}) == 8
 
 
-def test_max_images_takes_images_with_vehicles_evenly_spread(tmp_path: Path) -> None:
-    images = [samples.make_image(i) for i in range(1, 11)]
-    vehicles = [samples.make_annotation(i, i, (10, 20, 60, 40), iscrowd=int(i == 3)) for i in range(2, 11)]
-    root = write(tmp_path, images, vehicles)
-    assert [image.id for image in training_set(root, max_images=4).images] == [2, 5, 7, 9]
-    assert len(training_set(root, max_images=99)) == 8
-    assert len(training_set(root)) == 10
+@pytest.mark.parametrize(("sizes", "mix", "counts"), [((4, 12), 0.5, (8, 8)), ((10, 30, 60), 0.4, (40, 20, 40))])
+def test_a_mix_gives_each_dataset_its_share(sizes: tuple[int, ...], mix: float, counts: tuple[int, ...]) -> None:
+    draws = data.order(sizes, mix, seed=0, epoch=3)
+    assert len(set(draws)) == len(draws) == sum(sizes), "no image is drawn twice alike"
+    ends = np.cumsum([0, *sizes])
+    for low, high, count in zip(ends[:-1], ends[1:], counts, strict=True):
+        own = np.bincount([position - low for _, position, _ in draws if low <= position < high])
+        assert own.sum() == count
+        assert own.max() == -(-count // (high - low)), "all come before one comes again"
+    assert {epoch for epoch, _, _ in draws} == {3}
+    assert draws != data.order(sizes, mix, seed=0, epoch=4)
+    assert sorted(data.order(sizes, None, seed=0, epoch=0)) == [(0, i, 0) for i in range(sum(sizes))]
+
+
+def test_repeated_images_are_changed_anew(tmp_path: Path) -> None:
+    root = samples.make_dataset(tmp_path, images=1, splits=("train",))
+    images = training_set(root, flip=0.5)
+    boxes = [images[0, 0, repeat].target["boxes"] for repeat in range(16)]  # type: ignore[union-attr]
+    assert 0 < sum(torch.equal(boxes[0], other) for other in boxes) < 16
+
+
+def test_datasets_may_share_image_ids(tmp_path: Path) -> None:
+    roots = [samples.make_dataset(tmp_path / name, images=2, splits=("train",), seed=i) for i, name in enumerate("ab")]
+    images = training_set(*roots)
+    assert images.sizes == (2, 2)
+    assert not torch.equal(images[0, 0, 0].pixels, images[0, 2, 0].pixels)  # type: ignore[union-attr]
+
+
+def test_another_scheme_is_refused(tmp_path: Path) -> None:
+    root = samples.make_dataset(tmp_path, splits=("train",))
+    card = root / "dataset.json"
+    card.write_text(card.read_text().replace(keypoints.SCHEME, "coco17"))
+    with pytest.raises(UserError, match=r"dataset.json: keypoint_scheme: expected 'skope33', got 'coco17'"):
+        source(root)
 
 
 def test_nothing_to_train_on_is_one_line(tmp_path: Path) -> None:
@@ -116,6 +129,8 @@ def test_nothing_to_train_on_is_one_line(tmp_path: Path) -> None:
         root = write(tmp_path / name, images, vehicles)
         with pytest.raises(UserError, match=f"train.json: {words}"):
             training_set(root)
+    # With hidden points among those to learn, the last is something to train on.
+    assert len(training_set(root, supervise="all")) == 1
     samples.make_dataset(tmp_path / "e", splits=("easy",))
     with pytest.raises(UserError, match="no split 'train'; there are: easy"):
         training_set(tmp_path / "e")
@@ -125,18 +140,17 @@ def test_nothing_to_train_on_is_one_line(tmp_path: Path) -> None:
 def test_a_broken_image_is_one_line_from_any_worker(tmp_path: Path, workers: int) -> None:
     root = samples.make_dataset(tmp_path, images=3, splits=("train",))
     images = training_set(root)
-    broken = root / images.images[1].file_name
+    broken = root / source(root).learnt.images[1].file_name
     broken.write_bytes(broken.read_bytes()[:40])
     with pytest.raises(UserError, match=rf"{broken.name}: not an image") as caught:
-        list(data.batches(images, 0, seed=0, batch_size=1, workers=workers))
+        list(data.batches(images, [[(0, i, 0)] for i in range(3)], workers=workers))
     assert "\n" not in str(caught.value)
 
 
 def test_share_of_keypoints_inside_their_box() -> None:
     points = np.zeros((1, keypoints.K, 3))
     points[0, :4] = [[5, 5, 2], [10, 10, 2], [30, 5, 2], [5, 30, 2]]
-    sample = data.to_sample(
-        "a", np.zeros((40, 40, 3), np.uint8), Vehicles(np.array([[0, 0, 10.0, 10]]), points, np.zeros((0, 4)))
-    )
+    vehicles = Vehicles(np.array([[0, 0, 10.0, 10]]), points, np.zeros((0, 4)))
+    sample = data.to_sample("a", np.zeros((40, 40, 3), np.uint8), vehicles, "visible")
     assert data.share_inside([sample]) == 0.5
     assert data.share_inside([]) is None

@@ -1,5 +1,8 @@
-"""Training end to end: it learns, it stops where it must, and it resumes to the same bits."""
+"""Runs: what they leave, that they stop where it must, and it resumes to the same bits."""
 
+import json
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,65 +13,26 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from skope import boxes, coco, detector
+from skope import coco, detector
 from skope.console import Console
-from skope.dataset import open_dataset
+from skope.dataset import read_image
 from skope.errors import UserError
-from skope.schema import Annotation
-from skope.train import loop, plan, run
+from skope.train import loop, run, step
+from skope.train.augment import STEPS, Augment
+from skope.train.loop import Saving
 from skope.train.recipe import RECIPES, Recipe
 from skope.train.run import RunConfig
 from tests import samples
 
 CPU = torch.device("cpu")
-SMALL = replace(
-    RECIPES["scratch"], min_size=128, max_size=256, regions=64, keypoint_regions=4, bfloat16=plan.multiplies_bfloat16()
-)
 TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, epochs=2, step_size=1)
+TINY = replace(TINY, val_fraction=0.0)
 
 
 def train(data: Path, out: Path, recipe: Recipe, **options: Any) -> Path:
-    config = RunConfig(recipe=recipe, init="random", seed=0, data=str(data), max_images=None)
-    defaults = {"device": CPU, "workers": 0, "resume": False, "console": Console(quiet=True)}
+    config = RunConfig(recipe=recipe, seed=0, data=(str(data),), mix=None, max_images=None)
+    defaults = {"device": CPU, "workers": 0, "resume": False, "console": Console(quiet=True), "saving": Saving()}
     return loop.train(config, out, **{**defaults, **options})
-
-
-def pck(found: detector.Detections, vehicles: list[Annotation], score: float = 0.9, iou: float = 0.6) -> float:
-    """Share of all labelled keypoints that the best detection on their vehicle puts within a tenth of its size."""
-    correct = labelled = 0
-    sure = found.scores > score
-    for vehicle in vehicles:
-        visible = vehicle.keypoints[:, 2] == 2
-        labelled += int(visible.sum())
-        overlaps = boxes.iou(boxes.xywh_to_xyxy(vehicle.bbox), found.boxes_xyxy[sure])[0]
-        if len(overlaps) and overlaps.max() >= iou:
-            points = found.keypoints[sure][overlaps.argmax()]
-            distances = np.hypot(*(points[:, :2] - vehicle.keypoints[:, :2]).T)
-            correct += int((distances[visible] <= 0.1 * vehicle.bbox[2:].max()).sum())
-    return correct / labelled
-
-
-def scores_on_its_images(data: Path, checkpoint: Path) -> list[float]:
-    model, _, _ = detector.load_weights(checkpoint, CPU)
-    dataset = open_dataset(data)
-    file = dataset.read("train")
-    vehicles = file.by_image()
-    return [pck(detector.detect(model, [dataset.image(image)], CPU)[0], vehicles[image.id]) for image in file.images]
-
-
-def test_overfits_one_image_from_random_weights(tmp_path: Path) -> None:
-    """Targets, network and decoded coordinates agree from end to end."""
-    data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
-    recipe = replace(SMALL, epochs=60, flip_probability=0.0, warmup_steps=10)
-    checkpoint = train(data, tmp_path / "run", recipe)
-    assert scores_on_its_images(data, checkpoint)[0] > 0.9
-
-
-@pytest.mark.slow
-def test_overfits_four_images_with_flips(tmp_path: Path) -> None:
-    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
-    checkpoint = train(data, tmp_path / "run", replace(SMALL, epochs=60))
-    assert np.mean(scores_on_its_images(data, checkpoint)) > 0.9
 
 
 @pytest.fixture
@@ -79,46 +43,114 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-class _Killer:
-    """A step that stops the run when it is taken for the n-th time."""
+class _Signal:
+    """A step after which this process is sent a signal, when it is taken for the n-th time."""
 
-    def __init__(self, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.left, self.step = n, loop._step
-        monkeypatch.setattr(loop, "_step", self)
+    def __init__(self, n: int, number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.left, self.number, self.take = n, number, step.take
+        monkeypatch.setattr(step, "take", self)
 
-    def __call__(self, *args: Any, **kwargs: Any) -> dict[str, float]:
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         self.left -= 1
+        done = self.take(*args, **{**kwargs, "wish": (float(not self.left), 0.0)})
         if not self.left:
-            raise KeyboardInterrupt
-        return self.step(*args, **kwargs)
+            os.kill(os.getpid(), self.number)
+        return done
+
+
+def same_files(one: Path, other: Path) -> bool:
+    expected, got = load_file(one), load_file(other)
+    return expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
 
 
 @pytest.mark.usefixtures("one_thread")
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
-    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    """Whatever the step it is stopped at, in whatever way, and with every augmentation."""
+    data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
+    often = Augment(**dict.fromkeys(STEPS, 0.5))
+    recipe = replace(TINY, batch_size=2, augment=often)
     state = torch.get_rng_state()
-    last = train(data, whole, TINY)
+    whole = tmp_path / "whole"
+    last = train(data, whole, recipe)
     assert torch.equal(state, torch.get_rng_state())
 
-    with monkeypatch.context() as patch:
-        _Killer(4, patch)  # in the second epoch's second step
-        with pytest.raises(KeyboardInterrupt):
-            train(data, halves, TINY, save_interval_s=0)
-    assert detector.find_checkpoint(halves).name == "epoch_001.safetensors"
-    torch.manual_seed(123)  # where the state that torch starts with must not matter
-    resumed = train(data, halves, TINY, resume=True)
+    steps = sorted(np.random.default_rng().choice(np.arange(1, 4), 2, replace=False).tolist())
+    parts = tmp_path / "parts"
+    for n, number in zip(np.diff([0, *steps]), (signal.SIGINT, signal.SIGTERM), strict=True):
+        with monkeypatch.context() as patch:
+            _Signal(n, number, patch)
+            with pytest.raises(KeyboardInterrupt):
+                train(data, parts, recipe, resume=run.resumable(parts))
+        torch.manual_seed(123)  # where the state that torch starts with must not matter
+    resumed = train(data, parts, recipe, resume=True)
 
-    expected, got = load_file(last), load_file(resumed)
-    assert expected.keys() == got.keys()
-    assert all(torch.equal(expected[name], got[name]) for name in expected)
-    assert (whole / "metrics.jsonl").read_text() == (halves / "metrics.jsonl").read_text()
-    names = ["epoch_002.safetensors", "metrics.jsonl", "recipe.json", "resume.pt"]
-    assert sorted(path.name for path in halves.iterdir()) == names
+    assert same_files(last, resumed), steps
+    assert (whole / "metrics.jsonl").read_text() == (parts / "metrics.jsonl").read_text(), steps
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     _, _, metadata = detector.load_weights(resumed, CPU)
     assert metadata["epoch"] == 2
-    assert metadata["run"]["recipe"] == TINY.to_dict()
+    assert Recipe.from_dict(metadata["run"]["recipe"]) == recipe
     assert metadata["origin"] == "random weights"
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_a_run_killed_without_notice_goes_on_from_what_was_saved_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=3, splits=("train",))
+    last = train(data, tmp_path / "whole", TINY)
+
+    class Killed(BaseException):
+        pass
+
+    class Killer(_Signal):
+        def __call__(self, *args: Any, **kwargs: Any) -> Any:
+            self.left -= 1
+            if not self.left:
+                raise Killed
+            return self.take(*args, **kwargs)
+
+    often = Saving(state_interval_s=0, checkpoint_interval_s=0)
+    with monkeypatch.context() as patch:
+        Killer(5, signal.SIGINT, patch)
+        with pytest.raises(Killed):
+            train(data, tmp_path / "parts", TINY, saving=often)
+    assert torch.load(tmp_path / "parts" / "resume.pt", weights_only=True)["steps_done"] == 1
+    assert same_files(last, train(data, tmp_path / "parts", TINY, resume=True))
+
+
+def test_what_a_run_leaves(tmp_path: Path) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
+    out = tmp_path / "run"
+    saving = Saving(keep=2, checkpoint_interval_s=0)
+    train(data, out, replace(TINY, epochs=3, val_fraction=0.25), saving=saving)
+    assert list(detector.checkpoints(out)) == [2, 3]
+    files = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    board = {name for name in files if name.startswith("tensorboard/")}
+    assert files - board == {
+        *("epoch_002.safetensors", "epoch_003.safetensors", "best.safetensors", "resume.pt", "recipe.json"),
+        *("metrics.jsonl", "README.md", "curves.png"),
+        *(f"progress/epoch_00{epoch}.jpg" for epoch in (1, 2, 3)),
+    }
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert [row["epoch"] for row in rows] == [1, 2, 3]
+    assert {*step.LOSSES, "loss", "epoch", "validation"} == set(rows[0])
+    assert rows[0]["loss"] == pytest.approx(sum(rows[0][name] for name in step.LOSSES), rel=1e-5)
+    assert rows[0]["validation"]["images"] == 1
+    card = (out / "README.md").read_text()
+    for words in (
+        "nothing but the seed",
+        "| 2 | 4 | visible |",
+        "weight_decay = 0.0001",
+        "On 1 images with 2 vehicles",
+    ):
+        assert words in card
+    sheet = read_image(out / "progress" / "epoch_003.jpg")
+    assert sheet.shape[1] >= 2 * 160
+    assert sheet.std() > 10
+    curves = read_image(out / "curves.png")
+    assert curves.shape[1] == 1000
+    assert len(np.unique(curves.reshape(-1, 3), axis=0)) > 50
 
 
 def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
@@ -127,32 +159,53 @@ def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "run" / "epoch_001.safetensors").touch()
     with pytest.raises(UserError, match=r"holds a run already; go on with it by --resume, or .* --out"):
         train(data, tmp_path / "run", TINY)
-    with pytest.raises(UserError, match="no finished epoch to resume from"):
+    with pytest.raises(UserError, match="nothing saved yet to resume from"):
         train(data, tmp_path / "run", TINY, resume=True)
     (tmp_path / "run" / "resume.pt").write_bytes(b"junk")
     with pytest.raises(UserError, match=r"resume.pt: cannot be read"):
         train(data, tmp_path / "run", TINY, resume=True)
 
 
-def test_older_checkpoints_go_only_after_the_pair_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed between checkpoint and resume.pt, a run still resumes from the epoch before."""
-    data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
-
-    def kill(*_: Any) -> None:
-        raise KeyboardInterrupt
-
+def test_a_changed_dataset_is_noticed(tmp_path: Path) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
     train(data, tmp_path / "run", replace(TINY, epochs=1))
-    with monkeypatch.context() as patch:
-        patch.setattr(torch, "save", kill)
-        with pytest.raises(KeyboardInterrupt):
-            train(data, tmp_path / "run", TINY, resume=True)
-    assert list(detector.checkpoints(tmp_path / "run")) == [1, 2]
-    last = train(data, tmp_path / "run", TINY, resume=True)
-    assert list(detector.checkpoints(tmp_path / "run")) == [2]
-    assert last.name == "epoch_002.safetensors"
+    moved = data.rename(tmp_path / "elsewhere")
+    train(moved, tmp_path / "run", TINY, resume=True)
     with pytest.raises(UserError, match=r"--epochs 1: the run in .* has 2 epochs behind it"):
-        train(data, tmp_path / "run", replace(TINY, epochs=1), resume=True)
-    assert len((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()) == 2
+        train(moved, tmp_path / "run", replace(TINY, epochs=1), resume=True)
+    image = next((moved / "images").rglob("*.png"))
+    image.write_bytes(image.read_bytes() + b"0")
+    with pytest.raises(UserError, match=r"elsewhere: is not the dataset that the run in .* began with"):
+        train(moved, tmp_path / "run", TINY, resume=True)
+    image.write_bytes(image.read_bytes()[:-1])
+    train(moved, tmp_path / "run", TINY, resume=True)
+    move_boxes(moved, 1)
+    with pytest.raises(UserError, match=r"elsewhere: is not the dataset"):
+        train(moved, tmp_path / "run", TINY, resume=True)
+
+
+def test_an_unwritable_run_folder_is_one_line(tmp_path: Path) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=r"file/run/recipe.json: cannot be written"):
+        train(data, tmp_path / "file" / "run", TINY)
+
+
+def test_too_little_memory_says_what_to_lower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
+    for error in (
+        torch.OutOfMemoryError("CUDA out of memory"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory"),
+    ):
+
+        def fail(*_: Any, error: Exception = error, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr(step, "take", fail)
+        with pytest.raises(
+            UserError, match=r"out of memory at 1 images at once, short side 64, 1 keypoint regions: lower"
+        ):
+            train(data, tmp_path / "run", TINY)
 
 
 def move_boxes(data: Path, moved: int) -> None:
@@ -172,7 +225,7 @@ def test_keypoints_outside_their_boxes_stop_or_warn(tmp_path: Path, capsys: pyte
     train(data, tmp_path / "half", replace(TINY, epochs=1), console=Console())
     said = capsys.readouterr().out
     assert "only 50% of the labelled keypoints lie inside" in said
-    assert "float32; random weights; seed 0; on cpu, 0 extra processes" in said
+    assert "float32; random weights; seed 0; on cpu x 1, 0 extra processes" in said
     move_boxes(data, 2)
     with pytest.raises(UserError, match=r"00_000001.png: no labelled keypoint lies inside its vehicle's bbox"):
         train(data, tmp_path / "none", TINY)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from skope.errors import UserError
+from skope.train.augment import Augment
 from skope.train.recipe import RECIPES, Recipe, choose
 
 
@@ -13,12 +14,8 @@ def test_paper_is_what_the_paper_gives() -> None:
     paper = RECIPES["paper"]
     assert (paper.learning_rate, paper.momentum, paper.step_size, paper.gamma, paper.epochs) == (0.001, 0.9, 3, 0.2, 10)
     assert (paper.batch_size, paper.weight_decay, paper.min_size, paper.max_size) == (2, 0.0, 800, 1333)
-    assert (paper.trainable_layers, paper.flip_probability, paper.regions, paper.keypoint_regions) == (
-        3,
-        0.5,
-        512,
-        None,
-    )
+    assert (paper.trainable_layers, paper.regions, paper.keypoint_regions) == (3, 512, None)
+    assert paper.augment == Augment(flip=0.5)
     assert not paper.bfloat16
 
 

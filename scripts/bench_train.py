@@ -1,0 +1,312 @@
+"""Images a second of a training step, against torchvision's own reference loop, in one run on one machine.
+
+    python scripts/bench_train.py --data data/skope                         (this machine's CPU)
+    python scripts/bench_train.py --data data/skope --device cuda --amp --min-size 800 --steps 100
+    torchrun --nproc-per-node 2 scripts/bench_train.py --data data/skope --device cuda --only skope --steps 100
+
+The reference is the loop of torchvision's references/detection (its dataset, transforms, data loader and
+train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints, frozen norms and three trainable
+stages. Both contenders start from the same weights, learn the same images in the same order of size, and run in
+processes of their own, in turns, so that neither has the other's memory or a quieter moment.
+
+How many proposals lie on vehicles decides how much the keypoint head has to do, so both start from a trained detector:
+`--checkpoint`, or else one that is trained first, here, on `--teach` images of the same data; its mean number of
+regions on vehicles an image is printed.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import torchvision
+from PIL import Image
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.transforms import functional
+
+from skope import detector, keypoints
+from skope.console import Console
+from skope.dataset import open_dataset
+from skope.train import assign, data, initial, loop, plan, ranks, run, sources, step
+from skope.train.fold import fold_norms
+from skope.train.ranks import Team
+from skope.train.recipe import RECIPES, Recipe, adjusted
+from skope.train.run import RunConfig, Training
+
+Batches = Iterable[Any]
+
+SHORTCUTS = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
+
+
+def main() -> None:
+    options = parse()
+    if options.only:
+        print(json.dumps(measured(options)), flush=True)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        checkpoint = options.checkpoint or teach(options, Path(folder))
+        contenders: dict[str, list[str]] = {"torchvision": [], "skope": []}
+        if options.each:
+            contenders |= {f"skope {value}": ["--set", value] for value in SHORTCUTS}
+        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
+        for _ in range(options.rounds):
+            for name, more in contenders.items():
+                rows[name].append(in_own_process(name.split()[0], checkpoint, more))
+    report(options, rows)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="dataset folder; its split `train` is used")
+    parser.add_argument("--checkpoint", type=Path, help="a trained detector (run folder or file)")
+    parser.add_argument("--teach", type=int, default=10, help="without one: images to train it on first")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--amp", action="store_true", help="the reference's own --amp flag")
+    parser.add_argument("--batch-size", type=int, default=2, help="images a step, of each process")
+    parser.add_argument("--min-size", type=int, default=360)
+    parser.add_argument("--steps", type=int, default=5, help="measured steps of each contender and round")
+    parser.add_argument("--warm-up", type=int, default=1, help="steps before them")
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=None, help="loading processes (reference: 4 as in its script)")
+    parser.add_argument("--set", action="append", default=[], help="a value of skope's recipe")
+    parser.add_argument("--each", action="store_true", help="also with each shortcut left out")
+    parser.add_argument("--only", choices=("torchvision", "skope"), help="measure one, in this process, as JSON")
+    return parser.parse_args()
+
+
+def recipe_of(options: argparse.Namespace) -> Recipe:
+    """What skope does by default with bounded keypoint regions, at the reference's input size."""
+    bfloat16 = options.device != "cpu" or plan.multiplies_bfloat16()
+    laptop = dataclasses.replace(RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
+    return adjusted(laptop.with_min_size(options.min_size), options.set)
+
+
+# ---------------------------------------------------------------------------------------------------------- contenders
+
+
+def measured(options: argparse.Namespace) -> dict[str, Any]:
+    """Rates and memory of one contender in this process."""
+    torch.manual_seed(0)
+    with ranks.joined(torch.device(options.device)) as (team, device):
+        batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, team)
+        seen = count_vehicle_regions(trained)
+        passed: list[float] = []
+        cpu = 0.0
+        for i, batch in enumerate(batches):
+            if i == options.warm_up:
+                cpu = time.process_time()
+            if i >= options.warm_up:
+                synchronise(device)
+                passed.append(time.perf_counter())
+            if i == options.warm_up + options.steps:
+                break
+            learn(batch)
+        synchronise(device)
+        images = options.steps * options.batch_size
+        return {
+            "images_per_s": images * team.size / (passed[-1] - passed[0]),
+            "cpu_s_per_image": (time.process_time() - cpu) / images,
+            "peak_mb": peak_mb(device),
+            "vehicle_regions": sum(seen) / max(1, len(seen)),
+            "processes": team.size,
+        }
+
+
+def reference(
+    options: argparse.Namespace, device: torch.device, team: Team
+) -> tuple[Batches, Callable[..., None], Any]:
+    """torchvision's references/detection: dataset, loader, and the body of engine.train_one_epoch."""
+    assert team.size == 1, "the reference is measured in one process"
+    backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, trainable_layers=3)
+    max_size = recipe_of(options).max_size
+    model = KeypointRCNN(backbone, 2, num_keypoints=keypoints.K, min_size=options.min_size, max_size=max_size)
+    model.load_state_dict(detector.read_checkpoint(detector.find_checkpoint(options.checkpoint))[1])
+    model.to(device).train()
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    optimizer = torch.optim.SGD(parameters, lr=1e-4, momentum=0.9, weight_decay=1e-4)
+    scaler = torch.amp.GradScaler(device.type) if options.amp else None
+    workers = 4 if options.workers is None and device.type == "cuda" else options.workers or 0
+    loader = torch.utils.data.DataLoader(
+        ReferenceDataset(options.data),
+        batch_sampler=order(options, team),
+        num_workers=workers,
+        collate_fn=lambda batch: tuple(zip(*batch, strict=True)),
+    )
+
+    def learn(batch: Any) -> None:
+        images, targets = batch
+        images = [image.to(device) for image in images]
+        targets = [{key: value.to(device) for key, value in target.items()} for target in targets]
+        with torch.amp.autocast(device.type, enabled=scaler is not None):
+            losses = sum(model(images, targets).values())
+        assert torch.isfinite(torch.tensor(losses.item()))
+        optimizer.zero_grad()
+        if scaler is not None:
+            scaler.scale(losses).backward()
+            scaler.step(optimizer)
+            scaler.update()
+        else:
+            losses.backward()
+            optimizer.step()
+
+    return loader, learn, model
+
+
+class ReferenceDataset(torch.utils.data.Dataset[Any]):
+    """CocoDetection, ConvertCocoPolysToMask and the preset `hflip` with the backend PIL, for boxes and keypoints.
+
+    The flip's keypoints are renamed by this scheme's table: the reference's own knows 17 of a person.
+    """
+
+    def __init__(self, root: Path) -> None:
+        opened = open_dataset(root)
+        file = opened.read(sources.SPLIT)
+        self._root, self._vehicles = root, file.by_image()
+        self._images = [image for image in file.images if any(not a.ignored for a in self._vehicles[image.id])]
+
+    def __getitem__(self, index: int) -> Any:
+        image = self._images[index]
+        pixels = Image.open(self._root / image.file_name).convert("RGB")
+        vehicles = [a for a in self._vehicles[image.id] if not a.ignored]
+        boxes = torch.as_tensor([a.bbox.tolist() for a in vehicles], dtype=torch.float32).reshape(-1, 4)
+        boxes[:, 2:] += boxes[:, :2]
+        points = torch.as_tensor([a.keypoints.tolist() for a in vehicles], dtype=torch.float32)
+        points[points[..., 2] < 2] = 0  # skope's rule: visible points are learnt
+        if torch.rand(1) < 0.5:
+            pixels = functional.hflip(pixels)
+            boxes[:, [0, 2]] = image.width - boxes[:, [2, 0]]
+            points = points[:, list(keypoints.FLIP)]
+            points[..., 0] = torch.where(points[..., 2] > 0, image.width - points[..., 0], points[..., 0])
+        tensor = functional.convert_image_dtype(functional.pil_to_tensor(pixels), torch.float)
+        return tensor, {"boxes": boxes, "labels": torch.ones(len(boxes), dtype=torch.int64), "keypoints": points}
+
+
+def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tuple[Batches, Callable[..., None], Any]:
+    """skope's own loading and step."""
+    recipe = dataclasses.replace(recipe_of(options), batch_size=options.batch_size * team.size)
+    checkpoint = str(options.checkpoint)
+    model, config, origin = initial.initialise(
+        checkpoint,
+        norm="frozen",
+        min_size=recipe.min_size,
+        max_size=recipe.max_size,
+        trainable_layers=recipe.trainable_layers,
+        seed=0,
+    )
+    model = run.placed(model, recipe, device)
+    assign.prepare(model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+    if recipe.fold_norms:
+        fold_norms(model)
+    training = Training(model, config, run.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
+    source = sources.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
+    images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
+    groups = [[(0, i, 0) for i in group] for group in order(options, team)]
+    workers = plan.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers
+    model.train()
+
+    def learn(batch: Sequence[data.Sample]) -> None:
+        step.take(training, batch, recipe, rate=1e-4, images=recipe.batch_size, team=team, wish=())
+
+    return data.batches(images, groups, workers=workers, pin=device.type == "cuda"), learn, model
+
+
+def count(root: Path) -> int:
+    """Images with vehicles."""
+    file = open_dataset(root).read(sources.SPLIT)
+    return len({a.image_id for a in file.annotations if not a.ignored})
+
+
+def order(options: argparse.Namespace, team: Team) -> list[list[int]]:
+    """The same draws of images with vehicles for both; of several processes each has its own."""
+    number = (options.warm_up + options.steps + 1) * options.batch_size
+    generator = torch.Generator().manual_seed(team.rank)
+    drawn = torch.randint(count(options.data), (number,), generator=generator).tolist()
+    return [drawn[i : i + options.batch_size] for i in range(0, number, options.batch_size)]
+
+
+# ----------------------------------------------------------------------------------------------------------- measuring
+
+
+def count_vehicle_regions(model: KeypointRCNN) -> list[int]:
+    """A list that fills with the regions on vehicles of each image, before any bound."""
+    seen: list[int] = []
+    select = model.roi_heads.select_training_samples
+
+    def counted(*args: Any) -> Any:
+        answer = select(*args)
+        seen.extend(int((labels > 0).sum()) for labels in answer[2])
+        return answer
+
+    model.roi_heads.select_training_samples = counted
+    return seen
+
+
+def synchronise(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def peak_mb(device: torch.device) -> float:
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**20
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+
+
+def in_own_process(name: str, checkpoint: Path, more: Sequence[str]) -> dict[str, Any]:
+    command = [sys.executable, __file__, *sys.argv[1:], "--only", name, "--checkpoint", str(checkpoint), *more]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(done.stdout.splitlines()[-1])  # type: ignore[no-any-return]
+
+
+def teach(options: argparse.Namespace, folder: Path) -> Path:
+    """A detector that knows some of the images: skope's recipe for random weights."""
+    scratch = dataclasses.replace(RECIPES["scratch"], bfloat16=recipe_of(options).bfloat16, val_fraction=0.0)
+    recipe = scratch.with_min_size(options.min_size)
+    config = RunConfig(recipe=recipe, seed=0, data=(str(options.data),), mix=None, max_images=options.teach)
+    device = torch.device(options.device)
+    loop.train(config, folder, device=device, workers=0, resume=False, console=Console(), saving=loop.Saving())
+    return folder
+
+
+def report(options: argparse.Namespace, rows: dict[str, list[dict[str, Any]]]) -> None:
+    names = ("images_per_s", "cpu_s_per_image", "peak_mb", "vehicle_regions")
+    best = {name: {key: best_of(key, each) for key in names} for name, each in rows.items()}
+    where = torch.cuda.get_device_name() if options.device != "cpu" else f"{os.cpu_count()}-core CPU"
+    versions = f"Python {platform.python_version()}, torch {torch.__version__}, torchvision {torchvision.__version__}"
+    print(
+        f"{time.strftime('%Y-%m-%d')}, {where}, {torch.get_num_threads()} threads, {versions}; batch "
+        f"{options.batch_size}, short side {options.min_size} px, {options.steps} steps x {options.rounds} rounds, the "
+        "best of each"
+    )
+    print(
+        "| contender | images/s | times | CPU s/image | times | peak MB | vehicle regions/image |\n" + "|---" * 7 + "|"
+    )
+    peer = best["torchvision"]
+    for name, row in best.items():
+        faster = row["images_per_s"] / peer["images_per_s"]
+        cheaper = peer["cpu_s_per_image"] / row["cpu_s_per_image"]
+        print(
+            f"| {name} | {row['images_per_s']:.3f} | {faster:.2f} | {row['cpu_s_per_image']:.2f} | {cheaper:.2f} "
+            f"| {row['peak_mb']:.0f} | {row['vehicle_regions']:.1f} |"
+        )
+
+
+def best_of(key: str, rows: Sequence[dict[str, Any]]) -> float:
+    """The quietest round's figure."""
+    values = [float(row[key]) for row in rows]
+    return max(values) if key == "images_per_s" else min(values)
+
+
+if __name__ == "__main__":
+    main()

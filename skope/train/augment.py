@@ -1,0 +1,211 @@
+"""What a traffic camera does to an image, done to training images: geometry, light, optics, compression, occluders.
+
+Each step is a function of (pixels, vehicles, generator); those that move pixels move boxes and keypoints with them.
+Pixels are (H, W, 3) uint8 sRGB in and out.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.train.vehicles import Vehicles
+
+Pixels = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Augment:
+    """How often each change is made to an image: probabilities from 0 to 1."""
+
+    flip: float = 0.5
+    """Left and right exchanged."""
+    crop: float = 0.0
+    """Scale between 0.6 and 1.6 and another part of the view; the image keeps its size."""
+    occluders: float = 0.0
+    """Flat rectangles before parts of vehicles: the points under them are hidden."""
+    color: float = 0.0
+    """Saturation, hue and white balance."""
+    brightness: float = 0.0
+    """Exposure within two stops, and gamma: from glare to night."""
+    infrared: float = 0.0
+    """Grey, as night cameras see."""
+    rain: float = 0.0
+    """Bright streaks."""
+    blur: float = 0.0
+    """Focus or motion."""
+    noise: float = 0.0
+    """Of the sensor, per channel or alike in all."""
+    resample: float = 0.0
+    """Scaled down and up again."""
+    jpeg: float = 0.0
+    """JPEG of quality 15 to 70."""
+    video: float = 0.0
+    """Blocks of a video encoder that saves bits: some macroblocks much coarser than others."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value <= 1:
+                raise UserError(f"{field.name}: expected a probability from 0 to 1, got {value}")
+
+    def apply(self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
+        """The image and its vehicles after the steps that the generator picks."""
+        for name, step in STEPS.items():
+            # Drawn for every step, so that one step's probability changes no other step.
+            chosen, own = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
+            if chosen:
+                pixels, vehicles = step(pixels, vehicles, own)
+        return pixels, vehicles
+
+
+# ------------------------------------------------------------------------------------------------------------ geometry
+
+
+def _flip(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
+    return np.ascontiguousarray(pixels[:, ::-1]), vehicles.flipped(pixels.shape[1])
+
+
+def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
+    height, width = pixels.shape[:2]
+    scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.6))))
+    room = np.array([width, height]) * (1 - 1 / scale)  # negative: the image leaves a margin
+    corner = np.minimum(room, 0) + rng.random(2) * np.abs(room)
+    # OpenCV counts a pixel's centre as i, skope as i + 0.5.
+    shift = -corner * scale + 0.5 * scale - 0.5
+    matrix = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
+    grey = rng.integers(0, 256, 3).tolist()
+    moved = cv2.warpAffine(pixels, matrix, (width, height), flags=cv2.INTER_LINEAR, borderValue=grey)
+    cropped = vehicles.cropped((float(corner[0]), float(corner[1])), (scale, scale), width, height)
+    return _bytes(moved), cropped
+
+
+def _occluders(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
+    pixels = pixels.copy()
+    for box in vehicles.boxes_xyxy[rng.random(len(vehicles.boxes_xyxy)) < 0.5]:
+        size = (box[2:] - box[:2]) * rng.uniform(0.15, 0.5, 2)
+        corner = box[:2] + rng.random(2) * (box[2:] - box[:2] - size)
+        cover = np.rint([*corner, *(corner + size)])
+        x0, y0, x1, y1 = cover.astype(int)
+        shade = rng.integers(0, 256, 3) + rng.normal(0, 8, (max(0, y1 - y0), max(0, x1 - x0), 3))
+        pixels[y0:y1, x0:x1] = _bytes(shade)
+        vehicles = vehicles.covered(cover)
+    return pixels, vehicles
+
+
+# --------------------------------------------------------------------------------------------------------- light, glass
+
+
+def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Step:
+    """A step that leaves every pixel where it is."""
+    return lambda pixels, vehicles, rng: (change(pixels, rng), vehicles)
+
+
+def _color(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    hsv = cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV).astype(np.float32)
+    hsv[..., 0] = (hsv[..., 0] + rng.uniform(-8, 8)) % 180  # OpenCV's hue has half degrees
+    hsv[..., 1] = np.clip(hsv[..., 1] * rng.uniform(0.4, 1.5), 0, 255)
+    balanced = cv2.cvtColor(_bytes(hsv), cv2.COLOR_HSV2RGB) * rng.uniform(0.88, 1.12, 3)
+    return _bytes(balanced)
+
+
+def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    linear = (pixels / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2, 1))
+    return _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.75, 1.35) / 2.2))
+
+
+def _infrared(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    weights = rng.dirichlet([2, 2, 2])
+    grey = (pixels @ weights - 128) * rng.uniform(0.8, 1.3) + 128
+    return np.repeat(_bytes(grey)[..., None], 3, axis=-1)
+
+
+def _rain(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    height, width = pixels.shape[:2]
+    veil = np.zeros((height, width), np.uint8)
+    slant, length = rng.uniform(-0.3, 0.3), height * rng.uniform(0.02, 0.08)
+    for _ in range(int(rng.integers(50, 400) * height * width / 640 / 360)):
+        x, y = rng.random(2) * [width, height]
+        end = (int(x + slant * length), int(y + length))
+        cv2.line(veil, (int(x), int(y)), end, int(rng.integers(40, 160)), 1, cv2.LINE_AA)
+    share = cv2.GaussianBlur(veil, (3, 3), 0)[..., None] / np.float32(255)
+    return _bytes(pixels * (1 - share) + 215 * share)
+
+
+def _blur(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    reach = 2 + pixels.shape[0] / 360
+    if rng.random() < 0.5:
+        return _bytes(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.5 * reach)))
+    size = 2 * int(rng.integers(1, 1 + reach)) + 1  # odd, so that the kernel has a middle and nothing shifts
+    turn = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), rng.uniform(0, 180), 1)
+    row = np.zeros((size, size), np.float32)
+    row[size // 2] = 1
+    kernel = cv2.warpAffine(row, turn, (size, size))
+    return _bytes(cv2.filter2D(pixels, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
+
+
+def _noise(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    channels = 3 if rng.random() < 0.5 else 1
+    grain = rng.standard_normal((*pixels.shape[:2], channels), dtype=np.float32)
+    return _bytes(pixels + grain * np.float32(rng.uniform(2, 16)))
+
+
+# ---------------------------------------------------------------------------------------------------------- compression
+
+
+def _resample(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    height, width = pixels.shape[:2]
+    factor = rng.uniform(0.35, 0.85)
+    small = cv2.resize(pixels, (round(width * factor), round(height * factor)), interpolation=cv2.INTER_AREA)
+    return _bytes(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def _jpeg(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    return _recoded(pixels, int(rng.integers(15, 71)))
+
+
+def _video(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    height, width = pixels.shape[:2]
+    coarse, fine = _recoded(pixels, int(rng.integers(4, 15))), _recoded(pixels, int(rng.integers(35, 75)))
+    # Neighbouring macroblocks (16 x 16 pixels) share their fate, as an encoder's rate control has it.
+    grid = rng.random((-(-height // 64) + 1, -(-width // 64) + 1)).repeat(4, axis=0).repeat(4, axis=1)
+    fate = grid + rng.normal(0, 0.15, grid.shape) < rng.uniform(0.3, 0.8)
+    mask = fate.repeat(16, axis=0).repeat(16, axis=1)[:height, :width, None]
+    return np.where(mask, coarse, fine)
+
+
+def _recoded(pixels: Pixels, quality: int) -> Pixels:
+    done, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert done
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
+
+
+def _bytes(values: NDArray[np.generic]) -> Pixels:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)  # type: ignore[no-any-return]
+
+
+STEPS: Final = MappingProxyType(
+    {
+        "flip": _flip,
+        "crop": _crop,
+        "occluders": _occluders,
+        "color": _photometric(_color),
+        "brightness": _photometric(_brightness),
+        "infrared": _photometric(_infrared),
+        "rain": _photometric(_rain),
+        "blur": _photometric(_blur),
+        "noise": _photometric(_noise),
+        "resample": _photometric(_resample),
+        "jpeg": _photometric(_jpeg),
+        "video": _photometric(_video),
+    }
+)
+"""In the order of nature: the scene, its light, the lens and sensor, then the encoder."""
+assert tuple(STEPS) == tuple(field.name for field in fields(Augment))

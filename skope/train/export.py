@@ -1,0 +1,82 @@
+"""A model that runs without skope: TorchScript or ONNX, from a checkpoint.
+
+Input `image`: (3, H, W) float32 sRGB from 0 to 1, of any size. Outputs, best first, in pixels of that image: `boxes`
+(N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33) from 0 to 1.
+"""
+
+import importlib.util
+import warnings
+from pathlib import Path
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+from torchvision.models.detection import KeypointRCNN
+
+from skope import detector
+from skope.console import Console
+from skope.errors import UserError, one_of
+from skope.files import replacing
+
+FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx"}
+OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
+
+_OPSET: Final = 17
+_TRACED_SIZE: Final = (360, 640)
+"""Of the image that ONNX export follows through the network; the written model takes any."""
+
+
+class Deployed(nn.Module):
+    """A detector of one image whose answer is a tuple of tensors, `OUTPUTS`."""
+
+    def __init__(self, model: KeypointRCNN) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """One (3, H, W) image."""
+        return _in_order(self.model([image])[0])
+
+
+class _Scripted(Deployed):
+    """The same around a scripted model, which answers with its losses too."""
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return _in_order(self.model([image])[1][0])
+
+
+def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return found["boxes"], found["scores"], found["keypoints"][:, :, :2], found["keypoints_scores"].sigmoid()
+
+
+def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> Path:
+    """Write `checkpoint` (a file or a run folder) in a format of `FORMATS`; returns the file."""
+    one_of("--to", to, tuple(FORMATS))
+    if to == "onnx" and importlib.util.find_spec("onnx") is None:
+        raise UserError("--to onnx: needs the package onnx: pip install 'skope[onnx]'")
+    path = detector.find_checkpoint(checkpoint)
+    out = out or path.with_name(path.name.removesuffix(path.suffix) + FORMATS[to])
+    model, config, _ = detector.load_weights(path, "cpu")
+    model.roi_heads.score_thresh = detector.MIN_SCORE
+    console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
+    with replacing(out) as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tracing and of the exporter's age: what matters is tested
+        if to == "torchscript":
+            torch.jit.script(_Scripted(model).eval()).save(str(temporary))  # type: ignore[no-untyped-call]
+        else:
+            _to_onnx(Deployed(model).eval(), temporary)
+    return out
+
+
+def _to_onnx(deployed: Deployed, path: Path) -> None:
+    image = torch.rand(3, *_TRACED_SIZE, generator=torch.Generator().manual_seed(0))
+    torch.onnx.export(
+        deployed,
+        (image,),
+        str(path),
+        dynamo=False,
+        opset_version=_OPSET,
+        input_names=["image"],
+        output_names=list(OUTPUTS),
+        dynamic_axes={"image": {1: "height", 2: "width"}, **{name: {0: "found"} for name in OUTPUTS}},
+    )

@@ -1,0 +1,44 @@
+"""Frozen normalisation multiplied into the convolution before it: the same function, without its passes over memory.
+
+A frozen norm is y = a x + b per channel with constant a and b; after a convolution with weights w it is a convolution
+with weights a w and bias b. Weights, buffers and their names stay as they are: only methods change.
+"""
+
+from torch import Tensor, nn
+from torch.nn import functional
+from torchvision.models.detection import KeypointRCNN
+from torchvision.ops import FrozenBatchNorm2d
+
+
+class _FoldedConv2d(nn.Conv2d):
+    _norm: tuple[FrozenBatchNorm2d]
+    """In a tuple, so that the convolution does not own it as a module."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        (norm,) = self._norm
+        scale = norm.weight * (norm.running_var + norm.eps).rsqrt()
+        weight = self.weight * scale[:, None, None, None]
+        bias = norm.bias - norm.running_mean * scale
+        return functional.conv2d(x, weight, bias, self.stride, self.padding, self.dilation, self.groups)
+
+
+class _Folded(FrozenBatchNorm2d):  # type: ignore[misc]
+    def forward(self, x: Tensor) -> Tensor:
+        return x
+
+
+def fold_norms(model: KeypointRCNN) -> int:
+    """Fold every frozen norm of the backbone's ResNet into its convolution; returns how many there were."""
+    pairs = []
+    for module in model.backbone.body.modules():
+        children = dict(module.named_children())
+        pairs += [(children.get(f"conv{i}"), children.get(f"bn{i}")) for i in (1, 2, 3)]
+        if isinstance(children.get("downsample"), nn.Sequential):
+            pairs.append(tuple(children["downsample"]))
+    frozen = [(conv, norm) for conv, norm in pairs if type(norm) is FrozenBatchNorm2d]
+    for conv, norm in frozen:
+        assert type(conv) is nn.Conv2d
+        assert conv.bias is None
+        conv.__class__, norm.__class__ = _FoldedConv2d, _Folded
+        conv._norm = (norm,)  # type: ignore[assignment]
+    return len(frozen)

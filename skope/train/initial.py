@@ -1,0 +1,168 @@
+"""The first weights of a training: trained on COCO or ImageNet, from a file, or random."""
+
+import re
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlparse
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import nn
+from torchvision.models import ResNet50_Weights, WeightsEnum
+from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
+from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
+
+from skope import detector, keypoints
+from skope.detector import DetectorConfig
+from skope.errors import UserError
+
+INITS: Final = ("auto", "coco", "imagenet", "random")
+
+_COCO_KEYPOINTS: Final = 17
+_COCO_EPS: Final = 0.0
+"""These weights were trained while FrozenBatchNorm2d added nothing to the variance."""
+_DEFAULT_EPS: Final = 1e-5
+_PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
+
+State = dict[str, torch.Tensor]
+
+
+def initialise(
+    init: str, *, norm: str, min_size: int, max_size: int, trainable_layers: int, seed: int
+) -> tuple[KeypointRCNN, DetectorConfig, str]:
+    """A model with its first weights, its config, and the choice in words.
+
+    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else random ones, and never uses
+    the network; `coco` and `imagenet` download what is not there; anything else is a file (see `_from_file`). As in
+    torchvision, trained weights come with frozen normalisation, and random ones with normalisation and all layers that
+    learn, unless `norm` says otherwise. `seed` draws what no file gives.
+    """
+
+    def config(given_norm: str, eps: float) -> DetectorConfig:
+        chosen = given_norm if norm == "given" else norm
+        return DetectorConfig(norm=chosen, norm_eps=eps, min_size=min_size, max_size=max_size)
+
+    coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        if init == "coco" or (init == "auto" and coco_file.is_file()):
+            path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+            chosen = config("frozen", _COCO_EPS)
+            return _loaded(path, _unpickled(path), chosen, trainable_layers), chosen, "weights trained on COCO"
+        if init == "imagenet":
+            chosen = config("frozen", _DEFAULT_EPS)
+            return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
+        if init in INITS:
+            chosen = config("batch", _DEFAULT_EPS)
+            words = "random weights" + (" (no COCO weights in the cache)" if init == "auto" else "")
+            return detector.build(chosen, trainable_layers=5), chosen, words
+        file = check(init)
+        assert file is not None
+        state, own_norm, eps = _from_file(file)
+        chosen = config(own_norm, eps)
+        return _loaded(file, state, chosen, trainable_layers), chosen, f"weights of {file}"
+
+
+def check(init: str) -> Path | None:
+    """The file that a value of `--init` names, None for one of the names in `INITS`."""
+    if init in INITS:
+        return None
+    if not Path(init).exists():
+        raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join(INITS)}")
+    return detector.find_checkpoint(Path(init))
+
+
+def _from_file(path: Path) -> tuple[State, str, float]:
+    """Weights, norm and eps of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
+
+    Ours records norm and eps. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0 for
+    frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5.
+    """
+    if path.suffix == ".safetensors":
+        if _is_ours(path):
+            header, state = detector.read_checkpoint(path)
+            own = DetectorConfig.from_dict(header["config"])
+            return state, own.norm, own.norm_eps
+        with safe_open(path, framework="pt") as file:
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    else:
+        state = _unpickled(path)
+    counted = any(name.endswith(".num_batches_tracked") for name in state)
+    coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
+    return state, "batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        with safe_open(path, framework="pt") as file:
+            return detector.HEADER in (file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
+
+
+def _loaded(path: Path, state: State, config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
+    """A model with the weights in `state`; a predictor for COCO's 17 keypoints makes room for a new one for 33."""
+    count = _num_keypoints(path, state)
+    if count not in (keypoints.K, _COCO_KEYPOINTS):
+        raise UserError(f"{path}: predicts {count} keypoints; expected {keypoints.K}, or COCO's {_COCO_KEYPOINTS}")
+    model = detector.build(config, trainable_layers=trainable_layers, num_keypoints=count)
+    _load(path, model, state)
+    if count != keypoints.K:
+        heads = model.roi_heads
+        channels = heads.keypoint_predictor.kps_score_lowres.in_channels
+        heads.keypoint_predictor = KeypointRCNNPredictor(channels, keypoints.K)
+    return model
+
+
+def _num_keypoints(path: Path, state: State) -> int:
+    if _PREDICTOR not in state:
+        raise UserError(f"{path}: not the weights of a Keypoint R-CNN of torchvision (no tensor {_PREDICTOR})")
+    return int(state[_PREDICTOR].shape[1])
+
+
+def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
+    path = _fetch("imagenet", ResNet50_Weights.IMAGENET1K_V1)
+    model = detector.build(config, trainable_layers=trainable_layers)
+    state = {name: tensor for name, tensor in _unpickled(path).items() if not name.startswith("fc.")}
+    _load(path, model.backbone.body, state)
+    return model
+
+
+def _cached(weights: WeightsEnum) -> Path:
+    return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
+
+
+def _fetch(init: str, weights: WeightsEnum) -> Path:
+    path = _cached(weights)
+    if path.is_file():
+        return path
+    digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.hub.download_url_to_file(weights.url, str(path), digest.group(1) if digest else None)
+    except (OSError, RuntimeError) as error:
+        raise UserError(
+            f"--init {init}: cannot download {weights.url} ({error}); put the file at {path}, or take --init random"
+        ) from None
+    return path
+
+
+def _unpickled(path: Path) -> State:
+    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it."""
+    try:
+        state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise UserError(f"{path}: not a file of weights ({reason}); delete it and get it again") from None
+    if isinstance(state, dict) and isinstance(state.get("model"), dict):
+        state = state["model"]
+    if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
+        raise UserError(f"{path}: not a file of weights: expected tensors by name")
+    return state
+
+
+def _load(path: Path, model: nn.Module, state: State) -> None:
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        raise UserError(f"{path}: not the weights of this model: {' '.join(str(error).split())[:160]}") from None

@@ -1,0 +1,67 @@
+"""Several processes that train one model, as `torchrun` starts them: who this one is, and sums over all of them."""
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import TypeVar
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+T = TypeVar("T")
+
+_PATIENCE = timedelta(hours=2)
+"""The others wait while the first one validates and writes."""
+
+
+@dataclass(frozen=True)
+class Team:
+    """The processes of one training; by itself, one."""
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def first(self) -> bool:
+        """Whether this process writes files and talks."""
+        return self.rank == 0
+
+    def share(self, items: Sequence[T]) -> Sequence[T]:
+        """This process's part of a batch; it may be empty."""
+        return items[self.rank :: self.size]
+
+    def add_up(self, tensors: Sequence[Tensor]) -> None:
+        """Replace float32 tensors by their sums over all processes, in one message."""
+        if self.size == 1:
+            return
+        flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
+        dist.all_reduce(flat)
+        for tensor, total in zip(tensors, torch.split(flat, [tensor.numel() for tensor in tensors]), strict=True):
+            tensor.copy_(total.view_as(tensor))
+
+    def average_statistics(self, model: torch.nn.Module) -> None:
+        """Give all processes the mean of their running statistics, which each gathers from its own images."""
+        statistics = [buffer for buffer in model.buffers() if buffer.dtype == torch.float32]
+        self.add_up(statistics)
+        for buffer in statistics if self.size > 1 else ():
+            buffer.div_(self.size)
+
+
+@contextlib.contextmanager
+def joined(device: torch.device) -> Iterator[tuple[Team, torch.device]]:
+    """The team that torchrun's environment names, or this process alone, and the device that is this process's own."""
+    size = int(os.environ.get("WORLD_SIZE", "1"))
+    if size == 1:
+        yield Team(), device
+        return
+    if device.type == "cuda":
+        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        torch.cuda.set_device(device)
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE)
+    try:
+        yield Team(dist.get_rank(), size), device
+    finally:
+        dist.destroy_process_group()

@@ -1,0 +1,89 @@
+"""Values of dataclasses from people: TOML files and `name=value` flags, checked against the fields' types."""
+
+import difflib
+import tomllib
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from skope.errors import UserError
+
+T = TypeVar("T")
+
+NONE = "none"
+"""How people write None, for which TOML has no word."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table of a TOML file; a missing or malformed one is a UserError that names it."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
+
+
+def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
+    """Nested values of flags like `augment.blur=0.2`; a value is written as in TOML, text without quotes too."""
+    values: dict[str, Any] = {}
+    for flag in flags:
+        name, equals, text = flag.partition("=")
+        if not equals or not name.strip():
+            raise UserError(f"{where} {flag}: expected name=value")
+        *tables, leaf = name.strip().split(".")
+        into = values
+        for table in tables:
+            into = into.setdefault(table, {})
+        try:
+            into[leaf] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            into[leaf] = text.strip()
+    return values
+
+
+def changed(base: T, values: Mapping[str, Any], where: str) -> T:
+    """A copy of a dataclass with other values, nested tables for nested dataclasses.
+
+    Raises UserError, beginning with `where` and the field, for unknown names and wrong types.
+    """
+    hints = get_type_hints(type(base))
+    names = {field.name for field in fields(base)}  # type: ignore[arg-type]
+    new: dict[str, Any] = {name: getattr(base, name) for name in names}
+    for name, value in values.items():
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {close[0]}?" if close else f"; there are: {', '.join(sorted(names))}"
+            raise UserError(f"{where}{name}: no such value{hint}")
+        if is_dataclass(new[name]):
+            if not isinstance(value, Mapping):
+                raise UserError(f"{where}{name}: expected a table, got {value!r}")
+            new[name] = changed(new[name], value, f"{where}{name}.")
+        else:
+            new[name] = _typed(value, hints[name], f"{where}{name}")
+    try:
+        return type(base)(**new)
+    except UserError as error:
+        raise UserError(f"{where}{error}") from None
+
+
+def _typed(value: Any, hint: Any, where: str) -> Any:
+    choices = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if type(None) in choices and value in (None, NONE):
+        return None
+    for choice in choices:
+        if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        if choice in (int, str, bool) and type(value) is choice:
+            return value
+        if get_origin(choice) is tuple:  # of texts
+            items = value.split(",") if isinstance(value, str) else value
+            if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
+                return tuple(item.strip() for item in items if item.strip())
+    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): NONE}
+    expected = " or ".join(words.get(choice, "a list of texts") for choice in choices)
+    raise UserError(f"{where}: expected {expected}, got {value!r}")

@@ -1,0 +1,126 @@
+"""Which images are learnt from and which validated on: datasets, their recordings, and what they must hold."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope import dataset
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.schema import Annotation, AnnotationFile, Image
+from skope.train.vehicles import Vehicles, vehicles_of
+
+SPLIT: Final = "train"
+GAP_S: Final = 1.0
+"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """One dataset's part in a training."""
+
+    dataset: Dataset
+    learnt: AnnotationFile
+    validated: AnnotationFile
+    fingerprint: str
+    """Digest of the annotations and of the images' names and sizes."""
+
+    def vehicles(self) -> list[Vehicles]:
+        """Of each image that is learnt from, in file order."""
+        by_image = self.learnt.by_image()
+        return [vehicles_of(image, by_image[image.id]) for image in self.learnt.images]
+
+
+def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_images: int | None) -> Source:
+    """Split `train` of a dataset folder; a UserError where it holds nothing to learn from.
+
+    `max_images` limits what is learnt from, to images with vehicles, evenly spread.
+    """
+    opened = dataset.open_dataset(root)
+    file = opened.read(SPLIT)
+    path = root / "annotations" / f"{SPLIT}.json"
+    if not file.images:
+        raise UserError(f"{path}: field images is empty: nothing to train on")
+    file = _excluding(file, exclude_types)
+    learnt, validated = _split(file, val_fraction)
+    if max_images is not None:
+        learnt = dataset.take(learnt, max_images)
+    if all(annotation.ignored for annotation in learnt.annotations):
+        raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
+    return Source(dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images))
+
+
+def _excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
+    """Vehicles of these types become ignored ones: neither learnt, nor background, nor ground truth."""
+    if not types:
+        return file
+    return replace(
+        file, annotations=tuple(replace(a, iscrowd=1) if a.vehicle_type in types else a for a in file.annotations)
+    )
+
+
+def _split(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
+    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
+    recordings: dict[tuple[str | None, str | None], list[Image]] = {}
+    for image in file.images:
+        recordings.setdefault((image.site, image.recording), []).append(image)
+    learnt: list[Image] = []
+    validated: list[Image] = []
+    for images in recordings.values():
+        ordered = sorted(images, key=lambda image: (image.frame_index is None, image.frame_index or 0))
+        # Of a recording too short for it nothing is validated on.
+        first = len(ordered) - round(fraction * len(ordered))
+        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
+        validated += ordered[first:]
+    return tuple(_only(file, images) for images in (learnt, validated))  # type: ignore[return-value]
+
+
+def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
+    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
+    if first == len(ordered):
+        return False
+    begins = ordered[first].time_s
+    if image.time_s is None or begins is None:
+        return i == first - 1
+    return begins - image.time_s < GAP_S
+
+
+def _only(file: AnnotationFile, images: Sequence[Image]) -> AnnotationFile:
+    """The part of a file that belongs to some of its images, in file order."""
+    wanted = {image.id for image in images}
+    return replace(
+        file,
+        images=tuple(image for image in file.images if image.id in wanted),
+        annotations=tuple(a for a in file.annotations if a.image_id in wanted),
+    )
+
+
+def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
+    digest = hashlib.sha256(annotations.read_bytes())
+    for image in images:
+        try:
+            size = (root / image.file_name).stat().st_size
+        except OSError:
+            size = -1  # said when it is read
+        digest.update(f"{image.file_name} {size}\n".encode())
+    return digest.hexdigest()
+
+
+def for_validation(sources: Sequence[Source], most: int) -> tuple[AnnotationFile, list[Path]]:
+    """At most `most` images of all validated parts, evenly spread and numbered anew, and where their pixels lie."""
+    found: list[tuple[Path, Image, list[Annotation]]] = []
+    for source in sources:
+        by_image = source.validated.by_image()
+        found += [(source.dataset.root, image, by_image[image.id]) for image in source.validated.images]
+    chosen = [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
+    images: list[Image] = []
+    annotations: list[Annotation] = []
+    for number, (_, image, vehicles) in enumerate(chosen, start=1):
+        images.append(replace(image, id=number))
+        annotations += [replace(a, id=len(annotations) + k, image_id=number) for k, a in enumerate(vehicles, start=1)]
+    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation")
+    return file, [root / image.file_name for root, image, _ in chosen]

@@ -1,0 +1,81 @@
+"""One step of the optimiser, over the images of all processes."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from skope.errors import UserError
+from skope.train.data import Sample
+from skope.train.ranks import Team
+from skope.train.recipe import Recipe
+from skope.train.run import Training
+
+LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
+"""In the order in which torchvision names them."""
+
+
+def seed(seed: int, epoch: int, step: int, team: Team) -> None:
+    """Seed torch's global state, from which torchvision's samplers draw: a step is the same wherever a run resumes."""
+    own = () if team.first else (team.rank,)
+    torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *own)).generate_state(1)[0]))
+
+
+def take(
+    training: Training,
+    batch: Sequence[Sample],
+    recipe: Recipe,
+    *,
+    rate: float,
+    images: int,
+    team: Team,
+    wish: Sequence[float],
+) -> tuple[dict[str, float], list[float]]:
+    """Learn from a batch of `images`, of which `batch` is this process's share; the losses, and `wish` summed over all.
+
+    Parts of a batch that go through the network one after the other, or in several processes, weigh as their images.
+    A loss that is not finite leaves the weights as they are and names the images.
+    """
+    parameters = [p for group in training.optimizer.param_groups for p in group["params"]]
+    device = parameters[0].device
+    losses = torch.zeros(len(LOSSES), device=device)
+    training.optimizer.zero_grad(set_to_none=True)
+    at_once = recipe.images_at_once or max(1, len(batch))
+    for start in range(0, len(batch), at_once):
+        losses += _learn(training, batch[start : start + at_once], recipe, images, device)
+    own = losses.clone()
+    for parameter in parameters:
+        if parameter.grad is None:  # this process had no image
+            parameter.grad = torch.zeros_like(parameter)
+    wishes = torch.tensor(wish, dtype=torch.float32, device=device)
+    team.add_up([*(parameter.grad for parameter in parameters if parameter.grad is not None), losses, wishes])
+    values, total = losses.tolist(), float(losses.sum())
+    if not math.isfinite(total):
+        _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
+    if recipe.gradient_clip is not None:
+        torch.nn.utils.clip_grad_norm_(parameters, recipe.gradient_clip)
+    for group in training.optimizer.param_groups:
+        group["lr"] = rate
+    training.optimizer.step()
+    return {"loss": total, **dict(zip(LOSSES, values, strict=True))}, wishes.tolist()
+
+
+def _learn(training: Training, part: Sequence[Sample], recipe: Recipe, images: int, device: torch.device) -> Tensor:
+    """Add the gradients of some images; (5,) their weighted losses."""
+    pixels, targets = zip(*(sample.to(device) for sample in part), strict=True)
+    with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
+        losses = training.model(list(pixels), list(targets))
+    weighted = torch.stack([losses[name].float() for name in LOSSES]) * (len(part) / images)
+    weighted.sum().backward()  # type: ignore[no-untyped-call]
+    return weighted.detach()
+
+
+def _refuse(batch: Sequence[Sample], epoch: int, *, mine: bool) -> None:
+    names = ", ".join(sample.name for sample in batch) if mine else "images of another process"
+    raise UserError(
+        f"epoch {epoch}: the loss is no longer a finite number, at {names}; see these images, or take a recipe with a "
+        "lower rate (the last checkpoint is as it was)"
+    )

@@ -1,0 +1,60 @@
+"""How good the model is after an epoch, on images that it does not learn from."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torchvision.models.detection import KeypointRCNN
+
+from skope import boxes, detector
+from skope.dataset import read_image
+from skope.eval import metrics
+from skope.schema import AnnotationFile, Result
+
+Figures = dict[str, Any]
+
+_IOU = "0.6"
+"""The paper's laxest threshold: early epochs find boxes roughly."""
+
+
+def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device) -> list[Result]:
+    """Detections in one (H, W, 3) image as results."""
+    (answer,) = detector.detect(model, [pixels], device)
+    rows = zip(boxes.xyxy_to_xywh(answer.boxes_xyxy), answer.scores, answer.keypoints, strict=True)
+    return [Result(image_id=image_id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
+
+
+def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
+    """Figures of the split `file`, whose pixels lie at `paths`, pooled, at a score above 0.9 and an IoU of 0.6.
+
+    `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
+    detection; None where there is nothing to divide by.
+    """
+    vehicles = file.by_image()
+    detected: list[Result] = []
+    given: list[Result] = []
+    for image, path in zip(file.images, paths, strict=True):
+        pixels = read_image(path, size=(image.width, image.height))
+        detected += found(model, pixels, image.id, device)
+        truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
+        corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
+        points = detector.detect_on_boxes(model, pixels, corners, device)
+        rows = zip(truth, points, strict=True)
+        given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
+    options = metrics.Options()
+    split = metrics.score_split(file, detected, options)
+    at = split["iou"][_IOU]
+    return {
+        "images": split["images"],
+        "vehicles": split["ground_truth"],
+        "pck": at["pck"],
+        "pck_given": metrics.score_split(file, given, options)["iou"][_IOU]["pck"],
+        **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
+    }
+
+
+def rank(figures: Figures) -> list[float]:
+    """What decides which epoch is best: keypoints found right of all there are, then localisation by itself."""
+    return [figures["keypoint_recall"] or 0.0, figures["pck_given"] or 0.0]

@@ -1,0 +1,131 @@
+"""It learns: overfitted to an image it finds what it was shown, and exported it answers alike."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from skope import boxes, detector
+from skope.console import Console
+from skope.dataset import open_dataset, read_image
+from skope.errors import UserError
+from skope.schema import Annotation
+from skope.train import plan
+from skope.train.augment import Augment
+from skope.train.export import OUTPUTS, Deployed, export
+from skope.train.recipe import RECIPES
+from tests import samples
+from tests.train.test_loop import CPU, train
+
+SMALL = replace(
+    RECIPES["scratch"],
+    min_size=128,
+    max_size=256,
+    regions=64,
+    keypoint_regions=4,
+    bfloat16=plan.multiplies_bfloat16(),
+    val_fraction=0.0,
+)
+
+
+def pck(found: detector.Detections, vehicles: list[Annotation], score: float = 0.9, iou: float = 0.6) -> float:
+    """Share of all labelled keypoints that the best detection on their vehicle puts within a tenth of its size."""
+    correct = labelled = 0
+    sure = found.scores > score
+    for vehicle in vehicles:
+        visible = vehicle.keypoints[:, 2] == 2
+        labelled += int(visible.sum())
+        overlaps = boxes.iou(boxes.xywh_to_xyxy(vehicle.bbox), found.boxes_xyxy[sure])[0]
+        if len(overlaps) and overlaps.max() >= iou:
+            points = found.keypoints[sure][overlaps.argmax()]
+            distances = np.hypot(*(points[:, :2] - vehicle.keypoints[:, :2]).T)
+            correct += int((distances[visible] <= 0.1 * vehicle.bbox[2:].max()).sum())
+    return correct / labelled
+
+
+def scores_on_its_images(data: Path, checkpoint: Path) -> list[float]:
+    model, _, _ = detector.load_weights(checkpoint, CPU)
+    dataset = open_dataset(data)
+    file = dataset.read("train")
+    vehicles = file.by_image()
+    return [pck(detector.detect(model, [dataset.image(image)], CPU)[0], vehicles[image.id]) for image in file.images]
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A dataset of one image, and a detector that has seen it often."""
+    folder = tmp_path_factory.mktemp("learnt")
+    data = samples.make_dataset(folder / "data", images=1, splits=("train",))
+    recipe = replace(SMALL, epochs=60, augment=Augment(flip=0.0), warmup_steps=10)
+    return data, train(data, folder / "run", recipe)
+
+
+def test_overfits_one_image_from_random_weights(learnt: tuple[Path, Path]) -> None:
+    """Targets, network and decoded coordinates agree from end to end."""
+    assert scores_on_its_images(*learnt)[0] > 0.9
+
+
+@pytest.mark.slow
+def test_overfits_four_images_with_flips(tmp_path: Path) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
+    checkpoint = train(data, tmp_path / "run", replace(SMALL, epochs=60))
+    assert np.mean(scores_on_its_images(data, checkpoint)) > 0.9
+
+
+def images(data: Path) -> list[torch.Tensor]:
+    """The image that is known, and the same inside larger ones."""
+    known = read_image(next((data / "images").rglob("*.png")))
+    wider = [
+        np.pad(known, ((0, down), (0, right), (0, 0)), mode="reflect") for down, right in ((0, 0), (10, 60), (50, 0))
+    ]
+    return [torch.as_tensor(pixels).permute(2, 0, 1).float() / 255 for pixels in wider]
+
+
+def check(answers: list[tuple[torch.Tensor, ...]], data: Path, checkpoint: Path) -> None:
+    """What is surely found is the same to 0.1 px and a thousandth."""
+    model, _, _ = detector.load_weights(checkpoint, "cpu")
+    model.roi_heads.score_thresh = detector.MIN_SCORE
+    compared = 0
+    for image, answer in zip(images(data), answers, strict=True):
+        with torch.inference_mode():
+            expected = Deployed(model).eval()(image)
+        sure = int((expected[1] > 0.5).sum())
+        compared += sure
+        for name, one, other in zip(OUTPUTS, expected, answer, strict=True):
+            assert other.shape[1:] == one.shape[1:], name
+            limit = 1e-3 if "score" in name else 0.1
+            assert torch.allclose(one[:sure], other[:sure], rtol=0, atol=limit), name
+    assert compared >= 3
+
+
+def test_torchscript(learnt: tuple[Path, Path]) -> None:
+    data, checkpoint = learnt
+    path = export(checkpoint.parent, "torchscript", None, console=Console(quiet=True))
+    assert path == checkpoint.with_name("epoch_060.torchscript.pt")
+    model = torch.jit.load(str(path))  # type: ignore[no-untyped-call]
+    with torch.inference_mode():
+        check([model(image) for image in images(data)], data, checkpoint)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("onnx") is None, reason="needs the extra `onnx`")
+def test_onnx(learnt: tuple[Path, Path], tmp_path: Path) -> None:
+    data, checkpoint = learnt
+    runtime = pytest.importorskip("onnxruntime")
+    path = export(checkpoint, "onnx", tmp_path / "model.onnx", console=Console(quiet=True))
+    session = runtime.InferenceSession(str(path))
+    assert [output.name for output in session.get_outputs()] == list(OUTPUTS)
+    answers = [session.run(None, {"image": image.numpy()}) for image in images(data)]
+    check([tuple(map(torch.as_tensor, answer)) for answer in answers], data, checkpoint)
+
+
+def test_mistakes_in_an_export_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="--to: 'coreml' is not one of torchscript, onnx"):
+        export(tmp_path, "coreml", None, console=Console(quiet=True))
+    with pytest.raises(UserError, match="no checkpoint in this folder"):
+        export(tmp_path, "torchscript", None, console=Console(quiet=True))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UserError, match="--to onnx: needs the package onnx"):
+        export(tmp_path, "onnx", None, console=Console(quiet=True))

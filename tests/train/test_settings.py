@@ -1,0 +1,63 @@
+"""Values of a recipe from TOML files and flags."""
+
+from pathlib import Path
+
+import pytest
+
+from skope.errors import UserError
+from skope.train.recipe import RECIPES, adjusted, choose
+
+
+def test_every_value_of_a_recipe_can_be_set() -> None:
+    flags = ["learning_rate=1", "step_size=none", "augment.blur=0.25", "exclude_types=pickup, bus", "bfloat16=true"]
+    recipe = adjusted(RECIPES["paper"], [*flags, "init=a/b.pth", "name='mine'", "keypoint_regions=8"])
+    assert (recipe.learning_rate, recipe.step_size, recipe.augment.blur) == (1.0, None, 0.25)
+    assert (recipe.exclude_types, recipe.bfloat16, recipe.init) == (("pickup", "bus"), True, "a/b.pth")
+    assert (recipe.name, recipe.keypoint_regions) == ("mine", 8)
+    assert recipe.augment.flip == 0.5
+    for name, value in RECIPES["scratch"].to_dict().items():
+        if name != "augment":
+            text = "none" if value is None else repr(value).lower() if isinstance(value, bool) else repr(value)
+            assert getattr(adjusted(RECIPES["scratch"], [f"{name}={text}"]), name) == getattr(RECIPES["scratch"], name)
+
+
+@pytest.mark.parametrize(
+    ("flag", "words"),
+    [
+        ("epochs", "--set epochs: expected name=value"),
+        ("epoch=3", "--set epoch: no such value; did you mean epochs?"),
+        ("epochs=three", "--set epochs: expected a whole number, got 'three'"),
+        ("epochs=2.5", "--set epochs: expected a whole number, got 2.5"),
+        ("epochs=0", "--set epochs: expected at least 1, got 0"),
+        ("bfloat16=1", "--set bfloat16: expected true or false, got 1"),
+        ("augment=0.1", "--set augment: expected a table, got 0.1"),
+        ("augment.blur=2", "--set augment.blur: expected a probability from 0 to 1, got 2.0"),
+        ("exclude_types=car", "--set exclude_types: 'car' is not one of"),
+        ("momentum=2", "--set momentum: expected 0 to 1, got 2"),
+        ("learning_rate=-1", "--set learning_rate: expected at least 0, got -1"),
+    ],
+)
+def test_mistakes_name_the_value(flag: str, words: str) -> None:
+    with pytest.raises(UserError) as caught:
+        adjusted(RECIPES["paper"], [flag])
+    assert str(caught.value).startswith(words)
+
+
+def test_a_recipe_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "night.toml"
+    path.write_text('base = "scratch"\nepochs = 3\nexclude_types = ["bus"]\n[augment]\nbrightness = 0.5\n')
+    recipe = choose(str(path), gpu=False, bfloat16=True)
+    assert (recipe.name, recipe.epochs, recipe.exclude_types) == ("night", 3, ("bus",))
+    assert recipe.augment.brightness == 0.5
+    assert recipe.learning_rate == RECIPES["scratch"].learning_rate
+    assert recipe.bfloat16
+    for text, words in [
+        ("epochs = ", "night.toml: not valid TOML"),
+        ("base = 'x'", "night.toml: base: 'x' is not one of auto, paper"),
+        ("[augment]\nblurr = 1", "night.toml: augment.blurr: no such value; did you mean blur?"),
+    ]:
+        path.write_text(text)
+        with pytest.raises(UserError, match=words):
+            choose(str(path), gpu=False, bfloat16=True)
+    with pytest.raises(UserError, match="no such file"):
+        choose(str(tmp_path / "none.toml"), gpu=False, bfloat16=True)
