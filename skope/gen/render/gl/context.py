@@ -1,10 +1,12 @@
 """The OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
 
 import atexit
+import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -57,6 +59,8 @@ def _defines() -> str:
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
 
 
+WORKER: Final = "SKOPE_WORKER"
+"""Environment variable with the number of a worker process."""
 _INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
 
 
@@ -79,6 +83,12 @@ class DeviceMesh:
         self._arrays[program.glo].render()
 
 
+def _share(worker: str | None) -> int:
+    """Number of the GPU that a worker draws on: those of a machine with several take the workers in turns."""
+    gpus = len(list(Path("/dev").glob("nvidia[0-9]*")))
+    return int(worker or 0) % gpus if gpus else 0
+
+
 class Device:
     """One OpenGL context with its programs."""
 
@@ -87,7 +97,9 @@ class Device:
 
         self.gl: Any = moderngl
         try:
-            self.context: Any = self.gl.create_context(standalone=True, backend="egl", require=430)
+            self.context: Any = self.gl.create_context(
+                standalone=True, backend="egl", require=430, device_index=_share(os.environ.get(WORKER))
+            )
         except Exception as error:  # EGL's loaders raise whatever they like
             raise UserError(
                 f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
