@@ -19,6 +19,7 @@ from skope.gen.annotate import Rules
 from skope.gen.frames import Encoding, frames_of
 from skope.gen.recording import Recording, RecordingPlan, Take
 from skope.gen.render import Renderer, make_renderer
+from skope.gen.render.gl.context import WORKER
 from skope.gen.simulate import simulate
 from skope.gen.store import Store
 
@@ -144,7 +145,8 @@ class Processes:
     def __init__(self, count: int) -> None:
         context = get_context("spawn")
         self._hands = [
-            _Hand(ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker)) for _ in range(count)
+            _Hand(ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(number,)))
+            for number in range(count)
         ]
 
     def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
@@ -211,12 +213,13 @@ def one_thread() -> None:
     cv2.setNumThreads(1)
 
 
-def _start_worker() -> None:
+def _start_worker(number: int) -> None:
     """One thread per worker, Ctrl-C left to the parent, and no worker that outlives it."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
+    os.environ[WORKER] = str(number)
     parent = parent_process()
     assert parent is not None
 
