@@ -2,7 +2,7 @@
 
     python scripts/bench_train.py --data data/skope                         (this machine's CPU)
     python scripts/bench_train.py --data data/skope --device cuda --amp --min-size 800 --steps 100
-    torchrun --nproc-per-node 2 scripts/bench_train.py --data data/skope --device cuda --only skope --steps 100
+    torchrun --nproc-per-node 2 scripts/bench_train.py --data data/skope --device cuda --only skope --checkpoint RUN ...
 
 The reference is the loop of torchvision's references/detection (its dataset, transforms, data loader and
 train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints, frozen norms and three trainable
@@ -82,7 +82,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], help="a value of skope's recipe")
     parser.add_argument("--each", action="store_true", help="also with each shortcut left out")
     parser.add_argument("--only", choices=("torchvision", "skope"), help="measure one, in this process, as JSON")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.only and not options.checkpoint:
+        parser.error("--only needs --checkpoint")
+    return options
 
 
 def recipe_of(options: argparse.Namespace) -> Recipe:
