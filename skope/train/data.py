@@ -19,6 +19,7 @@ from skope.schema import Image
 from skope.train import assign
 from skope.train.augment import Augment
 from skope.train.sources import SPLIT, Source
+from skope.train.stop import left_to_the_parent
 from skope.train.vehicles import Vehicles
 
 Draw = tuple[int, int, int]
@@ -134,6 +135,7 @@ def batches(
         collate_fn=list,
         pin_memory=pin,
         prefetch_factor=4 if workers else None,
+        worker_init_fn=left_to_the_parent,
     )
     for batch in loader:
         for item in batch:

@@ -30,3 +30,9 @@ class Stop:
         if self.asked is not None:
             raise KeyboardInterrupt
         self.asked = signal.Signals(number)
+
+
+def left_to_the_parent(_worker: int) -> None:
+    """In a loading process: whoever ends a whole group of processes ends this one through its parent, not before it."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
