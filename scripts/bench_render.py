@@ -165,7 +165,7 @@ class Peer:
     def __call__(self, frame: int) -> None:
         from skope.gen.vehicles import build
 
-        moment, present = self.recording.moment(frame), {}
+        moment, present = self.recording.moment(frame).labelled(), {}
         for i, vehicle in enumerate(moment.vehicles):
             if vehicle.track_id not in self.vehicles:
                 model = build(vehicle.model, vehicle.shape)
