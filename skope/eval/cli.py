@@ -8,6 +8,7 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError, one_of
+from skope.eval import road_cli
 from skope.keypoints import SCHEME
 
 DATA = Path("data/skope")
@@ -193,6 +194,11 @@ def calibrate_scores(
     )
     path = calibrate(job, Console(quiet))
     typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
+
+
+app.command(name="predict")(road_cli.predict)
+app.command(name="pose")(road_cli.pose)
+app.command(name="track")(road_cli.track)
 
 
 def _separated(values: list[str] | None) -> list[str]:
