@@ -177,7 +177,10 @@ def calibrate_scores(
     batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place."""
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+
+    (`skope eval camera` finds a camera's focal length and tilt.)
+    """
     from skope.eval.calibrate import Job, calibrate
     from skope.eval.settings import Settings
 
@@ -199,6 +202,7 @@ def calibrate_scores(
 app.command(name="predict")(road_cli.predict)
 app.command(name="pose")(road_cli.pose)
 app.command(name="track")(road_cli.track)
+app.command(name="camera")(road_cli.camera)
 
 
 def _separated(values: list[str] | None) -> list[str]:

@@ -161,7 +161,7 @@ def _locate(
     camera: Camera, found: Array, sigma: Array, ground: Ground | None, shapes: Shapes, rng: np.random.Generator
 ) -> Poses:
     seen = observe(camera, found, sigma)
-    fits = _best_types(seen, shapes, ground)
+    fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubtful = (_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
     poor = np.flatnonzero(doubtful & (seen.count >= _FEWEST[ground is not None]))
@@ -181,7 +181,8 @@ def _refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Star
     return refine(seen, shapes, ground, starts.take(chosen), kinds[chosen]).ordered()
 
 
-def _best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
+def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
+    """Fits of the likeliest body types to each vehicle, the best first, without second tries."""
     return _refined(seen, shapes, ground, _starts(seen, shapes, ground), np.arange(len(shapes.types)))
 
 
@@ -209,7 +210,7 @@ def _retry_exchanged(
     original = seen.take(poor)
     for name, order in _EXCHANGED:
         some = original.relabelled(order)
-        other = _best_types(some, shapes, ground)
+        other = best_types(some, shapes, ground)
         wins = other.cost[:, 0] < fits.cost[poor, 0] - _BETTER
         fits.replace_where(poor, other, wins)
         seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))

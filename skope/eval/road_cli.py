@@ -168,6 +168,45 @@ def track(
         console.result(line)
 
 
+def camera(
+    folder: FolderArgument = None,
+    annotations: AnnotationsOption = None,
+    predictions: PredictionsOption = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres."),
+    ] = None,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the image that --points were marked in.")] = None,
+    vehicles: Annotated[int, typer.Option(help="Use at most so many vehicles.")] = 40,
+    noise: Annotated[float, typer.Option(help="Pixels of noise added to ground-truth keypoints.")] = 0.0,
+    score: ScoreOption = 0.9,
+    sigma: SigmaOption = None,
+    out: Annotated[Path, typer.Option(help="Camera file to write.")] = Path("runs/camera.json"),
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Find a camera's focal length, height and tilt from vehicles on a level road, or all of it from marked points.
+
+    (`skope eval calibrate` is about a detector's keypoint scores.)
+    """
+    from skope.eval.camera_file import from_points, from_vehicles
+
+    _probability("--score", score)
+    console = Console(quiet)
+    if points is not None:
+        if folder or annotations or predictions:
+            raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
+        lines = from_points(points, size, out)
+    else:
+        if vehicles < 5:
+            raise UserError(f"--vehicles: expected a whole number from 5, got {vehicles}")
+        lines = from_vehicles(
+            (folder, annotations, predictions), vehicles, score=score, noise=noise, sigma_px=sigma, out=out
+        )
+    for line in lines:
+        console.result(line)
+
+
 def _ground(text: str) -> float | None:
     return None if text == "none" else _numbers("--ground", text)[0]
 

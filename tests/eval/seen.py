@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera import Camera
+from skope.eval.shapes import fleet_shapes
+from skope.schema import Annotation, AnnotationFile, Box3D, Image
 
 Array = NDArray[np.float64]
 
@@ -74,3 +76,51 @@ def scene(
         places.append(place)
         yaws.append(yaw)
     return Scene(np.array(found), np.array(places), np.array(yaws))
+
+
+def drive(
+    seconds: float, fps: float, *, speeds: tuple[float, ...] = (12.0, 0.0), camera: Camera = CAMERA
+) -> AnnotationFile:
+    """Sedans on lanes across the camera's view, one for each speed (m/s), to the left; labelled as `skope gen` does."""
+    shapes = fleet_shapes()
+    row = shapes.mean[shapes.types.index("sedan")]
+    points, size = row[:-1], row[-1]
+    yaw = camera.angles[0] + math.pi / 2
+    ahead, side = np.array([math.cos(yaw), math.sin(yaw), 0]), np.array([math.sin(yaw), -math.cos(yaw), 0])
+    R = np.stack([ahead, -side, [0, 0, 1]], axis=1)
+    images, annotations = [], []
+    for frame in range(round(seconds * fps)):
+        time = frame / fps
+        images.append(
+            Image(
+                id=frame + 1,
+                file_name=f"road/{frame:06d}",
+                width=camera.width,
+                height=camera.height,
+                frame_index=frame,
+                time_s=time,
+                camera=camera,
+            )
+        )
+        for k, speed in enumerate(speeds):
+            start = [*camera.position[:2], 0] + side * (14 + 7 * k)
+            place = start + ahead * (speed * (time - seconds / 2))
+            pixels, _, valid = camera.project(points @ R.T + place)
+            seen = valid & facing(points, (camera.position - place) @ R) & camera.inside(pixels)
+            if seen.sum() < 8:
+                continue
+            low, high = pixels[seen].min(axis=0), pixels[seen].max(axis=0)
+            annotations.append(
+                Annotation(
+                    id=len(annotations) + 1,
+                    image_id=frame + 1,
+                    bbox=np.concatenate([low, high - low]),
+                    keypoints=np.where(seen[:, None], np.column_stack([pixels, 2 * seen]), 0.0),
+                    area=float((high - low).prod()),
+                    track_id=k + 1,
+                    box_3d=Box3D(center=place + [0, 0, size[2] / 2], size_lwh=size, yaw=yaw, R=R),
+                    velocity=speed * ahead,
+                    occlusion=0.0,
+                )
+            )
+    return AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="road")
