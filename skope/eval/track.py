@@ -30,7 +30,7 @@ _SLACK: Final = 0.5
 """Metres added to every prediction's standard deviation when vehicles are told apart."""
 _OVERLAP: Final = 0.3
 """Least IoU by which a box without a pose continues a track."""
-_LOST_S: Final = 1.0
+_LOST_S: Final = 3.0
 """A track ends when nothing was seen of it for so long."""
 _CONFIRMED: Final = 3
 """Fewer poses than this are no track."""
