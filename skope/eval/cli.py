@@ -8,6 +8,7 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError, one_of
+from skope.eval import road_cli
 from skope.keypoints import SCHEME
 
 DATA = Path("data/skope")
@@ -176,7 +177,10 @@ def calibrate_scores(
     batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place."""
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+
+    (`skope eval camera` finds a camera's focal length and tilt.)
+    """
     from skope.eval.calibrate import Job, calibrate
     from skope.eval.settings import Settings
 
@@ -193,6 +197,12 @@ def calibrate_scores(
     )
     path = calibrate(job, Console(quiet))
     typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
+
+
+app.command(name="predict")(road_cli.predict)
+app.command(name="pose")(road_cli.pose)
+app.command(name="track")(road_cli.track)
+app.command(name="camera")(road_cli.camera)
 
 
 def _separated(values: list[str] | None) -> list[str]:

@@ -72,6 +72,13 @@ class Predictor:
                     bar.write(f"{file.name}: about {minutes(seconds)} for {len(file.images)} images")
         return tuple(out)
 
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+        """The results of one image after another, as they come."""
+        for batch in _batches(images, self._batch):
+            found = self._found(batch)
+            for image, _ in batch:
+                yield image, [result for result in found if result.image_id == image.id]
+
     def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
         pixels = [pixels for _, pixels in batch]
         least = self._settings.min_score

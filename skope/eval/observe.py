@@ -1,0 +1,98 @@
+"""Keypoints as a pose search needs them: free of the lens, with a variance each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.camera import Camera
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST_PROBABILITY: Final = 0.2
+"""Keypoints below this do not count."""
+_PER_VEHICLE: Final = ("xy", "variance", "counted", "probability")
+_THIN: Final = 0.04
+"""Breadth over length of keypoints in the image below which they count as lying on a line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """N vehicles' keypoints."""
+
+    xy: Array
+    """(N, 33, 2) x / z and y / z in the camera frame."""
+    variance: Array
+    """(N, 33) pixels squared, of an image without distortion."""
+    counted: Mask
+    """(N, 33) which keypoints count."""
+    probability: Array
+    """(N, 33)"""
+    focal: Array
+    """(2,) fx, fy."""
+    T_camera_world: Array
+
+    @property
+    def count(self) -> NDArray[np.intp]:
+        """(N,) how many keypoints count."""
+        return np.asarray(self.counted.sum(axis=1))
+
+    def take(self, rows: NDArray[np.intp]) -> Self:
+        """Some of the vehicles."""
+        parts = {name: getattr(self, name)[rows] for name in _PER_VEHICLE}
+        return replace(self, **parts)
+
+    def relabelled(self, order: Sequence[int]) -> Self:
+        """The same positions with other keypoints' names: keypoint `i` gets those of `order[i]`."""
+        index = list(order)
+        parts = {name: getattr(self, name)[:, index] for name in _PER_VEHICLE}
+        return replace(self, **parts)
+
+    def with_rows(self, rows: NDArray[np.intp], other: "Observed") -> Self:
+        """A copy in which the vehicles `rows` are those of `other`."""
+        parts = {}
+        for name in _PER_VEHICLE:
+            parts[name] = getattr(self, name).copy()
+            parts[name][rows] = getattr(other, name)
+        return replace(self, **parts)
+
+    def subsets(self, size: int, rng: np.random.Generator) -> Mask:
+        """(N, 33) at most `size` random counted keypoints of each vehicle."""
+        rank = np.argsort(np.argsort(np.where(self.counted, rng.random(self.counted.shape), 2.0), axis=1), axis=1)
+        return np.asarray(self.counted & (rank < size))
+
+    def on_a_line(self) -> Mask:
+        """(N,) whether the counted keypoints lie on one line, as far as can be told."""
+        weight = self.counted / np.maximum(self.count, 1)[:, None]
+        middle = np.einsum("nk,nki->ni", weight, self.xy)
+        away = (self.xy - middle[:, None]) * self.focal
+        scatter = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, away, away))
+        return np.asarray(scatter[:, 0] < _THIN**2 * scatter[:, 1] + 1e-9)
+
+
+def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
+    """Keypoints (N, 33, 3), pixels and probability, with standard deviations (N,) of those of probability 1.
+
+    What is not finite, or beyond what the lens model can undo, does not count.
+    """
+    probability = np.where(np.isfinite(found).all(axis=-1), found[..., 2], 0.0)
+    pixels = np.where(np.isfinite(found[..., :2]), found[..., :2], 0.0)
+    rays, valid = camera.rays(pixels)
+    focal = np.array([camera.K[0, 0], camera.K[1, 1]])
+    counted = valid & (probability >= LEAST_PROBABILITY)
+    xy = np.where(counted[..., None], rays[..., :2], 0.0)
+    stretch = np.ones(found.shape[:2])
+    if camera.distortion.model != "none":
+        # How much longer a pixel is without distortion: the root of how much larger its area is.
+        right, up = (camera.rays(pixels + step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
+        left, down = (camera.rays(pixels - step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
+        a, b = right - left, up - down
+        area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+        stretch = np.where(counted & np.isfinite(area) & (area > 0), area, 1.0)
+    variance = (np.maximum(sigma, 1e-3) ** 2)[:, None] * stretch / np.clip(probability, LEAST_PROBABILITY, 1.0)
+    assert xy.shape[1] == keypoints.K
+    return Observed(xy, variance, counted, np.clip(probability, 0, 1), focal, camera.T_camera_world)

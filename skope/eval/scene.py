@@ -1,0 +1,186 @@
+"""Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, keypoints
+from skope.calibration import read_calibration
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.eval import inputs
+from skope.eval.refine import Ground
+from skope.files import read_json
+from skope.schema import Annotation, AnnotationFile, Image, Result
+
+Array = NDArray[np.float64]
+
+FRAMES: Final = "frames.json"
+PREDICTIONS: Final = "predictions.json"
+"""What `skope eval predict` writes into its folder."""
+_SHARE: Final = 0.02
+"""Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image: its camera, and its vehicles' keypoints."""
+
+    image: Image
+    camera: Camera
+    found: Array
+    """(N, 33, 3) x, y, probability."""
+    sigma_px: Array
+    """(N,)"""
+    scores: Array
+    """(N,)"""
+    boxes: Array
+    """(N, 4) x, y, width, height."""
+    truth: tuple[Annotation, ...] = ()
+    """What was found, where it is ground truth; else empty."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A sequence of images."""
+
+    file: AnnotationFile
+    results: tuple[Result, ...] | None
+    """None: the annotations' own keypoints are taken."""
+    camera: Camera | None
+    """In place of those of the images."""
+    ground: Ground | None
+
+    @property
+    def has_truth(self) -> bool:
+        return any(a.box_3d is not None for a in self.file.annotations)
+
+    def camera_of(self, image: Image) -> Camera:
+        """Raises UserError when nobody says what it is."""
+        camera = self.camera or image.camera
+        if camera is None:
+            raise UserError(f"{self.file.name}: {image.file_name} has no camera; give one with --camera")
+        return sized(camera, (image.width, image.height), image.file_name)
+
+    def views(
+        self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
+    ) -> Iterator[View]:
+        """Every image with its detections above `score`, or its labelled vehicles with `noise` pixels added.
+
+        `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
+        """
+        rng = np.random.default_rng(seed)
+        results: dict[int, list[Result]] = {}
+        for result in self.results or ():
+            if result.score > score:
+                results.setdefault(result.image_id, []).append(result)
+        labelled = self.file.by_image()
+        for image in self.file.images:
+            camera = self.camera_of(image)
+            if self.results is None:
+                yield _labelled(image, camera, labelled[image.id], noise, sigma_px, rng)
+            else:
+                yield _predicted(image, camera, results.get(image.id, []), sigma_px)
+
+
+def _labelled(
+    image: Image,
+    camera: Camera,
+    vehicles: list[Annotation],
+    noise: float,
+    sigma: float | None,
+    rng: np.random.Generator,
+) -> View:
+    kept = tuple(a for a in vehicles if not a.ignored)
+    found = np.array([a.keypoints for a in kept]).reshape(-1, keypoints.K, 3)
+    found[..., :2] += rng.normal(0.0, 1.0, found[..., :2].shape) * noise
+    found[..., 2] = found[..., 2] == 2
+    known = max(noise, 0.5) if sigma is None else sigma
+    boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
+    return View(image, camera, found, np.full(len(kept), known), np.ones(len(kept)), boxes, kept)
+
+
+def _predicted(image: Image, camera: Camera, results: list[Result], sigma: float | None) -> View:
+    found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
+    boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
+    spread = (
+        np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
+    )
+    return View(image, camera, found, spread, np.array([r.score for r in results]), boxes)
+
+
+def read_scene(
+    folder: Path | None, annotations: Path | None, predictions: Path | None, camera: Path | None, ground: float | None
+) -> Scene:
+    """What `skope eval predict` wrote into `folder`, or an annotation file with or without a results file.
+
+    `ground` is the road's height in the camera's world; a camera without a pose has no ground.
+    """
+    if (folder is None) == (annotations is None):
+        raise UserError("give either the folder that `skope eval predict` wrote or --annotations")
+    if folder is not None:
+        if not folder.is_dir():
+            raise UserError(f"{folder}: no such folder; `skope eval predict SOURCE --out {folder}` makes it")
+        annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
+    assert annotations is not None
+    file = coco.read(annotations)
+    results = inputs.read_results(predictions, file) if predictions else None
+    if camera is None:
+        return Scene(file, results, None, None if ground is None else Ground(height=ground))
+    read, posed = read_camera(camera, _size(file))
+    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None)
+
+
+def _size(file: AnnotationFile) -> tuple[int, int] | None:
+    return (file.images[0].width, file.images[0].height) if file.images else None
+
+
+def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
+    """A camera from a file, and whether the file says where it hangs: else its own frame is the world.
+
+    Read are what `skope eval camera` writes, annotation files (their first image's camera) and the calibrations of
+    `skope.calibration`. `size` serves where the file says nothing of it.
+    """
+    if path.suffix.lower() == ".json":
+        document = read_json(path)
+        if isinstance(document, dict) and "images" in document:
+            images = [image for image in coco.read(path).images if image.camera is not None]
+            if not images:
+                raise UserError(f"{path}: images: none has a camera")
+            assert images[0].camera is not None
+            return images[0].camera, True
+        if isinstance(document, dict) and "T_camera_world" in document:
+            try:
+                return Camera.from_dict(document, int(document["width"]), int(document["height"])), True
+            except (KeyError, TypeError):
+                raise UserError(f"{path}: width, height: expected whole numbers") from None
+            except UserError as error:
+                raise UserError(f"{path}: {error}") from None
+    known = read_calibration(path)
+    width_height = known.size or size
+    if width_height is None:
+        raise UserError(f"{path}: image size: missing")
+    pose = np.eye(4) if known.T_camera_world is None else known.T_camera_world
+    return Camera(*width_height, known.K, pose, known.distortion), known.T_camera_world is not None
+
+
+def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
+    """The camera at an image's size; a UserError where its shape is another."""
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+        raise UserError(
+            f"{name}: is {size[0]}x{size[1]}, which a camera of {camera.width}x{camera.height} does not make"
+        )
+    return camera.resized(size)
+
+
+def with_camera(image: Image, camera: Camera | None) -> Image:
+    """An image that carries its camera."""
+    if camera is None:
+        return image
+    return replace(image, camera=sized(camera, (image.width, image.height), image.file_name))

@@ -1,0 +1,110 @@
+"""`skope eval track`: poses of every frame, tracks through them, and their files."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval import birdseye, track_files
+from skope.eval.located import locate_view
+from skope.eval.scene import Scene
+from skope.eval.track import Track, follow
+from skope.eval.video import write_video
+from skope.files import replacing, write_text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What to follow, and where to write it."""
+
+    scene: Scene
+    out: Path
+    fps: float | None
+    noise: float
+    score: float
+    sigma_px: float | None
+    video: bool
+
+
+def run(job: Job, console: Console) -> Iterator[str]:
+    """Write everything; yields lines that say what."""
+    scene = job.scene
+    times = _times(scene, job.fps)
+    views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise)
+    bar = console.bar(views, total=len(times), unit="image", label="poses")
+    located = [locate_view(view, scene.ground) for view in bar]
+    tracks = follow(located, times)
+    index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
+    track_files.write_csv(job.out / "tracks.csv", tracks, index)
+    track_files.write_mot(job.out / "mot.txt", tracks)
+    track_files.write_fcd(job.out / "fcd.xml", tracks, times)
+    written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
+    birdseye.plot(job.out / "birdseye.png", tracks, scene.camera_of(scene.file.images[0]).position[:2])
+    if scene.file.annotations:
+        _write_truth(job.out / "mot_truth.txt", scene)
+        written.append("mot_truth.txt")
+    if job.video:
+        with replacing(job.out / "birdseye.mp4") as temporary:
+            write_video(temporary, birdseye.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
+        written.append("birdseye.mp4")
+    for name in written:
+        yield f"wrote {job.out / name}"
+    seconds = times[-1] - times[0]
+    yield f"{len(tracks)} tracks over {seconds:.1f} s"
+    if scene.results is None and scene.has_truth:
+        yield from speed_errors(scene, tracks)
+
+
+def _times(scene: Scene, fps: float | None) -> list[float]:
+    """Seconds of each image; a UserError where nobody says."""
+    images = scene.file.images
+    if len(images) < 2:
+        raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
+    if fps is not None:
+        if not 0 < fps <= 1000:
+            raise UserError(f"--fps: expected a number from 0 to 1000, got {fps:g}")
+        return [i / fps for i in range(len(images))]
+    times = [image.time_s for image in images]
+    if any(time is None for time in times):
+        raise UserError(f"{scene.file.name}: its images carry no times; give --fps")
+    known = [float(time) for time in times if time is not None]
+    if any(b <= a for a, b in itertools.pairwise(known)):
+        raise UserError(f"{scene.file.name}: times do not rise; it is not the footage of one camera")
+    return known
+
+
+def _write_truth(path: Path, scene: Scene) -> None:
+    """The annotations' own tracks in MOTChallenge's form, for trackers' metrics."""
+    labelled = scene.file.by_image()
+    rows = [
+        track_files.mot_row(frame, a.track_id, a.bbox, 1.0)
+        for frame, image in enumerate(scene.file.images, start=1)
+        for a in labelled[image.id]
+        if not a.ignored and a.track_id is not None
+    ]
+    write_text(path, "".join(rows))
+
+
+def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
+    """How far speeds are from the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    labelled = scene.file.by_image()
+    truth = {
+        (image.id, a.track_id): float(np.linalg.norm(a.velocity))
+        for image in scene.file.images
+        for a in labelled[image.id]
+        if a.velocity is not None
+    }
+    ids = [image.id for image in scene.file.images]
+    share = []
+    for track in tracks:
+        for i, sight in enumerate(track.sights):
+            real = truth.get((ids[track.frames[i]], sight.truth_id)) if sight is not None else None
+            if real is not None and real >= 2.0:
+                share.append(abs(float(track.speed[i]) - real) / real)
+    if share:
+        most = np.percentile(share, 90)
+        yield f"speed: {np.median(share):.1%} off in the median, 90% within {most:.1%} ({len(share)} speeds)"

@@ -1,0 +1,144 @@
+"""`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from skope import coco, draw
+from skope.camera import Camera
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval.blur import blurred
+from skope.eval.footage import Footage, Pixels
+from skope.eval.predict import Predictor
+from skope.eval.scene import FRAMES, PREDICTIONS, with_camera
+from skope.eval.settings import Settings
+from skope.eval.video import write_video
+from skope.files import replacing
+from skope.schema import AnnotationFile, Image, Result
+
+_PROGRESS: Final = ".predict.jsonl"
+OVERLAY: Final = "overlay.mp4"
+OVERLAYS: Final = "overlays"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What to run, on what."""
+
+    footage: Footage
+    checkpoint: Path
+    out: Path
+    settings: Settings
+    score: float
+    """Least score of a detection that is kept."""
+    camera: Camera | None = None
+    overlay: bool = False
+    blur: bool = False
+
+
+@dataclass
+class _Done:
+    """What a run has found so far, and the file that keeps it."""
+
+    path: Path
+    images: list[Image] = field(default_factory=list)
+    results: list[Result] = field(default_factory=list)
+
+    @property
+    def last(self) -> int:
+        """Number of the last frame."""
+        return self.images[-1].id if self.images else 0
+
+
+def predict(job: Job, console: Console) -> list[Path]:
+    """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
+    predictor = Predictor(job.checkpoint, job.settings, console)
+    done = _resumed(job, predictor.weights, console)
+    with done.path.open("a", encoding="utf-8") as log:
+        frames = job.footage.frames(done.last)
+        with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
+            bar.update(done.last)
+            try:
+                for image, found in predictor.each(frames):
+                    _note(done, log, with_camera(image, job.camera), found)
+                    bar.update(image.id - bar.n)
+            except KeyboardInterrupt:
+                if not job.footage.stream:
+                    raise
+                console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
+    if not done.images:
+        raise UserError(f"{job.footage.name}: none of its images can be read: {'; '.join(job.footage.skipped)}")
+    written = [job.out / PREDICTIONS, job.out / FRAMES]
+    coco.write_results(written[0], done.results)
+    info = {"source": job.footage.name, "fps": job.footage.fps()}
+    coco.write(written[1], AnnotationFile(images=tuple(done.images), annotations=(), info=info, name=job.footage.name))
+    if job.overlay:
+        written.append(_overlay(job, done, console))
+    done.path.unlink()
+    return written
+
+
+def _note(done: _Done, log: Any, image: Image, found: list[Result]) -> None:
+    done.images.append(image)
+    done.results += found
+    row = {"image": coco.image_to_dict(image), "results": [coco.result_to_dict(r) for r in found]}
+    log.write(json.dumps(row) + "\n")
+    log.flush()
+
+
+def _resumed(job: Job, weights: Path, console: Console) -> _Done:
+    """What an interrupted run of the same footage, weights and settings left behind; else a fresh start."""
+    path = job.out / _PROGRESS
+    told = [
+        job.footage.video or [str(p) for p in job.footage.images],
+        [job.footage.cut.every, job.footage.cut.start_s, job.footage.cut.end_s, job.score],
+        [str(job.settings), str(weights), weights.stat().st_mtime_ns, job.camera.to_dict() if job.camera else None],
+    ]
+    head = {"run": hashlib.sha256(json.dumps(told).encode()).hexdigest()}
+    done = _Done(path)
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() and not job.footage.stream else []
+    whole = [json.dumps(head)]
+    if lines[:1] == whole:
+        for line in lines[1:]:
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:  # the line that was being written
+                break
+            done.images.append(coco.image_from_dict(row["image"]))
+            done.results += [coco.result_from_dict(r) for r in row["results"]]
+            whole.append(line)
+        console.say(f"{job.footage.name}: going on after frame {done.last}")
+    try:
+        job.out.mkdir(parents=True, exist_ok=True)
+        path.write_text("\n".join(whole) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{job.out}: cannot be written: {error.strerror or error}") from None
+    return done
+
+
+def _overlay(job: Job, done: _Done, console: Console) -> Path:
+    """Draw what was found: a video of a video, images of images."""
+    by_image: dict[int, list[Result]] = {image.id: [] for image in done.images}
+    for result in done.results:
+        by_image[result.image_id].append(result)
+    drawn = _drawn(job, by_image, console)
+    if job.footage.video is None:
+        folder = job.out / OVERLAYS
+        for image, pixels in drawn:
+            draw.write(folder / f"{Path(image.file_name).stem}.jpg", pixels)
+        return folder
+    path = job.out / OVERLAY
+    with replacing(path) as temporary:
+        write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps() or 25.0)
+    return path
+
+
+def _drawn(job: Job, found: dict[int, list[Result]], console: Console) -> Iterator[tuple[Image, Pixels]]:
+    frames = ((image, pixels) for image, pixels in job.footage.frames() if image.id in found)
+    for image, pixels in console.bar(frames, total=len(found), unit="image", label="overlay"):
+        results = found[image.id]
+        yield image, draw.results(blurred(pixels, results) if job.blur else pixels, results)

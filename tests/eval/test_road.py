@@ -1,0 +1,308 @@
+"""Footage in, vehicles in metres out: the commands `predict`, `pose`, `track` and `camera`."""
+
+import csv
+import json
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import sumolib
+
+from skope import coco
+from skope.camera import Camera
+from skope.eval import camera_fit, pose_errors
+from skope.eval.blur import blurred
+from skope.eval.footage import Cut, open_footage
+from skope.eval.scene import read_camera
+from skope.files import write_json
+from skope.schema import Box3D, Result
+from tests.eval.seen import CAMERA, drive, scene
+from tests.eval.test_pose import drawn
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def numbered_video(path: Path, count: int) -> Path:
+    """A video whose frame i has brightness 8 i."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (96, 64))
+    for i in range(count):
+        writer.write(np.full((64, 96, 3), 8 * i, dtype=np.uint8))
+    writer.release()
+    return path
+
+
+# -------------------------------------------------------------------------------------------------------------- footage
+
+
+def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
+    footage = open_footage(str(numbered_video(tmp_path / "v.mp4", 30)), Cut(every=4, start_s=0.5, end_s=2.6))
+    frames = list(footage.frames())
+    assert [image.frame_index for image, _ in frames] == [5, 9, 13, 17, 21, 25]
+    assert len(footage) == 6
+    assert np.allclose([pixels.mean() / 8 for _, pixels in frames], [5, 9, 13, 17, 21, 25], atol=0.5)
+    assert [image.time_s for image, _ in frames] == pytest.approx([0.5, 0.9, 1.3, 1.7, 2.1, 2.5])
+    later = list(footage.frames(first=2))
+    assert [(i.id, i.frame_index) for i, _ in later] == [(i.id, i.frame_index) for i, _ in frames[2:]]
+
+
+def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    shapes = {"portrait": (120, 40, 3), "tiny": (3, 5, 3), "grey": (50, 70), "wide": (20, 900, 3)}
+    for name, shape in shapes.items():
+        cv2.imwrite(str(folder / f"{name}.png"), rng.integers(0, 255, shape, dtype=np.uint8))
+    cv2.imwrite(str(folder / "deep.png"), rng.integers(0, 65535, (50, 60, 3), dtype=np.uint16))
+    (folder / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
+    code, _, err = skope(
+        "eval", "predict", folder, "--checkpoint", random_run, "--out", "p", "--score", 0.2, "--overlay"
+    )
+    assert code == 1
+    assert "broken.jpg" in err
+    images = coco.read(Path("p/frames.json")).images
+    assert {i.file_name for i in images} == {f"{name}.png" for name in (*shapes, "deep")}
+    results = coco.read_results(Path("p/predictions.json"))
+    assert {r.image_id for r in results} <= {i.id for i in images}
+    assert len(list(Path("p/overlays").iterdir())) == 5
+
+
+def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from skope.eval.predict import Predictor
+
+    def brightness(self: Predictor, batch: Any) -> list[Result]:
+        """One result an image, by what its pixels are: a detector that takes no time."""
+        return [
+            Result(image_id=image.id, score=0.9, bbox=np.array([0, 0, pixels.mean(), 9]), keypoints=np.ones((33, 3)))
+            for image, pixels in batch
+        ]
+
+    monkeypatch.setattr(Predictor, "_found", brightness)
+    video = numbered_video(tmp_path / "v.mp4", 12)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--every", 2)
+    assert skope(*call, "--out", "whole")[0] == 0
+    each = Predictor.each
+
+    def stops(self: Predictor, images: Any) -> Any:
+        for i, pair in enumerate(each(self, images)):
+            if i == 3:
+                raise KeyboardInterrupt
+            yield pair
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Predictor, "each", stops)
+        assert skope(*call, "--out", "parts")[0] == 130
+    assert not Path("parts/predictions.json").exists()
+    code, out, _ = skope(*call, "--out", "parts")
+    assert code == 0
+    assert "going on after frame 3" in out
+    for name in ("predictions.json", "frames.json"):
+        assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
+    assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json"}
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        ("nothing.mp4", (), "nothing.mp4: no such file"),
+        (".", (), "no images in it"),
+        ("*.png", (), "matches no file"),
+        ("text.txt", (), "text.txt: neither an image nor a video"),
+        ("text.txt", ("--every", 0), "--every: expected a whole number from 1"),
+        ("text.txt", ("--start", 5, "--end", 2), "--start, --end"),
+    ],
+)
+def test_what_is_no_footage_gets_one_line(skope: Any, source: str, options: tuple[Any, ...], message: str) -> None:
+    Path("text.txt").write_text("text")
+    code, _, err = skope("eval", "predict", source, *options)
+    assert code == 2
+    assert message in err.splitlines()[-1]
+    assert not Path("runs").exists()
+
+
+def test_blur_levels_glass_and_plates_and_nothing_else() -> None:
+    shown = drive(1, 5).annotations[0]
+    found = Result(
+        image_id=1, score=0.9, bbox=shown.bbox, keypoints=np.column_stack([shown.keypoints[:, :2], np.ones(33)])
+    )
+    noise = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
+    out = blurred(noise, [found])
+    x, y, w, h = shown.bbox
+    changed = (out != noise).any(axis=-1)
+    ys, xs = np.nonzero(changed)
+    assert changed.sum() > 0.05 * w * h
+    assert out[changed].std() < 0.4 * noise.std()
+    assert xs.min() >= x - 0.1 * w - 1
+    assert xs.max() <= x + 1.1 * w + 1
+    assert ys.min() >= y - 0.1 * h - 1
+    assert ys.max() <= y + 1.1 * h + 1
+
+
+# ---------------------------------------------------------------------------------------------------------- pose, track
+
+
+def test_pose_writes_what_it_measures(skope: Any) -> None:
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    coco.write(Path("road.json"), file)
+    code, out, _ = skope("eval", "pose", "--annotations", "road.json", "--noise", "0,2", "--out", "p", "-q")
+    assert code == 0
+    assert "labels with 2 px of noise" in out
+    rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    table = rows_of(Path("p/poses.csv"))
+    assert len(rows) == len(table) == len(file.annotations)
+    for row, cells, truth in zip(rows, table, file.annotations, strict=True):
+        assert truth.box_3d is not None
+        assert row["refused"] is None
+        assert np.linalg.norm(np.array(row["position"][:2]) - truth.box_3d.center[:2]) < 0.15
+        assert np.abs(np.mean(row["box_3d"], axis=0) - truth.box_3d.center).max() < 0.15
+        assert float(cells["x"]) == row["position"][0]
+        seen, _, _ = CAMERA.project(np.array(row["wheels"]))
+        camera = np.array(row["wheels_camera"])
+        assert np.allclose(seen, camera[:, :2] / camera[:, 2:] * CAMERA.K[0, 0] + CAMERA.K[:2, 2], atol=0.1)
+    told = json.loads(Path("p/pose_errors.json").read_text())
+    assert (
+        told["labels with 0 px of noise"]["all"]["position"]["50"]
+        < told["labels with 2 px of noise"]["all"]["position"]["50"]
+    )
+    assert told["labels with 0 px of noise"]["all"]["iou"] > 0.85
+
+
+def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
+    def box(x: float, yaw: float, length: float = 4.0) -> Box3D:
+        c, s = math.cos(yaw), math.sin(yaw)
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Box3D(center=np.array([x, 0, 1]), size_lwh=np.array([length, 2, 2]), yaw=yaw, R=R)
+
+    assert pose_errors.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
+    assert pose_errors.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
+    assert pose_errors.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
+    assert pose_errors.iou_3d(box(0, 0), box(9, 0)) == 0
+
+
+def test_predictions_are_measured_against_the_vehicles_they_match(skope: Any) -> None:
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    coco.write(Path("road.json"), file)
+    found = [
+        Result(
+            image_id=a.image_id,
+            bbox=a.bbox,
+            score=0.9 - 0.01 * i,
+            keypoints=np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] / 2]),
+        )
+        for i, a in enumerate(reversed(file.annotations))
+    ]
+    coco.write_results(Path("found.json"), found)
+    skope("eval", "pose", "--annotations", "road.json", "--predictions", "found.json", "--out", "p", "-q")
+    told = json.loads(Path("p/pose_errors.json").read_text())["predictions"]["all"]
+    assert told["vehicles"] == len(found)
+    assert told["position"]["99"] < 0.2
+
+
+def test_tracks_have_the_speeds_that_were_driven(skope: Any) -> None:
+    file = drive(3, 25, speeds=(12.0, 0.0, 6.0))
+    coco.write(Path("road.json"), file)
+    code, out, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "--video", "-q")
+    assert code == 0
+    assert "3 tracks over 3.0 s" in out
+    rows = rows_of(Path("t/tracks.csv"))
+    for speed in (12.0, 0.0, 6.0):
+        own = [r for r in rows if abs(float(r["speed"]) - speed) < 1.5]
+        assert len({r["track"] for r in own}) == 1
+        middle = [float(r["speed"]) for r in own]
+        assert np.median(middle) == pytest.approx(speed, abs=0.4)
+        turn = np.array([float(r["heading_deg"]) for r in own]) - math.degrees(CAMERA.angles[0]) - 90
+        assert np.abs((turn + 180) % 360 - 180).max() < 5
+
+    # SUMO's own reader; a vehicle's position there is the middle of its front bumper, its angle that of a compass.
+    steps = list(sumolib.xml.parse("t/fcd.xml", "timestep"))
+    assert [float(step.time) for step in steps[:3]] == [0, 0.04, 0.08]
+    vehicle = steps[20].vehicle[0]
+    row = next(r for r in rows if r["track"] == vehicle.id and r["frame"] == "20")
+    angle = math.radians(float(vehicle.angle))
+    back = np.array([float(vehicle.x), float(vehicle.y)]) - float(row["length"]) / 2 * np.array(
+        [math.sin(angle), math.cos(angle)]
+    )
+    assert np.allclose(back, [float(row["x"]), float(row["y"])], atol=0.02)
+
+    mot, truth = (np.loadtxt(f"t/{name}.txt", delimiter=",") for name in ("mot", "mot_truth"))
+    assert mot.shape[1] == truth.shape[1] == 10
+    assert mot[:, 0].min() == 1
+    pairs = {(a[1], b[1]) for a in mot for b in truth if a[0] == b[0] and np.allclose(a[2:6], b[2:6], atol=0.02)}
+    assert len(pairs) == 3
+    capture = cv2.VideoCapture("t/birdseye.mp4")
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 75
+    assert ET.parse("t/fcd.xml").getroot().tag == "fcd-export"
+    assert Path("t/birdseye.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "give either the folder"),
+        (("nowhere",), "nowhere: no such folder"),
+        (("--annotations", "bare.json"), "has no camera; give one with --camera"),
+        (("--annotations", "road.json", "--ground", "low"), "--ground: expected numbers"),
+        (("--annotations", "road.json", "--camera", "k.json"), "k.json: "),
+        (("--annotations", "road.json", "--score", 2), "--score: expected a number from 0 to 1"),
+    ],
+)
+@pytest.mark.parametrize("command", ["pose", "track"])
+def test_what_cannot_be_placed_gets_one_line(skope: Any, command: str, options: tuple[Any, ...], message: str) -> None:
+    file = drive(0.4, 5)
+    coco.write(Path("road.json"), file)
+    bare = json.loads(Path("road.json").read_text())
+    for image in bare["images"]:
+        del image["camera"]
+    write_json(Path("bare.json"), bare)
+    write_json(Path("k.json"), {"T_camera_world": [1, 2], "width": 5, "height": 5, "K": [[1]]})
+    code, _, err = skope("eval", command, *options, "-q")
+    assert code == 2
+    assert message in err
+    assert len(err.splitlines()) == 1
+    assert not Path("runs").exists()
+
+
+# --------------------------------------------------------------------------------------------------------------- camera
+
+
+def test_a_camera_is_found_from_vehicles() -> None:
+    real = Camera.looking([0, 0, 8.5], yaw=0.3, pitch_down=math.radians(20), fov=math.radians(70))
+    seen = scene(drawn(16, 3), np.random.default_rng(4), noise=1, far=35, camera=real)
+    fit = camera_fit.fit_camera(camera_fit.Sample(seen.found, np.ones(len(seen.found)), (real.width, real.height)))
+    focal = abs(fit.camera.K[0, 0] - real.K[0, 0])
+    assert focal < max(0.05 * real.K[0, 0], 2 * fit.sigma_focal)
+    assert focal < 0.1 * real.K[0, 0]
+    assert abs(fit.camera.angles[1] - real.angles[1]) < math.radians(1)
+    assert abs(fit.camera.position[2] - 8.5) < max(0.4, 2 * fit.sigma_height)
+
+
+def test_a_camera_from_marked_points_is_written_and_read(skope: Any) -> None:
+    ground = np.array([[10, -3, 0], [12, 5, 0], [20, -6, 0], [25, 8, 0], [35, 0, 0], [15, 1, 1.0]]) + [3, -2, 0]
+    pixels, _, _ = CAMERA.project(ground)
+    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz)) for uv, xyz in zip(pixels, ground, strict=True)]
+    Path("p.csv").write_text("column,row,x,y,z\n" + "\n".join(lines) + "\n")
+    code, _, _ = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080", "--out", "c.json")
+    assert code == 0
+    camera, posed = read_camera(Path("c.json"))
+    assert posed
+    assert np.allclose(camera.T_camera_world, CAMERA.T_camera_world, atol=1e-3)
+    assert camera.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=1e-4)
+    Path("p.csv").write_text("column,row,x,y\n1,2,3,4\n")
+    code, _, err = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080")
+    assert code == 2
+    assert "p.csv: column z: missing" in err
+    assert not Path("runs").exists()
+
+
+def test_too_few_vehicles_are_no_camera(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(0.4, 5))
+    code, _, err = skope("eval", "camera", "--annotations", "road.json")
+    assert code == 2
+    assert "a camera needs 5" in err
