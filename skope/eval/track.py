@@ -65,7 +65,7 @@ class Sight:
     bbox: Array
     score: float
     truth_id: int | None
-    """The vehicle's own track, where the detection is ground truth."""
+    """The track of the ground-truth vehicle that it is, or matches."""
     pose: Measured | None
     """None where it was refused."""
 
@@ -160,7 +160,8 @@ def _sights(image: Located) -> list[Sight]:
             size_lwh=poses.size_lwh[i],
             kind=poses.types[i],
         )
-        truth = view.truth[i].track_id if view.truth else None
+        vehicle = view.truth[i]
+        truth = vehicle.track_id if vehicle else None
         out.append(Sight(view.boxes[i], float(view.scores[i]), truth, pose if good else None))
     return out
 
