@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -245,6 +246,20 @@ def test_tracks_have_the_speeds_that_were_driven(skope: Any) -> None:
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 75
     assert ET.parse("t/fcd.xml").getroot().tag == "fcd-export"
     assert Path("t/birdseye.png").stat().st_size > 10_000
+
+
+def test_a_vehicle_that_is_hidden_for_a_while_rolls_on(skope: Any) -> None:
+    file = drive(4, 25, speeds=(8.0,))
+    seen = tuple(a for a in file.annotations if not 40 <= a.image_id < 75)
+    coco.write(Path("road.json"), replace(file, annotations=seen))
+    code, _, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "-q")
+    assert code == 0
+    rows = rows_of(Path("t/tracks.csv"))
+    assert {r["track"] for r in rows} == {"1"}
+    hidden = [float(r["speed"]) for r in rows if 40 <= int(r["frame"]) + 1 < 75]
+    assert len(hidden) == 35
+    assert hidden == pytest.approx([8.0] * 35, abs=0.6)
+    assert {r["seen"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
 
 
 @pytest.mark.parametrize(
