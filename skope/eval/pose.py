@@ -33,7 +33,7 @@ Kinds = NDArray[np.intp]
 
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
-fits; more than a third of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
+fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
 FLAGS: Final = ("sides_exchanged", "ends_exchanged", "turned_around", "outliers", "heading_in_doubt", "end_in_doubt")
 """What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
 for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
@@ -46,7 +46,8 @@ _FEWEST: Final = {True: 4, False: 6}
 """Keypoints a pose needs, with and without a known ground."""
 _INLIER: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
-_AGREE: Final = 2 / 3
+_AGREE: Final = 0.4
+"""Detectors that learn from visible keypoints alone put hidden ones, half of all, anywhere, with a high score."""
 _DOUBT: Final = 0.8
 """Share of agreeing keypoints under which other starts are tried."""
 _SUBSETS: Final = {True: 24, False: 4}

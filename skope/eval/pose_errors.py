@@ -2,7 +2,7 @@
 occlusion."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -11,7 +11,6 @@ import shapely
 from numpy.typing import NDArray
 
 from skope.eval.located import Located, locate_view
-from skope.eval.match import match
 from skope.eval.scene import Scene
 from skope.schema import Annotation, Box3D
 
@@ -19,7 +18,6 @@ Array = NDArray[np.float64]
 
 DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
 OCCLUSIONS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
-MATCH_IOU: Final = 0.6
 QUANTILES: Final = (50, 90, 99)
 
 
@@ -51,28 +49,12 @@ def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: f
     Of predictions those are measured that match a ground-truth vehicle with an IoU of 0.6.
     """
     rows: list[tuple[float, ...]] = []
-    partners = _partners(scene, score)
     for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
         located = locate_view(view, scene.ground)
-        truth: Sequence[Annotation | None] = view.truth or partners.get(view.image.id, [None] * len(view.found))
-        rows += [_row(located, i, one) for i, one in enumerate(truth) if one is not None and one.box_3d is not None]
+        rows += [
+            _row(located, i, one) for i, one in enumerate(view.truth) if one is not None and one.box_3d is not None
+        ]
     return Errors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(Errors))).T)
-
-
-def _partners(scene: Scene, score: float) -> dict[int, list[Annotation | None]]:
-    """Of each image, the ground truth that each detection above `score` matches."""
-    if scene.results is None:
-        return {}
-    kept = [r for r in scene.results if r.score > score]
-    matches = match(scene.file, kept, score=score, thresholds=(MATCH_IOU,))
-    partner: list[Annotation | None] = [None] * len(kept)
-    for result, vehicle in zip(matches.det_result, matches.taken[MATCH_IOU], strict=True):
-        if vehicle >= 0:
-            partner[result] = matches.vehicles[vehicle]
-    out: dict[int, list[Annotation | None]] = {}
-    for result, truth in zip(kept, partner, strict=True):
-        out.setdefault(result.image_id, []).append(truth)
-    return out
 
 
 def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from skope.calibration import read_calibration
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.eval import inputs
+from skope.eval.match import match
 from skope.eval.refine import Ground
 from skope.files import read_json
 from skope.schema import Annotation, AnnotationFile, Image, Result
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 FRAMES: Final = "frames.json"
 PREDICTIONS: Final = "predictions.json"
 """What `skope eval predict` writes into its folder."""
+MATCH_IOU: Final = 0.6
+"""From which a detection's box and a ground-truth vehicle's belong together."""
 _SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
 
@@ -40,8 +43,8 @@ class View:
     """(N,)"""
     boxes: Array
     """(N, 4) x, y, width, height."""
-    truth: tuple[Annotation, ...] = ()
-    """What was found, where it is ground truth; else empty."""
+    truth: tuple[Annotation | None, ...]
+    """(N,) the ground-truth vehicle that each is, or that it matches; None: none, or nobody knows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +77,9 @@ class Scene:
         `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
         """
         rng = np.random.default_rng(seed)
-        results: dict[int, list[Result]] = {}
-        for result in self.results or ():
-            if result.score > score:
-                results.setdefault(result.image_id, []).append(result)
+        results: dict[int, list[tuple[Result, Annotation | None]]] = {}
+        for result, vehicle in self._matched(score):
+            results.setdefault(result.image_id, []).append((result, vehicle))
         labelled = self.file.by_image()
         for image in self.file.images:
             camera = self.camera_of(image)
@@ -85,6 +87,16 @@ class Scene:
                 yield _labelled(image, camera, labelled[image.id], noise, sigma_px, rng)
             else:
                 yield _predicted(image, camera, results.get(image.id, []), sigma_px)
+
+    def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
+        """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
+        kept = [result for result in self.results or () if result.score > score]
+        matches = match(self.file, kept, score=score, thresholds=(MATCH_IOU,))
+        partner: list[Annotation | None] = [None] * len(kept)
+        for result, vehicle in zip(matches.det_result, matches.taken[MATCH_IOU], strict=True):
+            if vehicle >= 0:
+                partner[result] = matches.vehicles[vehicle]
+        return list(zip(kept, partner, strict=True))
 
 
 def _labelled(
@@ -104,13 +116,17 @@ def _labelled(
     return View(image, camera, found, np.full(len(kept), known), np.ones(len(kept)), boxes, kept)
 
 
-def _predicted(image: Image, camera: Camera, results: list[Result], sigma: float | None) -> View:
+def _predicted(
+    image: Image, camera: Camera, pairs: list[tuple[Result, Annotation | None]], sigma: float | None
+) -> View:
+    results = [result for result, _ in pairs]
     found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
     boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
     spread = (
         np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
     )
-    return View(image, camera, found, spread, np.array([r.score for r in results]), boxes)
+    scores = np.array([r.score for r in results])
+    return View(image, camera, found, spread, scores, boxes, tuple(vehicle for _, vehicle in pairs))
 
 
 def read_scene(

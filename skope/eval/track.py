@@ -7,6 +7,7 @@ the track. Trackers of boxes alone would lose what the poses know: metres, headi
 """
 
 import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -22,6 +23,10 @@ Array = NDArray[np.float64]
 
 _JERK: Final = 1.0
 """Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
+_MEMORY_S: Final = 1.5
+"""How long an acceleration lasts."""
+_REACH: Final = 5.0
+"""Metres beyond which a detection is another vehicle's, however uncertain the track; uncertain by more, it ends."""
 _FLOOR: Final = 0.05
 """Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""
 _GATE: Final = 16.0
@@ -65,7 +70,7 @@ class Sight:
     bbox: Array
     score: float
     truth_id: int | None
-    """The vehicle's own track, where the detection is ground truth."""
+    """The track of the ground-truth vehicle that it is, or matches."""
     pose: Measured | None
     """None where it was refused."""
 
@@ -122,6 +127,11 @@ class _Open:
         return self.filtered[-1]
 
     @property
+    def spread(self) -> float:
+        """Standard deviation of the place, metres."""
+        return math.sqrt(max(self.state[1][0, 0], self.state[1][1, 1]))
+
+    @property
     def last_sight(self) -> Sight:
         return next(s for s in reversed(self.sights) if s is not None)
 
@@ -139,7 +149,7 @@ def follow(images: Sequence[Located], times_s: Sequence[float]) -> list[Track]:
         for track in live:
             _predict(track, time - times_s[frame - 1])
         left = _associate(live, _sights(image))
-        ended = [t for t in live if time - times_s[t.first + t.last_pose] > _LOST_S]
+        ended = [t for t in live if time - times_s[t.first + t.last_pose] > _LOST_S or t.spread > _REACH]
         done += ended
         live = [t for t in live if t not in ended] + [_born(frame, sight, pose) for sight, pose in left]
     whole = [t for t in done + live if sum(pose is not None for pose in t.poses()) >= _CONFIRMED]
@@ -160,7 +170,8 @@ def _sights(image: Located) -> list[Sight]:
             size_lwh=poses.size_lwh[i],
             kind=poses.types[i],
         )
-        truth = view.truth[i].track_id if view.truth else None
+        vehicle = view.truth[i]
+        truth = vehicle.track_id if vehicle else None
         out.append(Sight(view.boxes[i], float(view.scores[i]), truth, pose if good else None))
     return out
 
@@ -173,8 +184,13 @@ def _born(frame: int, sight: Sight, pose: Measured) -> _Open:
 
 
 def _predict(track: _Open, dt: float) -> None:
-    """One step of constant acceleration, whose change is white noise (Bar-Shalom et al. 2001, section 6.2.3)."""
-    F1 = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+    """One step of Singer's model (IEEE Trans. AES, 1970): acceleration fades away, so that what is unseen rolls on.
+
+    The noise is that of constant acceleration (Bar-Shalom et al. 2001, section 6.2.3), the model's own for short steps.
+    """
+    fade = math.exp(-dt / _MEMORY_S)
+    to_speed = _MEMORY_S * (1 - fade)
+    F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
     Q1 = _JERK * np.array(
         [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     )
@@ -213,6 +229,8 @@ def _distance(track: _Open, pose: Measured) -> float:
     """Squared distance of a pose from where the track should be, in variances."""
     mean, spread = track.state
     away = pose.place - mean[:2]
+    if away @ away > _REACH**2:
+        return _ELSEWHERE
     S = spread[:2, :2] + pose.covariance + _SLACK**2 * np.eye(2)
     return float(away @ np.linalg.solve(S, away))
 
@@ -220,7 +238,11 @@ def _distance(track: _Open, pose: Measured) -> float:
 def _update(track: _Open, sight: Sight, pose: Measured) -> None:
     mean, spread = track.state
     gain = np.linalg.solve(spread[:2, :2] + pose.covariance, spread[:2]).T
-    track.filtered[-1] = (mean + gain @ (pose.place - mean[:2]), spread - gain @ spread[:2])
+    kept = np.eye(len(mean))
+    kept[:, :2] -= gain
+    # Joseph's form stays symmetric and positive over any number of steps.
+    after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
+    track.filtered[-1] = (mean + gain @ (pose.place - mean[:2]), after)
     track.sights[-1] = sight
     track.last_pose = len(track.sights) - 1
 

@@ -55,7 +55,7 @@ def run(job: Job, console: Console) -> Iterator[str]:
         yield f"wrote {job.out / name}"
     seconds = times[-1] - times[0]
     yield f"{len(tracks)} tracks over {seconds:.1f} s"
-    if scene.results is None and scene.has_truth:
+    if scene.has_truth:
         yield from speed_errors(scene, tracks)
 
 

@@ -71,6 +71,7 @@ def predict(job: Job, console: Console) -> list[Path]:
                     raise
                 console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
     if not done.images:
+        done.path.unlink()
         raise UserError(f"{job.footage.name}: none of its images can be read: {'; '.join(job.footage.skipped)}")
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     coco.write_results(written[0], done.results)

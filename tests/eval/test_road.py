@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +204,11 @@ def test_predictions_are_measured_against_the_vehicles_they_match(skope: Any) ->
     told = json.loads(Path("p/pose_errors.json").read_text())["predictions"]["all"]
     assert told["vehicles"] == len(found)
     assert told["position"]["99"] < 0.2
+    code, out, _ = skope(
+        "eval", "track", "--annotations", "road.json", "--predictions", "found.json", "--out", "t", "-q"
+    )
+    assert code == 0
+    assert "speed: " in out
 
 
 def test_tracks_have_the_speeds_that_were_driven(skope: Any) -> None:
@@ -240,6 +246,20 @@ def test_tracks_have_the_speeds_that_were_driven(skope: Any) -> None:
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 75
     assert ET.parse("t/fcd.xml").getroot().tag == "fcd-export"
     assert Path("t/birdseye.png").stat().st_size > 10_000
+
+
+def test_a_vehicle_that_is_hidden_for_a_while_rolls_on(skope: Any) -> None:
+    file = drive(4, 25, speeds=(8.0,))
+    seen = tuple(a for a in file.annotations if not 40 <= a.image_id < 75)
+    coco.write(Path("road.json"), replace(file, annotations=seen))
+    code, _, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "-q")
+    assert code == 0
+    rows = rows_of(Path("t/tracks.csv"))
+    assert {r["track"] for r in rows} == {"1"}
+    hidden = [float(r["speed"]) for r in rows if 40 <= int(r["frame"]) + 1 < 75]
+    assert len(hidden) == 35
+    assert hidden == pytest.approx([8.0] * 35, abs=0.6)
+    assert {r["seen"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
 
 
 @pytest.mark.parametrize(
@@ -299,6 +319,25 @@ def test_a_camera_from_marked_points_is_written_and_read(skope: Any) -> None:
     assert code == 2
     assert "p.csv: column z: missing" in err
     assert not Path("runs").exists()
+
+
+def test_a_camera_without_a_pose_is_its_own_world(skope: Any) -> None:
+    """Then there is no ground, and positions are the camera's."""
+    file = drive(0.4, 5)
+    coco.write(Path("road.json"), file)
+    storage = cv2.FileStorage("k.yml", cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", CAMERA.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    storage.write("image_width", CAMERA.width)
+    storage.write("image_height", CAMERA.height)
+    storage.release()
+    code, _, _ = skope("eval", "pose", "--annotations", "road.json", "--camera", "k.yml", "--out", "p", "-q")
+    assert code == 0
+    rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    for row, truth in zip(rows, file.annotations, strict=True):
+        assert truth.box_3d is not None
+        assert row["position"] == row["position_camera"]
+        real = CAMERA.to_camera(truth.box_3d.center - [0, 0, truth.box_3d.size_lwh[2] / 2])
+        assert np.linalg.norm(np.array(row["position"]) - real) < 0.1 * np.linalg.norm(real)
 
 
 def test_too_few_vehicles_are_no_camera(skope: Any) -> None:
