@@ -10,6 +10,7 @@ from skope.gen.bodies import body_of
 from skope.gen.conditions import Conditions, ranges
 from skope.gen.recording import Recording
 from skope.gen.render import STATIC, View, make_renderer
+from skope.gen.render.gl.light import STANDING, _signed
 from skope.gen.render.lamps import lamps_of, lit_lamps
 from skope.gen.render.sensor import sigma_of
 from skope.gen.towns.scenery import STUDIO, scenery
@@ -216,3 +217,16 @@ def test_the_fallback_draws_them_too() -> None:
     for other in (dusk, night, fog):
         same_labels(other, noon)
     assert fog.contrast[1] < noon.contrast[1]
+
+
+@pytest.mark.parametrize("standing", [0, 1, 11, 12, 13, 23, 24])
+def test_edges_of_puddles_mirror_as_much_as_what_is_beside_them(standing: int) -> None:
+    """Samples with and without standing water, averaged as the device does in single precision."""
+    water = np.random.default_rng(standing).uniform(0.0, 1.0, (24, 50)).astype(np.float32)
+    sums = np.zeros(50, dtype=np.float32)
+    for k, sample in enumerate(water):
+        sums += (sample + np.float32(STANDING if k < standing else 0)) * np.float32(1 / 24)
+    share = _signed(sums, 24)
+    np.testing.assert_allclose(np.abs(share), water.mean(axis=0), atol=2e-5)
+    assert (share < 0).all() == (standing > 12)
+    assert (share >= 0).all() == (standing <= 12)
