@@ -66,6 +66,7 @@ def same_files(one: Path, other: Path) -> bool:
 @pytest.mark.usefixtures("one_thread")
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the step it is stopped at, in whatever way, and with every augmentation."""
+    before = signal.getsignal(signal.SIGINT)
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
     often = Augment(**dict.fromkeys(STEPS, 0.5))
     recipe = replace(TINY, batch_size=2, augment=often)
@@ -86,7 +87,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
 
     assert same_files(last, resumed), steps
     assert (whole / "metrics.jsonl").read_text() == (parts / "metrics.jsonl").read_text(), steps
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
     _, _, metadata = detector.load_weights(resumed, CPU)
     assert metadata["epoch"] == 2
     assert Recipe.from_dict(metadata["run"]["recipe"]) == recipe
