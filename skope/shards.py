@@ -65,9 +65,13 @@ def read_member(shard: Path, name: str) -> bytes:
     return data
 
 
-def member_size(shard: Path, name: str) -> int:
-    """Bytes of a member, without reading it."""
-    return _place(shard, name)[1]
+def size(path: Path) -> int:
+    """Bytes of a file or of a member, without reading it; -1 for one that is not there."""
+    try:
+        member = split_member(path)
+        return _place(*member)[1] if member else path.stat().st_size
+    except (OSError, UserError):
+        return -1
 
 
 def _place(shard: Path, name: str) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco, draw, keypoints
+from skope import coco, draw, keypoints, shards
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
@@ -102,7 +102,7 @@ def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console
     written = []
     for i, image in enumerate(few.images, start=1):
         source = job.truth.root / image.file_name
-        if not source.is_file():
+        if shards.size(source) < 0:
             continue
         try:
             pixels = read_image(source, size=(image.width, image.height))

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from skope import dataset
+from skope import dataset, shards
 from skope.dataset import Dataset
 from skope.errors import UserError
+from skope.files import read_bytes
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.train.vehicles import Vehicles, vehicles_of
 
@@ -100,13 +101,10 @@ def _only(file: AnnotationFile, images: Sequence[Image]) -> AnnotationFile:
 
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
-    digest = hashlib.sha256(annotations.read_bytes())
+    # The labels of shards have their checksums in the manifest.
+    digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / dataset.MANIFEST))
     for image in images:
-        try:
-            size = (root / image.file_name).stat().st_size
-        except OSError:
-            size = -1  # said when it is read
-        digest.update(f"{image.file_name} {size}\n".encode())
+        digest.update(f"{image.file_name} {shards.size(root / image.file_name)}\n".encode())
     return digest.hexdigest()
 
 

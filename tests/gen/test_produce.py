@@ -266,6 +266,33 @@ def test_shards_hold_the_same_dataset(whole: Path, tmp_path: Path) -> None:
             assert np.array_equal(folder.depth(a), tars.depth(b))
 
 
+def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None:
+    """The losses of a training step on an image with vehicles."""
+    import torch
+    from torchvision.models.detection import keypointrcnn_resnet50_fpn
+
+    from skope.train import assign, data, sources
+    from skope.train.augment import Augment
+
+    skope("gen", "convert", str(whole), str(tmp_path / "s"), "--to", "shards")
+    found = []
+    for root in (whole, tmp_path / "s"):
+        source = sources.read(root, exclude_types=(), val_fraction=0.0, max_images=None)
+        assert "-1" not in source.fingerprint
+        samples = data.TrainingSet([source], seed=0, augment=Augment(), supervise="all")
+        drawn = [samples[(0, position, 0)] for position in range(len(samples))]
+        sample = next(one for one in drawn if not isinstance(one, Exception) and len(one.target["boxes"]))
+        torch.manual_seed(0)
+        model = keypointrcnn_resnet50_fpn(
+            weights=None, weights_backbone=None, num_classes=2, num_keypoints=33, min_size=96, max_size=192
+        ).train()
+        target = {name: value for name, value in sample.target.items() if name != assign.KEY}
+        torch.manual_seed(1)
+        found.append(model([sample.pixels.float() / 255], [target]))
+    assert found[0].keys() == found[1].keys()
+    assert all(torch.equal(found[0][name], found[1][name]) for name in found[0])
+
+
 def test_shards_are_plain_tar_files(whole: Path, tmp_path: Path) -> None:
     """As a WebDataset reader groups them: members of a frame beside each other, by what stands before the first dot."""
     skope("gen", "convert", str(whole), str(tmp_path / "s"), "--to", "shards")
