@@ -1,5 +1,6 @@
 """Read a dataset folder: its card, splits, images and depth."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -73,6 +74,33 @@ def open_dataset(root: Path) -> Dataset:
     return Dataset(root, card)
 
 
+def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
+    """Some images of a file, with their annotations, in file order."""
+    wanted = {image.id for image in images}
+    return replace(
+        file,
+        images=tuple(image for image in file.images if image.id in wanted),
+        annotations=tuple(a for a in file.annotations if a.image_id in wanted),
+    )
+
+
+def recordings(file: AnnotationFile) -> list[list[Image]]:
+    """The images of each recording, in the order of its frames."""
+    groups: dict[tuple[str | None, str | None], list[Image]] = {}
+    for image in file.images:
+        groups.setdefault((image.site, image.recording), []).append(image)
+    return [sorted(own, key=_place) for own in groups.values()]
+
+
+def _place(image: Image) -> tuple[bool, int]:
+    return image.frame_index is None, image.frame_index or 0
+
+
+def end_of(images: Sequence[Image], share: float) -> int:
+    """Where the last `share` of a recording's frames begins; after the last one of a recording too short for it."""
+    return len(images) - round(share * len(images))
+
+
 def take(file: AnnotationFile, n: int) -> AnnotationFile:
     """At most `n` images that have a ground-truth (not ignored) vehicle, evenly spread, with only their annotations.
 
@@ -83,9 +111,7 @@ def take(file: AnnotationFile, n: int) -> AnnotationFile:
     occupied = {annotation.image_id for annotation in file.annotations if not annotation.ignored}
     candidates = [image for image in file.images if image.id in occupied]
     count = min(n, len(candidates))
-    images = tuple(candidates[i * len(candidates) // count] for i in range(count))
-    chosen = {image.id for image in images}
-    return replace(file, images=images, annotations=tuple(a for a in file.annotations if a.image_id in chosen))
+    return part(file, (candidates[i * len(candidates) // count] for i in range(count)))
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:

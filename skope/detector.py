@@ -25,9 +25,10 @@ from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
 from torchvision.models.detection.transform import resize_boxes, resize_keypoints
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope import keypoints
+from skope import boxes, keypoints
 from skope.errors import UserError, one_of
 from skope.files import replacing
+from skope.schema import Result
 
 NORMS: Final = ("frozen", "batch")
 MAX_DETECTIONS: Final = 300
@@ -77,6 +78,14 @@ class DetectorConfig:
         if not isinstance(values, Mapping) or set(values) != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
         return cls(**values)
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    able = torch.cpu.get_capabilities()
+    return bool(able.get("amx_bf16") or able.get("avx512_bf16"))
 
 
 def choose_device(name: str) -> torch.device:
@@ -235,6 +244,12 @@ class Detections:
     p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
     taken in float64, from which the peak can be had back (`skope.eval.calibration` does).
     """
+
+
+def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
+    """Detections in an image, (N, 4), (N,) and (N, 33, 3), as N results."""
+    rows = zip(boxes.xyxy_to_xywh(boxes_xyxy), np.asarray(scores), np.asarray(points), strict=True)
+    return [Result(image_id=image_id, bbox=box, score=float(score), keypoints=own) for box, score, own in rows]
 
 
 def detect(

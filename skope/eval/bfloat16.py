@@ -12,14 +12,6 @@ from torch import nn
 from torchvision.models.detection import KeypointRCNN
 
 
-def native(device: torch.device) -> bool:
-    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster."""
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    able = torch.cpu.get_capabilities()
-    return bool(able.get("amx_bf16") or able.get("avx512_bf16"))
-
-
 def convert(model: KeypointRCNN) -> None:
     """Let the costly parts of `model` multiply in bfloat16 from now on; their weights are rounded to it for good."""
     heads = model.roi_heads

@@ -1,9 +1,11 @@
 """`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its keypoint scores to the truth."""
 
+import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from skope import dataset
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval import calibration, confidence, inputs
@@ -12,7 +14,7 @@ from skope.eval.match import match
 from skope.eval.predict import Predictor
 from skope.eval.settings import Settings
 from skope.eval.tally import Options, judge
-from skope.schema import AnnotationFile, Image
+from skope.schema import AnnotationFile
 
 TRAIN: Final = "train"
 
@@ -90,15 +92,5 @@ def _share(job: Job, metadata: dict[str, Any]) -> float:
 
 def last_part(file: AnnotationFile, share: float) -> AnnotationFile:
     """The last `share` of the frames of each recording, rounded."""
-    recordings: dict[tuple[str | None, str | None], list[Image]] = {}
-    for image in file.images:
-        recordings.setdefault((image.site, image.recording), []).append(image)
-    chosen: set[int] = set()
-    for images in recordings.values():
-        ordered = sorted(images, key=lambda image: (image.frame_index is None, image.frame_index or 0))
-        chosen |= {image.id for image in ordered[len(ordered) - round(share * len(ordered)) :]}
-    return replace(
-        file,
-        images=tuple(image for image in file.images if image.id in chosen),
-        annotations=tuple(a for a in file.annotations if a.image_id in chosen),
-    )
+    ends = (images[dataset.end_of(images, share) :] for images in dataset.recordings(file))
+    return dataset.part(file, itertools.chain.from_iterable(ends))

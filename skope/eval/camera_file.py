@@ -3,7 +3,6 @@
 import csv
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,10 +30,6 @@ def from_vehicles(
 ) -> Iterator[str]:
     """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found."""
     scene = read_scene(*where, None, None)
-    if not scene.file.images:
-        raise UserError(f"{scene.file.name}: no images")
-    size = (scene.file.images[0].width, scene.file.images[0].height)
-    scene = replace(scene, camera=camera_fit.placeholder(size))
     fit = camera_fit.fit_camera(camera_fit.sample(scene, count, score=score, noise=noise, sigma_px=sigma_px))
     sigma = {
         "focal": fit.sigma_focal,

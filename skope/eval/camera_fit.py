@@ -93,11 +93,6 @@ def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: fl
     return Sample(np.array(found)[chosen], np.array(sigma)[chosen], size)
 
 
-def placeholder(size: tuple[int, int]) -> Camera:
-    """Any camera of a size, where none is known yet."""
-    return Camera.looking([0, 0, 6], yaw=0, pitch_down=0.3, size=size)
-
-
 def fit_camera(vehicles: Sample) -> CameraFit:
     """The most likely camera, without distortion and with the principal point in the image's middle."""
     grid = [

@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera import Camera
 from skope.eval.pose import Poses, locate
-from skope.eval.refine import Ground
-from skope.eval.scene import View
+from skope.eval.scene import Scene, View
 from skope.files import write_text
 from skope.keypoints import WHEELS
 
@@ -30,6 +30,7 @@ class Located:
     """The vehicles of one image."""
 
     view: View
+    camera: Camera
     poses: Poses
 
     @property
@@ -38,15 +39,16 @@ class Located:
         return np.array([reason is None for reason in self.poses.refusal], dtype=bool)
 
 
-def locate_view(view: View, ground: Ground | None) -> Located:
-    """Poses of the vehicles of an image."""
-    return Located(view, locate(view.camera, view.found, sigma_px=view.sigma_px, ground=ground))
+def locate_view(view: View, scene: Scene) -> Located:
+    """Poses of the vehicles of an image of a scene."""
+    camera = scene.camera_of(view.image)
+    return Located(view, camera, locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground))
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:
     """What `poses.jsonl` says of each vehicle: metres, degrees (counter-clockwise from world x), pixels."""
     view, poses = located.view, located.poses
-    T_camera_world = view.camera.T_camera_world
+    T_camera_world = located.camera.T_camera_world
     for i, reason in enumerate(poses.refusal):
         row: dict[str, Any] = {
             "image_id": view.image.id,

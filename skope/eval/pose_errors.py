@@ -50,7 +50,7 @@ def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: f
     """
     rows: list[tuple[float, ...]] = []
     for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
-        located = locate_view(view, scene.ground)
+        located = locate_view(view, scene)
         rows += [
             _row(located, i, one) for i, one in enumerate(view.truth) if one is not None and one.box_3d is not None
         ]
@@ -60,7 +60,7 @@ def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: f
 def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:
     box, poses = truth.box_3d, located.poses
     assert box is not None
-    distance = float(np.linalg.norm(box.center - located.view.camera.position))
+    distance = float(np.linalg.norm(box.center - located.camera.position))
     ends = (distance, truth.occlusion or 0.0)
     if poses.refusal[i] is not None:
         return (*(math.nan,) * 5, *ends)

@@ -36,10 +36,10 @@ class Predictor:
         self._model: KeypointRCNN
         self._model, config, self.metadata = detector.load_weights(self.weights, self._device)
         self._calibration = calibration.read(self.weights) if settings.calibrated else None
-        low = settings.precision != "float32" and (settings.precision != "auto" or bfloat16.native(self._device))
+        low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
         if low:
             bfloat16.convert(self._model)
-            if not bfloat16.native(self._device):
+            if not detector.has_bfloat16(self._device):
                 console.say(f"{self._device} has no instructions for bfloat16: float32 would be faster")
         sides = f"short side {config.min_size}, long side at most {config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
@@ -87,8 +87,7 @@ class Predictor:
         )
         out = []
         for (image, _), found in zip(batch, answers, strict=True):
-            rows = zip(boxes.xyxy_to_xywh(found.boxes_xyxy), found.scores, self._scored(found.keypoints), strict=True)
-            out += [Result(image_id=image.id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
+            out += detector.results(image.id, found.boxes_xyxy, found.scores, self._scored(found.keypoints))
         return out
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:

@@ -121,7 +121,7 @@ def pose(
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
-            found = list(records(locate_view(view, scene.ground)))
+            found = list(records(locate_view(view, scene)))
             refused += sum(row["refused"] is not None for row in found)
             rows += found
             bar.update()

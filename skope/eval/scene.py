@@ -31,10 +31,9 @@ _SHARE: Final = 0.02
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One image: its camera, and its vehicles' keypoints."""
+    """One image and its vehicles' keypoints."""
 
     image: Image
-    camera: Camera
     found: Array
     """(N, 33, 3) x, y, probability."""
     sigma_px: Array
@@ -82,11 +81,10 @@ class Scene:
             results.setdefault(result.image_id, []).append((result, vehicle))
         labelled = self.file.by_image()
         for image in self.file.images:
-            camera = self.camera_of(image)
             if self.results is None:
-                yield _labelled(image, camera, labelled[image.id], noise, sigma_px, rng)
+                yield _labelled(image, labelled[image.id], noise, sigma_px, rng)
             else:
-                yield _predicted(image, camera, results.get(image.id, []), sigma_px)
+                yield _predicted(image, results.get(image.id, []), sigma_px)
 
     def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
         """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
@@ -101,7 +99,6 @@ class Scene:
 
 def _labelled(
     image: Image,
-    camera: Camera,
     vehicles: list[Annotation],
     noise: float,
     sigma: float | None,
@@ -113,12 +110,10 @@ def _labelled(
     found[..., 2] = found[..., 2] == 2
     known = max(noise, 0.5) if sigma is None else sigma
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
-    return View(image, camera, found, np.full(len(kept), known), np.ones(len(kept)), boxes, kept)
+    return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, kept)
 
 
-def _predicted(
-    image: Image, camera: Camera, pairs: list[tuple[Result, Annotation | None]], sigma: float | None
-) -> View:
+def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigma: float | None) -> View:
     results = [result for result, _ in pairs]
     found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
     boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
@@ -126,7 +121,7 @@ def _predicted(
         np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
     )
     scores = np.array([r.score for r in results])
-    return View(image, camera, found, spread, scores, boxes, tuple(vehicle for _, vehicle in pairs))
+    return View(image, found, spread, scores, boxes, tuple(vehicle for _, vehicle in pairs))
 
 
 def read_scene(

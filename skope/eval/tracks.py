@@ -36,7 +36,7 @@ def run(job: Job, console: Console) -> Iterator[str]:
     times = _times(scene, job.fps)
     views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise)
     bar = console.bar(views, total=len(times), unit="image", label="poses")
-    located = [locate_view(view, scene.ground) for view in bar]
+    located = [locate_view(view, scene) for view in bar]
     tracks = follow(located, times)
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     track_files.write_csv(job.out / "tracks.csv", tracks, index)

@@ -3,8 +3,7 @@
 import hashlib
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,6 +74,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
                 yield Finding(f"{name}: {where}", text, image.file_name)
         counts["images"] += len(file.images)
         counts["ground_truth"] += sum(not a.ignored for a in file.annotations)
+    yield from _check_takes(dataset, seen.frames)
     for key, count in counts.items():
         said = dataset.card.get("counts", {}).get(key)
         if said is not None and said != count:
@@ -90,6 +90,7 @@ class _Seen:
         self._images: set[int] = set()
         self._annotations: set[int] = set()
         self._files: set[str] = set()
+        self.frames: set[tuple[str | None, str | None, int | None]] = set()
 
     def twice(self, name: str, split: str, file: AnnotationFile) -> Iterator[Finding]:
         for image in file.images:
@@ -98,6 +99,7 @@ class _Seen:
                 yield Finding(where, "id: stands in another split too", image.file_name)
             if image.file_name in self._files:
                 yield Finding(where, f"file_name: {image.file_name} stands twice", image.file_name)
+            self.frames.add((image.site, image.recording, image.frame_index))
             if not self._own and image.site and self._sites.setdefault(image.site, split) != split:
                 other = self._sites[image.site]
                 yield Finding(where, f"site: {image.site} stands in split {other} too", image.file_name)
@@ -140,19 +142,15 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     for name in sorted(str(path.relative_to(dataset.root)) for path in found):
         if name not in sums:
             yield Finding(name, f"is not in {MANIFEST}", stray=True)
-    made = {(image.site, image.recording, image.frame_index) for image in _images(dataset)}
-    for site, recording, _, frames in dataset.card["takes"]:
+
+
+def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None, int | None]]) -> Iterator[Finding]:
+    for site, recording, _, frames in dataset.card.get("takes", ()):
         lost = [frame for frame in range(frames) if (site, recording, frame) not in made]
         if lost:
             yield Finding(
                 CARD, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
             )
-
-
-def _images(dataset: Dataset) -> Iterator[Image]:
-    for split in dataset.splits:
-        with suppress(UserError):  # said elsewhere
-            yield from dataset.read(split).images
 
 
 def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:

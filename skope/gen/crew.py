@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -136,7 +136,7 @@ class _Hand:
     """One worker process, and the take whose recording it has open."""
 
     pool: ProcessPoolExecutor
-    take: Take | None = field(default=None)
+    take: Take | None = None
 
 
 class Processes:

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -70,22 +70,7 @@ def frames_of(
         depth_name = f"depth/{name}.png" if encoding.depth else None
         if depth_name:
             files[depth_name] = depth_png(view.depth)
-        image = Image(
-            id=0,
-            file_name=next(iter(files)),
-            width=recording.camera.width,
-            height=recording.camera.height,
-            depth_file_name=depth_name,
-            town=recording.town,
-            site=recording.site,
-            recording=recording.name,
-            frame_index=frame,
-            time_s=float(recording.times_s[frame]),
-            split=recording.split,
-            weather=recording.weather,
-            sun_elevation_deg=recording.conditions.sun_elevation_deg,
-            camera=recording.camera,
-        )
+        image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
         labels = {
             "image": coco.image_to_dict(image),
             "annotations": [coco.annotation_to_dict(annotation) for annotation in annotations],
@@ -93,6 +78,25 @@ def frames_of(
             "sha256": {path: checksum(data) for path, data in files.items()},
         }
         yield Frame(name, files, labels)
+
+
+def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:
+    """What an annotation file says of a frame of a recording."""
+    return Image(
+        id=image_id,
+        file_name=file_name,
+        width=recording.camera.width,
+        height=recording.camera.height,
+        town=recording.town,
+        site=recording.site,
+        recording=recording.name,
+        frame_index=frame,
+        time_s=float(recording.times_s[frame]),
+        split=recording.split,
+        weather=recording.weather,
+        sun_elevation_deg=recording.conditions.sun_elevation_deg,
+        camera=recording.camera,
+    )
 
 
 def checksum(data: bytes) -> str:

@@ -20,11 +20,7 @@ def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> 
     declination = math.asin(math.sin(tilt) * math.sin(longitude))
     ascension = math.atan2(math.cos(tilt) * math.sin(longitude), math.cos(longitude))
     sidereal = math.radians(280.46062 + 360.985647366 * days + longitude_deg)
-    hour, latitude = sidereal - ascension, math.radians(latitude_deg)
-    up = math.sin(latitude) * math.sin(declination) + math.cos(latitude) * math.cos(declination) * math.cos(hour)
-    east = -math.cos(declination) * math.sin(hour)
-    north = math.cos(latitude) * math.sin(declination) - math.sin(latitude) * math.cos(declination) * math.cos(hour)
-    return math.degrees(math.asin(up)), math.degrees(math.atan2(north, east)) % 360
+    return _over_horizon(math.radians(latitude_deg), declination, sidereal - ascension)
 
 
 def time_of_day(elevation_deg: float, azimuth_deg: float) -> str:
@@ -55,8 +51,12 @@ def sun_position(latitude_deg: float, day: float, hour: float) -> tuple[float, f
 
     `hour` is local solar time: the sun crosses the meridian at 12.
     """
-    latitude, turned = math.radians(latitude_deg), math.radians(15 * (hour - 12))
     declination = math.radians(declination_deg(day + (hour - 12) / 24))
+    return _over_horizon(math.radians(latitude_deg), declination, math.radians(15 * (hour - 12)))
+
+
+def _over_horizon(latitude: float, declination: float, turned: float) -> tuple[float, float]:
+    """Elevation and azimuth, degrees, of what stands over a latitude `turned` past the meridian; all radians."""
     up = math.sin(latitude) * math.sin(declination) + math.cos(latitude) * math.cos(declination) * math.cos(turned)
     east = -math.cos(declination) * math.sin(turned)
     north = math.cos(latitude) * math.sin(declination) - math.sin(latitude) * math.cos(declination) * math.cos(turned)

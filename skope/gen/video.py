@@ -16,6 +16,7 @@ from skope.console import Console
 from skope.errors import UserError
 from skope.files import replacing
 from skope.gen.annotate import Rules, annotate
+from skope.gen.frames import image_of
 from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import make_renderer
 from skope.gen.simulate import simulate
@@ -75,22 +76,7 @@ def _frames(
     for frame in range(len(recording)):
         view = renderer.render(frame)
         vehicles, _ = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=frame + 1)
-        image = Image(
-            id=frame + 1,
-            file_name=f"{video}/{frame:06d}",
-            width=recording.camera.width,
-            height=recording.camera.height,
-            town=recording.town,
-            site=recording.site,
-            recording=recording.name,
-            frame_index=frame,
-            time_s=float(recording.times_s[frame]),
-            split=recording.split,
-            weather=recording.weather,
-            sun_elevation_deg=recording.conditions.sun_elevation_deg,
-            camera=recording.camera,
-        )
-        yield view.rgb, image, vehicles
+        yield view.rgb, image_of(recording, frame, f"{video}/{frame:06d}", frame + 1), vehicles
 
 
 class _Video:

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from skope import detector
 from skope.errors import UserError
 from skope.train import initial
 from skope.train import recipe as recipes
@@ -24,11 +25,7 @@ def multiplies_bfloat16() -> bool:
 
     Without the instructions it would be many times slower than float32.
     """
-    try:
-        flags = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-    if "avx512_bf16" not in flags and "amx_bf16" not in flags:
+    if not detector.has_bfloat16(torch.device("cpu")):
         return False
     return 1.2 * _layer_s(torch.bfloat16) < _layer_s(torch.float32)
 

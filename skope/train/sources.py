@@ -66,18 +66,13 @@ def _excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
 
 def _split(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
     """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
-    recordings: dict[tuple[str | None, str | None], list[Image]] = {}
-    for image in file.images:
-        recordings.setdefault((image.site, image.recording), []).append(image)
     learnt: list[Image] = []
     validated: list[Image] = []
-    for images in recordings.values():
-        ordered = sorted(images, key=lambda image: (image.frame_index is None, image.frame_index or 0))
-        # Of a recording too short for it nothing is validated on.
-        first = len(ordered) - round(fraction * len(ordered))
+    for ordered in dataset.recordings(file):
+        first = dataset.end_of(ordered, fraction)
         learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
         validated += ordered[first:]
-    return tuple(_only(file, images) for images in (learnt, validated))  # type: ignore[return-value]
+    return dataset.part(file, learnt), dataset.part(file, validated)
 
 
 def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
@@ -88,16 +83,6 @@ def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
     if image.time_s is None or begins is None:
         return i == first - 1
     return begins - image.time_s < GAP_S
-
-
-def _only(file: AnnotationFile, images: Sequence[Image]) -> AnnotationFile:
-    """The part of a file that belongs to some of its images, in file order."""
-    wanted = {image.id for image in images}
-    return replace(
-        file,
-        images=tuple(image for image in file.images if image.id in wanted),
-        annotations=tuple(a for a in file.annotations if a.image_id in wanted),
-    )
 
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:

@@ -22,8 +22,7 @@ _IOU = "0.6"
 def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device) -> list[Result]:
     """Detections in one (H, W, 3) image as results."""
     (answer,) = detector.detect(model, [pixels], device)
-    rows = zip(boxes.xyxy_to_xywh(answer.boxes_xyxy), answer.scores, answer.keypoints, strict=True)
-    return [Result(image_id=image_id, bbox=box, score=float(s), keypoints=points) for box, s, points in rows]
+    return detector.results(image_id, answer.boxes_xyxy, answer.scores, answer.keypoints)
 
 
 def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
