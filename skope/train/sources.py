@@ -46,7 +46,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     path = root / "annotations" / f"{SPLIT}.json"
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
-    file = _excluding(file, exclude_types)
+    file = excluding(file, exclude_types)
     learnt, validated = _split(file, val_fraction)
     if max_images is not None:
         learnt = dataset.take(learnt, max_images)
@@ -55,7 +55,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     return Source(dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images))
 
 
-def _excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
+def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
     """Vehicles of these types become ignored ones: neither learnt, nor background, nor ground truth."""
     if not types:
         return file
