@@ -9,9 +9,9 @@ the same command goes on after an interruption. The table gives mean and sample 
 vehicles) learn from a copy of the annotations, and `varied` from the dataset of --varied; all are measured on the
 test splits of --data, `visible boxes` on its own kind of box too, and on those of --varied where it is given.
 
-On a machine with several GPUs `--share 0/4` to `--share 3/4`, one on each, divide the trainings; the command without
---share does what is missing and prints the table. --fresh-heads takes no more than backbone and pyramid from --init, as
-from COCO weights, which know nothing of these keypoints either.
+On a machine with several GPUs start it several times, with other --variants or --seeds and CUDA_VISIBLE_DEVICES; the
+command with all of them does what is missing and prints the table. --fresh-heads takes only backbone and pyramid
+from --init, as from COCO weights, which know nothing of these keypoints either.
 """
 
 import argparse
@@ -84,13 +84,9 @@ FIGURES = ("pck", "pck_given", "keypoint_recall", "box_recall")
 def main() -> None:
     options = parse()
     names = options.variants or [name for name, one in VARIANTS.items() if options.varied or not one.varied]
-    runs = [(name, seed) for seed in range(options.seeds) for name in names]
-    mine, of = (int(part) for part in options.share.split("/"))
     if options.fresh_heads:
-        options.init = str(headless(options.init, options.out / f"first_weights_{mine}.safetensors"))
-    rows = [measured(options, name, seed) for name, seed in runs[mine::of]]
-    if of > 1:
-        return
+        options.init = str(headless(options.init, options.out / "first_weights.safetensors"))
+    rows = [measured(options, name, seed) for seed in options.seeds for name in names]
     write_json(options.out / "results.json", rows)
     text = table(rows)
     write_text(options.out / "results.md", text)
@@ -109,13 +105,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--min-size", type=int)
     parser.add_argument("--max-images", type=int)
     parser.add_argument("--set", action="append", default=[], help="a value of the recipe, for every variant")
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1, 2])
     parser.add_argument("--variants", nargs="*", choices=tuple(VARIANTS), help="default: all")
     parser.add_argument("--splits", nargs="*", default=["easy", "medium", "hard"])
     parser.add_argument("--test-images", type=int, default=300, help="of each split, with vehicles, evenly spread")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--workers", type=int, default=8)
-    parser.add_argument("--share", default="0/1", help="K/N: of N processes that divide the trainings, number K from 0")
     return parser.parse_args()
 
 
@@ -191,10 +186,11 @@ def figures(options: argparse.Namespace, model: KeypointRCNN, folder: Path, devi
     for split in options.splits:
         file = take(data.read(split), options.test_images)
         paths = [data.root / image.file_name for image in file.images]
-        found[split] = validate.validate(model, file, paths, device)
+        answers = validate.answers(model, file, paths, device)
+        found[split] = validate.figures(file, answers)
         pickups = sources.excluding(file, [name for name in VEHICLE_TYPES if name != "pickup"])
         if not all(annotation.ignored for annotation in pickups.annotations):
-            found[f"{split}, pickups"] = validate.validate(model, pickups, paths, device)
+            found[f"{split}, pickups"] = validate.figures(pickups, answers)
     return found
 
 

@@ -1,6 +1,7 @@
 """How good the model is after an epoch, on images that it does not learn from."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,22 @@ def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device)
     return detector.results(image_id, answer.boxes_xyxy, answer.scores, answer.keypoints)
 
 
-def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
-    """Figures of the split `file`, whose pixels lie at `paths`, pooled, at a score above 0.9 and an IoU of 0.6.
+@dataclass(frozen=True)
+class Answers:
+    """What a model says of the images of a split."""
 
-    `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
-    detection; None where there is nothing to divide by.
-    """
+    detected: list[Result]
+    given: list[Result]
+    """Inside the ground-truth boxes."""
+
+
+def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
+    """`figures` of the split `file`, whose pixels lie at `paths`."""
+    return figures(file, answers(model, file, paths, device))
+
+
+def answers(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Answers:
+    """Run the model on the images of `file`, whose pixels lie at `paths`."""
     vehicles = file.by_image()
     detected: list[Result] = []
     given: list[Result] = []
@@ -42,14 +53,23 @@ def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], d
         points = detector.detect_on_boxes(model, pixels, corners, device)
         rows = zip(truth, points, strict=True)
         given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
+    return Answers(detected, given)
+
+
+def figures(file: AnnotationFile, answers: Answers) -> Figures:
+    """Figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
+
+    `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
+    detection; None where there is nothing to divide by.
+    """
     options = metrics.Options()
-    split = metrics.score_split(file, detected, options)
+    split = metrics.score_split(file, answers.detected, options)
     at = split["iou"][_IOU]
     return {
         "images": split["images"],
         "vehicles": split["ground_truth"],
         "pck": at["pck"],
-        "pck_given": metrics.score_split(file, given, options)["iou"][_IOU]["pck"],
+        "pck_given": metrics.score_split(file, answers.given, options)["iou"][_IOU]["pck"],
         **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
     }
 
