@@ -31,7 +31,7 @@ from skope.train.run import BEST, resumable
 TESTS = ("easy", "medium", "hard")
 PIECES = 8
 PIECE = "weights.{:02d}"
-FIGURES = ("eval/*/metrics.json", "eval/*/report.html", "*.png", "README.md", "metrics.jsonl", "progress/*.jpg")
+FIGURES = ("eval/*/metrics.json", "eval/*/report.html", "*.png", "README.md", "metrics.jsonl")
 GRACE_S = 25
 """For a training to save its state when time is up."""
 
