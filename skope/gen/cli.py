@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles_cli.app, name="vehicles")
 app.command()(sites_cli.sites)
-for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.video):
+for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.report, look_cli.video):
     app.command()(command)
 
 DEFAULT = Path("data/skope")

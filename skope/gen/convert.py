@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from skope.console import Console
-from skope.dataset import CARD, MANIFEST, Dataset
+from skope.dataset import MANIFEST, Dataset
 from skope.errors import UserError, one_of
-from skope.files import read_bytes, write_bytes, write_json, write_text
+from skope.files import read_bytes, write_bytes
 from skope.gen import card
 from skope.gen.pack import FORMATS, frames_of_split, writer_of
 
@@ -30,5 +30,4 @@ def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     writer.finish()
     parameters = {**dataset.card["parameters"], "format": form}
     content = {**dataset.card, "format": form, "parameters": parameters, "command": card.command(parameters)}
-    write_text(out / "README.md", card.readme(content))
-    write_json(out / CARD, content)
+    card.write(out, content)

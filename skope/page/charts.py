@@ -96,7 +96,7 @@ def _line(number: int, line: Line, axes: Axes, every: int) -> str:
     for i, px, py, x, y in points:
         if i % every == 0:
             note = f"; {line.notes[i]}" if line.notes else ""
-            tip = f"{line.name}: {axes.x_label} {x:.2g}, {axes.y_label} {y:.3f}{note}"
+            tip = f"{line.name}: {axes.x_label} {x:.3g}, {axes.y_label} {y:.3f}{note}"
             shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
             out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
     return "".join(out)

@@ -54,7 +54,10 @@ class Point:
 
 
 def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str:
-    """Shares of keypoints (by name) in their places on the vehicle; `head` titles the columns of the points' cells."""
+    """Shares of keypoints (by name) in their places on the vehicle; `head` titles the columns of the points' cells.
+
+    Of keypoints whose place is not known, those of another scheme, there are only the numbers.
+    """
     places = {name: plan(name) for name in keypoints.NAMES}
     edges = "".join(
         "M{:g} {:g}L{:g} {:g}".format(*places[keypoints.NAMES[a]], *places[keypoints.NAMES[b]])
@@ -62,6 +65,8 @@ def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str
     )
     dots = [f'<path class="skeleton" d="{edges}"/>']
     for name, point in points.items():
+        if name not in places:
+            continue
         x, y = places[name]
         step = "none" if point.share is None else f"p{int(np.clip(point.share * 5, 0, 4))}"
         text = "–" if point.share is None else f"{100 * point.share:.0f}"
@@ -87,4 +92,6 @@ def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str
         "ul", *(f'<li><span class="swatch p{i}"></span>{s}</li>' for i, s in enumerate(steps)), class_="legend"
     )
     numbers = details("Numbers", table(["keypoint", *head], rows, caption=title, sortable=True))
+    if not points.keys() & places.keys():
+        return tag("figure", tag("figcaption", escape(title)), numbers, class_="wide")
     return tag("figure", tag("figcaption", escape(title)), drawing, legend, numbers, class_="wide")

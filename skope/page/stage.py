@@ -68,16 +68,20 @@ def path(d: str, class_: str) -> str:
 
 
 def points(
-    at: Floats, known: Any, sure: Any, joined: Any, scale: float, shown: Collection[int] = range(keypoints.K)
+    at: Floats,
+    known: Any,
+    sure: Any,
+    joined: Any,
+    scale: float,
+    shown: Collection[int] = range(keypoints.K),
+    skeleton: Sequence[tuple[int, int]] = keypoints.SKELETON,
 ) -> str:
     """(33, 2 or more) keypoints: the skeleton between joined ones, and the known ones as dots where sure, else rings.
 
     Only those in `shown` are drawn; `scale` is `unit` of the drawing.
     """
     edges = "".join(
-        f"M{place(at[a])}L{place(at[b])}"
-        for a, b in keypoints.SKELETON
-        if a in shown and b in shown and joined[a] and joined[b]
+        f"M{place(at[a])}L{place(at[b])}" for a, b in skeleton if a in shown and b in shown and joined[a] and joined[b]
     )
     r = 1.6 * scale
     ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
