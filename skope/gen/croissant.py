@@ -130,7 +130,7 @@ def _folder(sums: Mapping[str, str]) -> Json:
     for pattern, description in _FOLDERS.items():
         folder = pattern.split("/")[0]
         for suffix in sorted({Path(path).suffix for path in sums if path.startswith(f"{folder}/")}):
-            files.append(_set(folder, pattern + suffix, _MIME[suffix], description))
+            files.append(_set(f"{folder}-files", pattern + suffix, _MIME[suffix], description))
     return {"distribution": files, "recordSet": [_record_set(name, *of) for name, of in _RECORDS.items()]}
 
 
@@ -141,7 +141,7 @@ def _shards(sums: Mapping[str, str]) -> Json:
         "distribution": [
             *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
             _set("shard-indices", f"{shards.FOLDER}/*.json", "application/json", description),
-            _set("recordings", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
+            _set("recordings-files", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
         ]
     }
 

@@ -130,7 +130,9 @@ def test_croissant_describes_every_file(root: Path) -> None:
             found = [path for path in root.glob(entry["includes"]) if path.is_file()]
             assert found, entry["includes"]
     assert all(any(fnmatch(path, pattern) for pattern in patterns) for path in sums)
-    assert len({entry["@id"] for entry in document["distribution"]}) == len(document["distribution"])
+    sets = document["recordSet"]
+    ids = [entry["@id"] for entry in (*document["distribution"], *sets, *(f for s in sets for f in s["field"]))]
+    assert len(set(ids)) == len(ids)
 
 
 def test_croissants_fields_are_rows_of_the_annotation_files(root: Path) -> None:
