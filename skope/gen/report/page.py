@@ -37,11 +37,10 @@ def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> 
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
         own = file.by_image()
-        candidates += [(image, own[image.id]) for image in spread(file.images, count)]
+        candidates += [(file.images[i], own[file.images[i].id]) for i in spread(file.images, count)]
     if not candidates:
         raise UserError(f"{dataset.root}: has no images")
-    labels = {image.file_name: vehicles for image, vehicles in candidates}
-    chosen = [(image, labels[image.file_name]) for image in spread([image for image, _ in candidates], count)]
+    chosen = [candidates[i] for i in spread([image for image, _ in candidates], count)]
     figures = [figure(dataset, *pair) for pair in console.bar(chosen, unit="image", label="drawing")]
     write_text(path, _page(dataset, stats, spreads, chosen, figures))
     return path

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from skope.schema import Image
 
 
-def spread(images: Sequence[Image], count: int) -> list[Image]:
-    """At most `count` images, in the given order: as many of each split's sites as of any other, evenly over time."""
+def spread(images: Sequence[Image], count: int) -> list[int]:
+    """Places of at most `count` images, rising: as many of each split's sites as of any other, evenly over time."""
     groups: dict[tuple[str | None, str | None], list[int]] = {}
     for i, image in enumerate(images):
         groups.setdefault((image.split, image.site), []).append(i)
@@ -16,7 +16,7 @@ def spread(images: Sequence[Image], count: int) -> list[Image]:
         for group, share in zip(own, _shares([len(g) for g in own], count), strict=True)
         for k in _even(len(group), share)
     ]
-    return [images[i] for i in sorted(chosen)]
+    return sorted(chosen)
 
 
 def _time(image: Image) -> tuple[str, int]:
