@@ -234,9 +234,19 @@ def test_plots_count_every_vehicle_once() -> None:
     assert dots["roof_front_right"] == "roof_front_right: visible on 10 of 10"
 
 
-def test_a_split_without_vehicles_has_a_page_too() -> None:
+def test_splits_with_no_vehicle_and_with_one_at_no_distance_have_plots_too() -> None:
     file = AnnotationFile(images=(make_image(1),), annotations=(), name="easy")
-    Page("".join(plots({"easy": spread_of(file)})))
+    assert Page("".join(plots({"easy": spread_of(file)}))).all("svg")
+    here = replace(make_annotation(1, 1, (0, 0, 40, 30)), distance=0.0)
+    page = Page("".join(plots({"easy": spread_of(replace(file, annotations=(here,)))})))
+    assert "easy (1): distance, m 0.5, share of vehicles 1.000" in [a.get("data-tip") for a in page.all("path")]
+
+
+def test_a_split_is_called_by_its_file_where_images_do_not_say_it(dataset: Path) -> None:
+    path = dataset / "annotations/easy.json"
+    file = coco.read(path)
+    coco.write(path, replace(file, images=tuple(replace(image, split=None) for image in file.images)))
+    assert {a["data-split"] for a in page_of(dataset).all("figure") if "data-split" in a} == {"easy"}
 
 
 # -------------------------------------------------------------------------------------------------------------- browser

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -37,7 +38,9 @@ def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> 
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
         own = file.by_image()
-        candidates += [(file.images[i], own[file.images[i].id]) for i in spread(file.images, count)]
+        # Files of other tools leave the split to their name.
+        images = [replace(image, split=image.split or split) for image in file.images]
+        candidates += [(images[i], own[images[i].id]) for i in spread(images, count)]
     if not candidates:
         raise UserError(f"{dataset.root}: has no images")
     chosen = [candidates[i] for i in spread([image for image, _ in candidates], count)]
@@ -64,7 +67,7 @@ def _page(
     return document(
         f"skope gen: {dataset.root.resolve().name}",
         tag("h1", describe.TITLE),
-        tag("p", escape(describe.summary(dataset.card))),
+        tag("p", tag("b", escape(str(dataset.root))), escape(f": {describe.summary(dataset.card)}")),
         tag("section", describe.html(dataset.card)),
         tag(
             "section",
@@ -75,10 +78,7 @@ def _page(
         tag(
             "section",
             tag("h2", "Images"),
-            tag(
-                "p",
-                escape(f"{shown}{how} {_HINT}"),
-            ),
+            tag("p", escape(f"{shown}{how} {_HINT}")),
             tag("div", _controls(chosen), *figures, class_="gallery"),
         ),
     )

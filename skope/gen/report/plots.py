@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Final
 
 import numpy as np
@@ -71,7 +72,7 @@ def plots(spreads: Mapping[str, Spread]) -> list[str]:
 def _end(values: Mapping[str, NDArray[np.float64]], step: float) -> float:
     """Where an axis ends: beyond all but the last hundredth, at a multiple of `step`."""
     every = np.concatenate(list(values.values()))
-    return float(math.ceil(np.quantile(every, 0.99) / step) * step) if every.size else step
+    return max(step, math.ceil(np.quantile(every, 0.99) / step) * step) if every.size else step
 
 
 def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]], end: float) -> list[str]:
@@ -94,7 +95,7 @@ def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]],
 def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
     counts = sum((Counter(group) for group in groups), Counter())
     total = max(1, counts.total())
-    rows = [[name, str(count), bar(count / total)] for name, count in counts.most_common()]
+    rows = [[escape(name), str(count), bar(count / total)] for name, count in counts.most_common()]
     return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
 
 
