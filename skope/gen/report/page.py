@@ -67,7 +67,7 @@ def _page(
     return document(
         f"skope gen: {dataset.root.resolve().name}",
         tag("h1", describe.TITLE),
-        tag("p", tag("b", escape(str(dataset.root))), escape(f": {describe.summary(dataset.card)}")),
+        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {describe.summary(dataset.card)}")),
         tag("section", describe.html(dataset.card)),
         tag(
             "section",
