@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from skope import coco, keypoints, shards
 from skope.depth import read_depth
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.files import read_json
+from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Image
 
 CARD: Final = "dataset.json"
@@ -39,18 +40,35 @@ class Dataset:
         """Whether the frames are in tar shards (see `skope.shards`)."""
         return self.card.get("format") == "shards"
 
+    @property
+    def scheme(self) -> Scheme:
+        """What the keypoints are."""
+        return keypoints.SCHEMES[self.card["keypoint_scheme"]]
+
+    @property
+    def licence(self) -> str:
+        """As the card states it, on one line."""
+        stated = self.card.get("licence") or self.card.get("license") or "not stated"
+        return " ".join(str(stated).split())
+
     def read(self, split: str) -> AnnotationFile:
         """Annotations of one split; a UserError lists the splits there are."""
         if split not in self.splits:
             raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
         if not self.sharded:
-            return coco.read(self.root / "annotations" / f"{split}.json")
+            return self._read_file(self.root / "annotations" / f"{split}.json")
         rows = (
             (labels["image"], labels["annotations"])
             for shard in shards.shards_of(self.root, split)
             for labels in shards.labels_in(shard)
         )
-        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split)
+        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme)
+
+    def _read_file(self, path: Path) -> AnnotationFile:
+        file = coco.read(path)
+        if file.scheme is not self.scheme:
+            raise UserError(f"{path}: has keypoint scheme {file.scheme.name}, the dataset's card {self.scheme.name}")
+        return file
 
     def image(self, image: Image) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB pixels."""
@@ -69,8 +87,7 @@ def open_dataset(root: Path) -> Dataset:
         raise UserError(f"{root}: no {CARD} in it, so it is not a (finished) dataset; run `skope gen --out {root}`")
     card = read_json(root / CARD)
     scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
-    if scheme != keypoints.SCHEME:
-        raise UserError(f"{root / CARD}: keypoint_scheme: expected {keypoints.SCHEME!r}, got {scheme!r}")
+    one_of(f"{root / CARD}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
     return Dataset(root, card)
 
 

@@ -139,6 +139,8 @@ def read_scene(
         annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
     assert annotations is not None
     file = coco.read(annotations)
+    if file.scheme is not keypoints.SKOPE33:
+        raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
     results = inputs.read_results(predictions, file) if predictions else None
     if camera is None:
         return Scene(file, results, None, None if ground is None else Ground(height=ground))

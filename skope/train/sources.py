@@ -12,6 +12,7 @@ from skope import dataset, shards
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_bytes
+from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.train.vehicles import Vehicles, vehicles_of
 
@@ -53,6 +54,18 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if all(annotation.ignored for annotation in learnt.annotations):
         raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
     return Source(dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images))
+
+
+def one_scheme(sources: Sequence[Source]) -> Scheme:
+    """The keypoint scheme of all datasets; different ones are refused, since their points mean different things."""
+    first, *others = sources
+    for other in others:
+        if other.dataset.scheme is not first.dataset.scheme:
+            raise UserError(
+                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.name}, {first.dataset.root} has "
+                f"{first.dataset.scheme.name}: datasets of different schemes cannot be learnt together"
+            )
+    return first.dataset.scheme
 
 
 def _excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
@@ -105,5 +118,6 @@ def for_validation(sources: Sequence[Source], most: int) -> tuple[AnnotationFile
     for number, (_, image, vehicles) in enumerate(chosen, start=1):
         images.append(replace(image, id=number))
         annotations += [replace(a, id=len(annotations) + k, image_id=number) for k, a in enumerate(vehicles, start=1)]
-    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation")
+    scheme = one_scheme(sources)
+    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation", scheme=scheme)
     return file, [root / image.file_name for root, image, _ in chosen]

@@ -154,7 +154,10 @@ def plan(name: str) -> tuple[float, float]:
 
 
 def outline(title: str, parts: Mapping[str, Mapping[str, Any]], threshold: str) -> str:
-    """PCK of each keypoint (entry `by.keypoint` of a split) in its place on the vehicle."""
+    """PCK of each keypoint (entry `by.keypoint` of a split) in its place on the vehicle.
+
+    Of keypoints whose place is not known, those of a published file, there are only the numbers.
+    """
     places = {name: plan(name) for name in keypoints.NAMES}
     edges = "".join(
         "M{:g} {:g}L{:g} {:g}".format(*places[keypoints.NAMES[a]], *places[keypoints.NAMES[b]])
@@ -165,6 +168,10 @@ def outline(title: str, parts: Mapping[str, Mapping[str, Any]], threshold: str) 
     for name, entry in parts.items():
         figures = entry[threshold]
         pck = figures["pck"]
+        cells = (share(pck), str(figures["correct"]), str(figures["labelled"]), share(figures["keypoint_recall"]))
+        rows.append([escape(name), *cells])
+        if name not in places:
+            continue
         x, y = places[name]
         step = "none" if pck is None else f"p{int(np.clip(pck * 5, 0, 4))}"
         text = "–" if pck is None else f"{100 * pck:.0f}"
@@ -173,8 +180,6 @@ def outline(title: str, parts: Mapping[str, Mapping[str, Any]], threshold: str) 
             f'<g class="dot {step}" data-tip="{escape(tip, quote=True)}"><circle cx="{x:g}" cy="{y:g}" r=".34"/>'
             f'<text x="{x:g}" y="{y:g}" dy=".11" text-anchor="middle">{text}</text></g>'
         )
-        cells = (share(pck), str(figures["correct"]), str(figures["labelled"]), share(figures["keypoint_recall"]))
-        rows.append([escape(name), *cells])
     words = '<text x="6.1" y=".1" class="end">front</text><text x="-6.9" y=".1" class="end">rear</text>'
     drawing = tag(
         "svg",
@@ -192,4 +197,6 @@ def outline(title: str, parts: Mapping[str, Mapping[str, Any]], threshold: str) 
     )
     head = ["keypoint", "PCK", "correct", "labelled", "recall"]
     numbers = details("Numbers", table(head, rows, caption=title, sortable=True))
+    if not parts.keys() & places.keys():
+        return tag("figure", tag("figcaption", escape(title)), numbers, class_="wide")
     return tag("figure", tag("figcaption", escape(title)), drawing, legend, numbers, class_="wide")

@@ -9,7 +9,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from skope import dataset, keypoints
+from skope import dataset
 from skope.boxes import xywh_to_xyxy
 from skope.errors import UserError
 from skope.eval.failures import KINDS, false_detections, wrong_points
@@ -124,7 +124,6 @@ def _layers(
     """Layers of one image as SVG groups, and its failures in words."""
     matches, image = measured.matches, measured.file.images[index]
     unit = max(1.0, image.width / 640)
-    shown = list(options.points)
 
     def label(box: Floats, text: str) -> str:
         return _label(box, text, unit, image.width)
@@ -138,7 +137,7 @@ def _layers(
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
         known = points[:, 2] > 0
-        truth.append(_vehicle(box, points, known, points[:, 2] > 1, known, shown, unit, name))
+        truth.append(_vehicle(box, points, known, points[:, 2] > 1, known, options, unit, name))
         if not judged.found[g]:
             wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
@@ -155,7 +154,7 @@ def _layers(
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
         sure = points[:, 2] >= 0.5
-        found.append(_vehicle(box, points, np.ones(len(points), bool), sure, sure, shown, unit, name))
+        found.append(_vehicle(box, points, np.ones(len(points), bool), sure, sure, options, unit, name))
         if false[d]:
             wrong.append(label(box, "false"))
             words.append(f"false {name}")
@@ -173,12 +172,13 @@ def _box(box_xywh: Floats, name: str | None = None) -> str:
 
 
 def _vehicle(
-    box: Floats, points: Floats, known: Any, sure: Any, joined: Any, shown: list[int], unit: float, name: str
+    box: Floats, points: Floats, known: Any, sure: Any, joined: Any, options: Options, unit: float, name: str
 ) -> str:
     """A box, the skeleton between joined points, and the known points: dots where sure, else rings."""
+    shown = options.points
     edges = "".join(
         f"M{_at(points[a])}L{_at(points[b])}"
-        for a, b in keypoints.SKELETON
+        for a, b in options.scheme.skeleton
         if a in shown and b in shown and joined[a] and joined[b]
     )
     r = 1.6 * unit
