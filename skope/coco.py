@@ -179,7 +179,7 @@ def _rounded(values: Any, digits: int) -> Any:
 
 
 _DIGITS = {
-    **dict.fromkeys(("bbox", "bbox_visible", "keypoints"), 2),
+    **dict.fromkeys(("bbox", "bbox_visible", "keypoints", "box_3d_pixels"), 2),
     **dict.fromkeys(("keypoints_3d", "velocity", "distance", "occlusion", "truncation"), 4),
     "contrast": 2,
 }

@@ -19,6 +19,8 @@ from skope.schema import AnnotationFile, Image
 CARD: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
 """Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
+GAP_S: Final = 1.0
+"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,27 @@ def _place(image: Image) -> tuple[bool, int]:
 def end_of(images: Sequence[Image], share: float) -> int:
     """Where the last `share` of a recording's frames begins; after the last one of a recording too short for it."""
     return len(images) - round(share * len(images))
+
+
+def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
+    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
+    learnt: list[Image] = []
+    validated: list[Image] = []
+    for ordered in recordings(file):
+        first = end_of(ordered, fraction)
+        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
+        validated += ordered[first:]
+    return part(file, learnt), part(file, validated)
+
+
+def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
+    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
+    if first == len(ordered):
+        return False
+    begins = ordered[first].time_s
+    if image.time_s is None or begins is None:
+        return i == first - 1
+    return begins - image.time_s < GAP_S
 
 
 def take(file: AnnotationFile, n: int) -> AnnotationFile:

@@ -173,6 +173,8 @@ class Annotation:
     keypoints_3d: Array | None = None
     """(33, 3) world positions of all keypoints, whatever v says, metres."""
     box_3d: Box3D | None = None
+    box_3d_pixels: Array | None = None
+    """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
     velocity: Array | None = None
     """(3,) world, m/s."""
     distance: float | None = None
@@ -198,6 +200,7 @@ class Annotation:
             ("keypoints", (keypoints.K, 3)),
             ("bbox_visible", (4,)),
             ("keypoints_3d", (keypoints.K, 3)),
+            ("box_3d_pixels", (8, 2)),
             ("velocity", (3,)),
         )
         for name, shape in shapes:

@@ -16,10 +16,10 @@ from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
 from skope.eval.scene import FRAMES, PREDICTIONS, with_camera
 from skope.eval.settings import Settings
-from skope.eval.video import write_video
 from skope.files import replacing
 from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Image, Result
+from skope.video import write_video
 
 _PROGRESS: Final = ".predict.jsonl"
 OVERLAY: Final = "overlay.mp4"

@@ -197,7 +197,7 @@ class Store:
     def _numbered(self, take: Take, counts: "Counts") -> Iterator[Labels]:
         for frame in range(take.frames):
             labels = read_json(self._label_path(take.frame_name(frame)))
-            counts.add(take, labels)
+            counts.add(take.split, take.site, labels["annotations"], labels["tally"])
             counts.images += 1
             rows = []
             for row in labels["annotations"]:
@@ -230,15 +230,18 @@ class Counts:
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
 
-    def add(self, take: Take, labels: dict[str, Any]) -> None:
-        places = [("split", take.split), ("site", take.site)]
+    def add(self, split: str, site: str | None, rows: Iterable[Mapping[str, Any]], tally: Mapping[str, Any]) -> None:
+        """Count an image with the rows of its vehicles; what those do not have is not counted."""
+        places = [("split", split), ("site", site)]
         for group, name in places:
-            self.by[group].setdefault(name, Counter())["images"] += 1
-        for annotation in labels["annotations"]:
-            kind = "ignored" if annotation["iscrowd"] else "ground_truth"
-            for group, name in (*places, ("vehicle_type", annotation["vehicle_type"])):
-                self.by[group].setdefault(name, Counter())[kind] += 1
-        tally = dict(labels["tally"])
+            if name is not None:
+                self.by[group].setdefault(name, Counter())["images"] += 1
+        for row in rows:
+            kind = "ignored" if row["iscrowd"] else "ground_truth"
+            for group, name in (*places, ("vehicle_type", row.get("vehicle_type"))):
+                if name is not None:
+                    self.by[group].setdefault(name, Counter())[kind] += 1
+        tally = dict(tally)
         self.ignored.update(tally.pop("ignored"))
         self.tally.update(tally)
 

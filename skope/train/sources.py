@@ -17,8 +17,6 @@ from skope.schema import Annotation, AnnotationFile, Image
 from skope.train.vehicles import Vehicles, vehicles_of
 
 SPLIT: Final = "train"
-GAP_S: Final = 1.0
-"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +46,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
     file = _excluding(file, exclude_types)
-    learnt, validated = _split(file, val_fraction)
+    learnt, validated = dataset.held_back(file, val_fraction)
     if max_images is not None:
         learnt = dataset.take(learnt, max_images)
     if all(annotation.ignored for annotation in learnt.annotations):
@@ -75,27 +73,6 @@ def _excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
     return replace(
         file, annotations=tuple(replace(a, iscrowd=1) if a.vehicle_type in types else a for a in file.annotations)
     )
-
-
-def _split(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
-    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
-    learnt: list[Image] = []
-    validated: list[Image] = []
-    for ordered in dataset.recordings(file):
-        first = dataset.end_of(ordered, fraction)
-        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
-        validated += ordered[first:]
-    return dataset.part(file, learnt), dataset.part(file, validated)
-
-
-def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
-    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
-    if first == len(ordered):
-        return False
-    begins = ordered[first].time_s
-    if image.time_s is None or begins is None:
-        return i == first - 1
-    return begins - image.time_s < GAP_S
 
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:

@@ -1,0 +1,76 @@
+"""From one format to another: `skope gen convert`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from skope.console import Console
+from skope.dataset import Dataset, open_dataset
+from skope.errors import UserError, one_of
+from skope.files import replacing_folder, write_text
+from skope.gen import pack
+from skope.gen.formats import native, skope3d
+from skope.gen.formats.gather import LICENCE_FILE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What some of the formats take; None and empty where nothing was said."""
+
+    map: Path | None = None
+    """Of `--from skope3d`: what its keypoints are."""
+    split: str | None = None
+    """Split that all that is read goes to."""
+
+
+_OF: Final = {"map": ("--from skope3d",), "split": ("--from skope3d",)}
+"""Where an option means something."""
+
+READERS: Final = ("skope3d",)
+WRITERS: Final = (*pack.FORMATS, "skope3d")
+
+
+def convert(
+    sources: Sequence[Path], out: Path, *, read_as: str | None, write_as: str | None, options: Options, console: Console
+) -> None:
+    """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
+
+    Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one.
+    """
+    if read_as is not None:
+        one_of("--from", read_as, READERS)
+    if write_as is not None:
+        one_of("--to", write_as, WRITERS)
+    if read_as is None and write_as is None:
+        raise UserError("say --to which format, or --from which one")
+    chosen = (f"--from {read_as}", f"--to {write_as}")
+    for name, formats in _OF.items():
+        if getattr(options, name) and not set(formats) & set(chosen):
+            raise UserError(f"--{name} is for {' and '.join(formats)}")
+    if read_as is None and len(sources) != 1:
+        raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
+    with replacing_folder(out) as folder:
+        if read_as is None:
+            _write(open_dataset(sources[0]), write_as or "folder", folder, console)
+        elif write_as in (None, "folder"):
+            _read(sources, folder, read_as, options, console)
+        else:
+            with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
+                _read(sources, Path(between), read_as, options, console)
+                _write(open_dataset(Path(between)), write_as, folder, console)
+
+
+def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
+    told = "".join(f" --{name} {value}" for name in _OF if (value := getattr(options, name)))
+    command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
+    skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
+
+
+def _write(dataset: Dataset, form: str, folder: Path, console: Console) -> None:
+    if form in pack.FORMATS:
+        native.convert(dataset, form, folder, console)
+        return
+    skope3d.write(dataset, folder, console)
+    write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")

@@ -1,0 +1,110 @@
+"""A dataset folder made of images and vehicles that come from elsewhere."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from skope import __version__, coco, schema, shards
+from skope.dataset import CARD
+from skope.errors import UserError
+from skope.files import link, read_bytes, write_bytes, write_json, write_text
+from skope.gen.store import Counts
+from skope.keypoints import Scheme
+from skope.schema import Annotation, AnnotationFile, Image
+
+LICENCE_FILE: Final = "LICENCE.txt"
+"""In every export: the dataset's licence."""
+
+
+@dataclass
+class Gathered:
+    """A dataset that grows image by image below `root`; ids count through all of it from 1."""
+
+    root: Path
+    scheme: Scheme
+    counts: Counts = field(default_factory=Counts)
+    _splits: dict[str, tuple[list[Image], list[Annotation]]] = field(default_factory=dict)
+
+    def add(self, split: str, image: Image, vehicles: Iterable[Annotation], files: Mapping[str, Path | bytes]) -> None:
+        """Take an image with its vehicles; `files` are what lies, or shall lie, under its file names."""
+        images, annotations = self._splits.setdefault(split, ([], []))
+        for name, content in files.items():
+            put(content, self.root / name)
+        self.counts.images += 1
+        number = self.counts.images
+        images.append(replace(image, id=number, split=split))
+        own = []
+        for vehicle in vehicles:
+            self.counts.vehicles += 1
+            own.append(replace(vehicle, id=self.counts.vehicles, image_id=number, category_id=schema.CATEGORY_ID))
+        annotations += own
+        ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
+        rows = [{"iscrowd": vehicle.iscrowd, "vehicle_type": vehicle.vehicle_type} for vehicle in own]
+        self.counts.add(split, image.site, rows, {"ignored": ignored})
+
+    def finish(self, *, command: str, licence: str, label_rules: Sequence[str], **more: Any) -> None:
+        """Write annotations and card; `more` are further fields of the card."""
+        if not self.counts.images:
+            raise UserError("no image was found: nothing to write")
+        for split, (images, annotations) in self._splits.items():
+            file = AnnotationFile(
+                images=tuple(images),
+                annotations=tuple(annotations),
+                info={"split": split},
+                name=split,
+                scheme=self.scheme,
+            )
+            coco.write(self.root / "annotations" / f"{split}.json", file)
+        card = {
+            "version": schema.VERSION,
+            "keypoint_scheme": self.scheme.name,
+            "format": "folder",
+            "command": command,
+            "counts": self.counts.to_dict(),
+            "label_rules": list(label_rules),
+            "versions": {"skope": __version__},
+            "licence": licence,
+            **more,
+        }
+        write_text(self.root / "README.md", _readme(card))
+        write_json(self.root / CARD, card)
+
+
+def put(content: Path | bytes, target: Path) -> None:
+    """Write bytes, or bring the file (or member of a shard) at a path, to `target`."""
+    if isinstance(content, bytes):
+        write_bytes(target, content)
+    elif shards.split_member(content):
+        write_bytes(target, shards.read(content))
+    else:
+        link(content, target)
+
+
+def licence_beside(folder: Path) -> str:
+    """What an export of ours says in `LICENCE_FILE`; "not stated" without one."""
+    path = folder / LICENCE_FILE
+    return " ".join(read_bytes(path).decode(errors="replace").split()) if path.is_file() else "not stated"
+
+
+def _readme(card: Mapping[str, Any]) -> str:
+    rows = "\n".join(
+        f"| {split} | {counts['images']} | {counts['ground_truth']} | {counts['ignored']} |"
+        for split, counts in card["counts"]["by_split"].items()
+    )
+    rules = "\n".join(f"- {rule}" for rule in card["label_rules"])
+    return f"""# Images with 33 keypoints per vehicle (scheme {card["keypoint_scheme"]})
+
+Brought together by skope {card["versions"]["skope"]}:
+
+    {card["command"]}
+
+| split | images | vehicles | ignored |
+|---|---|---|---|
+{rows}
+
+{rules}
+
+Licence: {card["licence"]}
+"""
