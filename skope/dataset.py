@@ -19,6 +19,9 @@ from skope.schema import AnnotationFile, Image
 CARD: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
 """Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
+FRAMES: Final = "frames.json"
+PREDICTIONS: Final = "predictions.json"
+"""What `skope eval predict` writes: the images, and what was found in them."""
 GAP_S: Final = 1.0
 """Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 

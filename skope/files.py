@@ -30,18 +30,19 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def replacing_folder(path: Path) -> Iterator[Path]:
+def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
     """Yield a temporary folder beside `path`, which must be empty or missing; on success it takes its place.
 
-    On failure it is removed. Raises UserError where `path` is a file or not empty.
+    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file or not empty.
     """
     temporary = path.absolute().with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if keep and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise UserError(f"{path}: is {'not empty' if path.is_dir() else 'a file'}; choose another folder")
         temporary.mkdir(parents=True)
         yield temporary
-        temporary.replace(path)
+        if keep:
+            temporary.replace(path)
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skope import coco, keypoints
 from skope.calibration import read_calibration
 from skope.camera import Camera
+from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval import inputs
 from skope.eval.match import match
@@ -20,9 +21,6 @@ from skope.schema import Annotation, AnnotationFile, Image, Result
 
 Array = NDArray[np.float64]
 
-FRAMES: Final = "frames.json"
-PREDICTIONS: Final = "predictions.json"
-"""What `skope eval predict` writes into its folder."""
 MATCH_IOU: Final = 0.6
 """From which a detection's box and a ground-truth vehicle's belong together."""
 _SHARE: Final = 0.02

@@ -10,11 +10,12 @@ from typing import Any, Final
 from skope import coco, draw
 from skope.camera import Camera
 from skope.console import Console
+from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.blur import blurred
 from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
-from skope.eval.scene import FRAMES, PREDICTIONS, with_camera
+from skope.eval.scene import with_camera
 from skope.eval.settings import Settings
 from skope.files import replacing
 from skope.keypoints import Scheme

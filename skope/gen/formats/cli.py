@@ -13,10 +13,17 @@ def convert(
     paths: Annotated[
         list[Path], typer.Argument(metavar="SOURCE... OUT", help="What to read, and last the new folder.")
     ],
-    to: Annotated[str | None, typer.Option(help="folder, shards, or skope3d.", show_default="folder")] = None,
-    source: Annotated[str | None, typer.Option("--from", help="skope3d.", show_default="a dataset folder")] = None,
+    to: Annotated[
+        str | None, typer.Option(help="folder, shards, coco, cvat or skope3d.", show_default="folder")
+    ] = None,
+    source: Annotated[
+        str | None, typer.Option("--from", help="coco, cvat or skope3d.", show_default="a dataset folder")
+    ] = None,
     map_file: Annotated[
         Path | None, typer.Option("--map", help="JSON: what the keypoints of --from skope3d are in scheme skope33.")
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Where the images of --from coco or cvat lie, if not beside the annotations.")
     ] = None,
     split: Annotated[str | None, typer.Option(help="Split for all that is read.")] = None,
     quiet: QuietOption = False,
@@ -30,7 +37,7 @@ def convert(
     if not sources:
         raise UserError(f"{out}: name what to read and then the new folder")
     console = Console(quiet)
-    options = Options(map=map_file, split=split)
+    options = Options(map=map_file, images=images, split=split)
     write(sources, out, read_as=source, write_as=to, options=options, console=console)
     after = "skope gen check" if to in (None, "folder", "shards") else ""
     console.result(f"wrote {out}" + (f"; next: {after} {out}" if after else ""))

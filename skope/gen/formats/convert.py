@@ -1,6 +1,6 @@
 """From one format to another: `skope gen convert`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,26 +10,38 @@ from skope.console import Console
 from skope.dataset import Dataset, open_dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
-from skope.gen import pack
-from skope.gen.formats import native, skope3d
+from skope.gen.formats import coco_files, native, skope3d
+from skope.gen.formats.archive import zipped
 from skope.gen.formats.gather import LICENCE_FILE
+from skope.gen.pack import FORMATS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What some of the formats take; None and empty where nothing was said."""
+    """What some of the formats take; None where nothing was said."""
 
     map: Path | None = None
-    """Of `--from skope3d`: what its keypoints are."""
+    """What the keypoints of `--from skope3d` are."""
+    images: Path | None = None
+    """Where the images of annotation files lie."""
     split: str | None = None
     """Split that all that is read goes to."""
 
 
-_OF: Final = {"map": ("--from skope3d",), "split": ("--from skope3d",)}
-"""Where an option means something."""
+_OF: Final = {
+    "map": ("--from skope3d",),
+    "images": ("--from coco", "--from cvat"),
+    "split": ("--from skope3d", "--from coco", "--from cvat"),
+}
+"""What an option is for."""
 
-READERS: Final = ("skope3d",)
-WRITERS: Final = (*pack.FORMATS, "skope3d")
+_PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
+    "coco": coco_files.write,
+    "cvat": coco_files.write_cvat,
+    "skope3d": skope3d.write,
+}
+WRITERS: Final = (*FORMATS, *_PLAIN)
+READERS: Final = ("coco", "cvat", "skope3d")
 
 
 def convert(
@@ -37,7 +49,8 @@ def convert(
 ) -> None:
     """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
 
-    Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one.
+    Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one. CVAT takes archives:
+    there `out` may be a zip file.
     """
     if read_as is not None:
         one_of("--from", read_as, READERS)
@@ -45,13 +58,15 @@ def convert(
         one_of("--to", write_as, WRITERS)
     if read_as is None and write_as is None:
         raise UserError("say --to which format, or --from which one")
-    chosen = (f"--from {read_as}", f"--to {write_as}")
     for name, formats in _OF.items():
-        if getattr(options, name) and not set(formats) & set(chosen):
-            raise UserError(f"--{name} is for {' and '.join(formats)}")
+        if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
+            raise UserError(f"--{name} is for {', '.join(formats)}")
     if read_as is None and len(sources) != 1:
         raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
-    with replacing_folder(out) as folder:
+    archive = write_as == "cvat" and out.suffix == ".zip"
+    if archive and out.exists():
+        raise UserError(f"{out}: is there already; choose another name")
+    with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
         if read_as is None:
             _write(open_dataset(sources[0]), write_as or "folder", folder, console)
         elif write_as in (None, "folder"):
@@ -60,17 +75,30 @@ def convert(
             with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
                 _read(sources, Path(between), read_as, options, console)
                 _write(open_dataset(Path(between)), write_as, folder, console)
+        if archive:
+            zipped(folder, out)
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
     told = "".join(f" --{name} {value}" for name in _OF if (value := getattr(options, name)))
     command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
-    skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
+    if form == "skope3d":
+        skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
+    else:
+        coco_files.read(
+            sources,
+            root,
+            form=form,
+            images=options.images,
+            split=options.split,
+            command=command,
+            console=console,
+        )
 
 
 def _write(dataset: Dataset, form: str, folder: Path, console: Console) -> None:
-    if form in pack.FORMATS:
+    if form in FORMATS:
         native.convert(dataset, form, folder, console)
         return
-    skope3d.write(dataset, folder, console)
+    _PLAIN[form](dataset, folder, console)
     write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")
