@@ -14,7 +14,7 @@ def convert(
         list[Path], typer.Argument(metavar="SOURCE... OUT", help="What to read, and last the new folder.")
     ],
     to: Annotated[
-        str | None, typer.Option(help="folder, shards, coco, cvat or skope3d.", show_default="folder")
+        str | None, typer.Option(help="folder, shards, coco, cvat, kitti, mot, skope3d or yolo.", show_default="folder")
     ] = None,
     source: Annotated[
         str | None, typer.Option("--from", help="coco, cvat or skope3d.", show_default="a dataset folder")
@@ -24,6 +24,9 @@ def convert(
     ] = None,
     images: Annotated[
         Path | None, typer.Option(help="Where the images of --from coco or cvat lie, if not beside the annotations.")
+    ] = None,
+    keypoints: Annotated[
+        str | None, typer.Option(help="Names of the keypoints of --to yolo, separated by commas.", show_default="all")
     ] = None,
     split: Annotated[str | None, typer.Option(help="Split for all that is read.")] = None,
     quiet: QuietOption = False,
@@ -37,7 +40,9 @@ def convert(
     if not sources:
         raise UserError(f"{out}: name what to read and then the new folder")
     console = Console(quiet)
-    options = Options(map=map_file, images=images, split=split)
+    options = Options(
+        map=map_file, images=images, split=split, keypoints=tuple(keypoints.split(",")) if keypoints else ()
+    )
     write(sources, out, read_as=source, write_as=to, options=options, console=console)
     after = "skope gen check" if to in (None, "folder", "shards") else ""
     console.result(f"wrote {out}" + (f"; next: {after} {out}" if after else ""))

@@ -25,7 +25,7 @@ from skope.dataset import FRAMES, PREDICTIONS, Dataset
 from skope.errors import UserError
 from skope.files import read_json, write_text
 from skope.gen.formats.files import Files, InFolder, files_at
-from skope.gen.formats.gather import LICENCE_FILE, Gathered, put
+from skope.gen.formats.gather import LICENCE_FILE, Gathered, plain, put
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
 
@@ -51,7 +51,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             row = coco.image_to_dict(image)
             for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
                 if key in row:
-                    name = f"{kind}/{_plain(row[key])}"
+                    name = f"{kind}/{plain(row[key])}"
                     put(dataset.root / row[key], out / name)
                     row[key] = name
             rows.append(row)
@@ -65,7 +65,7 @@ def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
         file = dataset.read(split)
         rows = []
         for image in file.images:
-            name = _plain(image.file_name)
+            name = plain(image.file_name)
             put(dataset.root / image.file_name, out / "images" / split / name)
             row = coco.image_to_dict(image)
             row.pop("depth_file_name", None)
@@ -74,15 +74,6 @@ def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
         path = out / "annotations" / f"{CVAT_START}{split}.json"
         coco.write_rows(path, file.info, rows, annotations, file.scheme)
     write_text(out / "labels.json", json.dumps(cvat_labels(dataset.scheme), indent=1) + "\n")
-
-
-def _plain(name: str) -> str:
-    """A file name of ours, in a folder or in a shard, without what stands before site and frame."""
-    parts = PurePosixPath(name).parts
-    after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
-    if not after and parts[0] in ("images", "depth"):
-        after = 1
-    return "/".join(parts[after:])
 
 
 def _cvat_row(annotation: Annotation) -> dict[str, Any]:
@@ -348,9 +339,9 @@ def _image(
             place = {"site": match[1], "recording": match[2], "frame_index": int(match[3])}
             image = coco.image_from_dict({**place, **row})
     contents: dict[str, Path | bytes] = {}
-    name = f"images/{_plain(image.file_name)}"
+    name = f"images/{plain(image.file_name)}"
     if name in seen:
-        name = f"images/{file.split}/{_plain(image.file_name)}"
+        name = f"images/{file.split}/{plain(image.file_name)}"
     if name in seen:
         raise UserError(f"{where}: file_name: {image.file_name} stands twice")
     seen.add(name)
@@ -365,7 +356,7 @@ def _image(
     if image.depth_file_name is not None:
         found = _first(files, [image.depth_file_name, f"../{image.depth_file_name}"])
         if found is not None:
-            depth = f"depth/{_plain(image.depth_file_name)}"
+            depth = f"depth/{plain(image.depth_file_name)}"
             contents[depth] = found
     return replace(image, file_name=name, depth_file_name=depth), contents
 

@@ -10,7 +10,7 @@ from skope.console import Console
 from skope.dataset import Dataset, open_dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
-from skope.gen.formats import coco_files, native, skope3d
+from skope.gen.formats import coco_files, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.gather import LICENCE_FILE
 from skope.gen.pack import FORMATS
@@ -18,7 +18,7 @@ from skope.gen.pack import FORMATS
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What some of the formats take; None where nothing was said."""
+    """What some of the formats take; None or empty where nothing was said."""
 
     map: Path | None = None
     """What the keypoints of `--from skope3d` are."""
@@ -26,11 +26,14 @@ class Options:
     """Where the images of annotation files lie."""
     split: str | None = None
     """Split that all that is read goes to."""
+    keypoints: tuple[str, ...] = ()
+    """Names of the keypoints to write; none for all."""
 
 
 _OF: Final = {
     "map": ("--from skope3d",),
     "images": ("--from coco", "--from cvat"),
+    "keypoints": ("--to yolo",),
     "split": ("--from skope3d", "--from coco", "--from cvat"),
 }
 """What an option is for."""
@@ -38,9 +41,12 @@ _OF: Final = {
 _PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "coco": coco_files.write,
     "cvat": coco_files.write_cvat,
+    "kitti": kitti.write,
+    "mot": mot.write,
     "skope3d": skope3d.write,
 }
-WRITERS: Final = (*FORMATS, *_PLAIN)
+_YOLO: Final = "yolo"
+WRITERS: Final = (*FORMATS, *_PLAIN, _YOLO)
 READERS: Final = ("coco", "cvat", "skope3d")
 
 
@@ -68,19 +74,19 @@ def convert(
         raise UserError(f"{out}: is there already; choose another name")
     with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
         if read_as is None:
-            _write(open_dataset(sources[0]), write_as or "folder", folder, console)
+            _write(open_dataset(sources[0]), write_as or "folder", folder, options, console)
         elif write_as in (None, "folder"):
             _read(sources, folder, read_as, options, console)
         else:
             with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
                 _read(sources, Path(between), read_as, options, console)
-                _write(open_dataset(Path(between)), write_as, folder, console)
+                _write(open_dataset(Path(between)), write_as, folder, options, console)
         if archive:
             zipped(folder, out)
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
-    told = "".join(f" --{name} {value}" for name in _OF if (value := getattr(options, name)))
+    told = "".join(f" --{name} {value}" for name in _OF if isinstance(value := getattr(options, name), str | Path))
     command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
@@ -96,9 +102,12 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: Options, cons
         )
 
 
-def _write(dataset: Dataset, form: str, folder: Path, console: Console) -> None:
+def _write(dataset: Dataset, form: str, folder: Path, options: Options, console: Console) -> None:
     if form in FORMATS:
         native.convert(dataset, form, folder, console)
         return
-    _PLAIN[form](dataset, folder, console)
+    if form == _YOLO:
+        yolo.write(dataset, folder, options.keypoints, console)
+    else:
+        _PLAIN[form](dataset, folder, console)
     write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")

@@ -3,8 +3,10 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
+
+import numpy as np
 
 from skope import __version__, coco, schema, shards
 from skope.dataset import CARD
@@ -80,6 +82,22 @@ def put(content: Path | bytes, target: Path) -> None:
         write_bytes(target, shards.read(content))
     else:
         link(content, target)
+
+
+def plain(name: str) -> str:
+    """A file name of ours, in a folder or in a shard, without what stands before site and frame."""
+    parts = PurePosixPath(name).parts
+    after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
+    if not after and parts[0] in ("images", "depth"):
+        after = 1
+    return "/".join(parts[after:])
+
+
+def frame_rate(images: Sequence[Image]) -> float:
+    """Frames a second of a recording's images; 2, this program's usual rate, where no times say it."""
+    times = [image.time_s for image in images if image.time_s is not None]
+    steps = np.diff(times)
+    return float(1 / np.median(steps)) if len(steps) and (steps > 0).all() else 2.0
 
 
 def licence_beside(folder: Path) -> str:

@@ -29,7 +29,7 @@ from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import Archive, opened, zipped
-from skope.gen.formats.gather import Gathered, licence_beside
+from skope.gen.formats.gather import Gathered, frame_rate, licence_beside
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.schema import Annotation, Image
 from skope.video import write_video
@@ -371,7 +371,7 @@ def _write_scene(
     if len({(image.width, image.height) for image in images}) != 1:
         raise UserError(f"{dataset.root}: recording {images[0].recording} of {images[0].site} has images of two sizes")
     folder.mkdir(parents=True)
-    write_video(folder / VIDEO, (dataset.image(image) for image in images), _rate(images), "MJPG")
+    write_video(folder / VIDEO, (dataset.image(image) for image in images), frame_rate(images), "MJPG")
     for frame, image in enumerate(images):
         (folder / str(frame)).mkdir()
         own = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]
@@ -380,13 +380,6 @@ def _write_scene(
                 text = io.StringIO()
                 csv.writer(text, lineterminator="\n").writerows(rows)
                 write_text(folder / str(frame) / f"{kind}_{number}.csv", text.getvalue())
-
-
-def _rate(images: Sequence[Image]) -> float:
-    """Frames a second; 2 where no times say it."""
-    times = [image.time_s for image in images if image.time_s is not None]
-    steps = np.diff(times)
-    return float(1 / np.median(steps)) if len(steps) and (steps > 0).all() else 2.0
 
 
 def _tables(vehicle: Annotation, image: Image) -> dict[str, list[list[Any]]]:
