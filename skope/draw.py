@@ -20,6 +20,7 @@ from skope.boxes import xywh_to_xyxy
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import replacing
+from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Result
 
 Pixels = NDArray[np.uint8]
@@ -37,13 +38,13 @@ _SHIFT: Final = 4
 """OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
 
 
-def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
+def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
     """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
 
     Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); an ignored vehicle is a dashed box with
     its reason. The label is the track's number, or the annotation's id.
     """
-    canvas = _Canvas(image, scale)
+    canvas = _Canvas(image, scale, scheme)
     for vehicle in sorted(vehicles, key=lambda a: not a.ignored):
         color = color_of(vehicle)
         if vehicle.ignored:
@@ -76,12 +77,12 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     return canvas.pixels
 
 
-def results(image: Pixels, found: Iterable[Result], *, scale: int = 1) -> Pixels:
+def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
     """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
     Keypoints are filled from a probability of 0.5 and hollow below. The label is the score.
     """
-    canvas = _Canvas(image, scale)
+    canvas = _Canvas(image, scale, scheme)
     for i, result in enumerate(sorted(found, key=lambda r: r.score)):
         color = PALETTE[i % len(PALETTE)]
         shown = np.ones(keypoints.K, dtype=bool)
@@ -186,10 +187,10 @@ def write(path: Path, image: Pixels) -> None:
 class _Canvas:
     """An image being drawn on; positions are pixels of the image before it was enlarged."""
 
-    def __init__(self, image: Pixels, scale: int) -> None:
+    def __init__(self, image: Pixels, scale: int, scheme: Scheme = SKOPE33) -> None:
         size = (image.shape[1] * scale, image.shape[0] * scale)
         self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
-        self._scale = scale
+        self._scale, self._scheme = scale, scheme
         self._unit = max(1.0, min(size) / 540)
         """One at 960x540 and below, two at 1920x1080."""
         self._line = round(self._unit)
@@ -206,7 +207,7 @@ class _Canvas:
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)
         self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, self._line)
         dim = tuple(c // 2 for c in color)
-        for a, b in keypoints.SKELETON:
+        for a, b in self._scheme.skeleton:
             if shown[a] and shown[b]:
                 edge = color if sure[a] and sure[b] else dim
                 self._polyline([points[a, :2], points[b, :2]], edge, max(1, self._line // 2))
@@ -214,7 +215,7 @@ class _Canvas:
         extent = max(x1 - x0, y1 - y0) * self._scale
         radius = float(np.clip(extent / 50, 1.5, 2.25 * self._unit))
         for i in np.flatnonzero(shown):
-            self._point(points[i, :2], radius, keypoints.COLORS[i], filled=bool(sure[i]))
+            self._point(points[i, :2], radius, self._scheme.colors[i], filled=bool(sure[i]))
 
     def box_3d(self, box: Box3D, camera: Camera, color: Color) -> None:
         """A box's edges, those of its front end thicker."""

@@ -1,9 +1,8 @@
 """What a card counts."""
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Any
-
-from skope.gen.recording import Take
 
 
 class Counts:
@@ -15,15 +14,22 @@ class Counts:
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
 
-    def add(self, take: Take, labels: dict[str, Any]) -> None:
-        places = [("split", take.split), ("site", take.site), ("weather", labels["image"]["weather"])]
-        for group, name in places:
+    def add(
+        self, places: Mapping[str, str | None], rows: Iterable[Mapping[str, Any]], tally: Mapping[str, Any]
+    ) -> None:
+        """Count an image with the rows of its vehicles; `places` name its split, site and weather.
+
+        What is not known of an image or a vehicle is not counted.
+        """
+        known = [(group, name) for group, name in places.items() if name is not None]
+        for group, name in known:
             self.by[group].setdefault(name, Counter())["images"] += 1
-        for annotation in labels["annotations"]:
-            kind = "ignored" if annotation["iscrowd"] else "ground_truth"
-            for group, name in (*places, ("vehicle_type", annotation["vehicle_type"])):
+        for row in rows:
+            kind = "ignored" if row["iscrowd"] else "ground_truth"
+            type_ = row.get("vehicle_type")
+            for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
                 self.by[group].setdefault(name, Counter())[kind] += 1
-        tally = dict(labels["tally"])
+        tally = dict(tally)
         self.ignored.update(tally.pop("ignored"))
         self.tally.update(tally)
 

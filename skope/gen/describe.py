@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Final
 
+from skope import keypoints
 from skope.gen.licences import ADDRESSES
 from skope.page import marks
 
@@ -56,14 +57,21 @@ def summary(card: Card) -> str:
     """A dataset in one sentence."""
     counts = card.get("counts", {})
     if "images" not in counts:
-        return f"Images of vehicles with keypoints of scheme {card.get('keypoint_scheme')}."
+        return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
     return (
         f"{counts['images']} images{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each, and {ignored} more that are marked as ignored."
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}, and {ignored} more that are marked as "
+        "ignored."
     )
+
+
+def _scheme(card: Card) -> str:
+    """Which keypoints they are, where they are not ours."""
+    scheme = card.get("keypoint_scheme")
+    return f" (scheme {scheme})" if scheme != keypoints.SCHEME else ""
 
 
 def purposes() -> list[str]:

@@ -198,7 +198,8 @@ class Store:
     def _numbered(self, take: Take, counts: Counts) -> Iterator[Labels]:
         for frame in range(take.frames):
             labels = read_json(self._label_path(take.frame_name(frame)))
-            counts.add(take, labels)
+            places = {"split": take.split, "site": take.site, "weather": labels["image"]["weather"]}
+            counts.add(places, labels["annotations"], labels["tally"])
             counts.images += 1
             rows = []
             for row in labels["annotations"]:

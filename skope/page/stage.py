@@ -4,7 +4,7 @@ import base64
 from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from skope.boxes import xywh_to_xyxy
 from skope.page.marks import tag
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 LONGEST: Final = 960
 """Pixels of the longer edge of an embedded photograph."""
@@ -69,12 +70,12 @@ def path(d: str, class_: str) -> str:
 
 def points(
     at: Floats,
-    known: Any,
-    sure: Any,
-    joined: Any,
+    known: Flags,
+    sure: Flags,
+    joined: Flags,
     scale: float,
+    skeleton: Sequence[tuple[int, int]],
     shown: Collection[int] = range(keypoints.K),
-    skeleton: Sequence[tuple[int, int]] = keypoints.SKELETON,
 ) -> str:
     """(33, 2 or more) keypoints: the skeleton between joined ones, and the known ones as dots where sure, else rings.
 

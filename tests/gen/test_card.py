@@ -165,15 +165,13 @@ def test_croissant_of_shards_names_each_archive() -> None:
     assert "recordSet" not in document
 
 
-def test_the_counted_weather_is_the_images(tmp_path: Path) -> None:
-    from skope.gen.recording import Take
-
+def test_what_is_known_of_an_image_is_counted(tmp_path: Path) -> None:
     file = coco.read(make_dataset(tmp_path) / "annotations/easy.json")
     counts = Counts()
     for image in file.images:
         rows = [coco.annotation_to_dict(a) for a in file.by_image()[image.id]]
-        counts.add(
-            Take("site", "00", "easy", 2),
-            {"image": coco.image_to_dict(image), "annotations": rows, "tally": {"ignored": {}}},
-        )
-    assert counts.to_dict()["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}
+        counts.add({"split": "easy", "site": None, "weather": image.weather}, rows, {"ignored": {}})
+    said = counts.to_dict()
+    assert said["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}
+    assert said["by_site"] == {}
+    assert said["by_vehicle_type"] == {"sedan": {"ground_truth": 4, "ignored": 0}}

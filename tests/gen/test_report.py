@@ -23,6 +23,7 @@ from skope.depth import depth_png
 from skope.gen.report.layers import figure
 from skope.gen.report.plots import plots, spread_of
 from skope.gen.report.sample import spread
+from skope.keypoints import SKOPE33
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.eval.page import Page
 from tests.samples import make_annotation, make_dataset, make_image
@@ -224,7 +225,7 @@ def test_plots_count_every_vehicle_once() -> None:
     rows = [replace(make_annotation(i, 1, (0, 0, 40, 30 + i), hidden=3), distance=float(i)) for i in range(1, 11)]
     ignored = make_annotation(11, 1, (0, 0, 9, 9), iscrowd=1)
     file = AnnotationFile(images=(make_image(1),), annotations=(*rows, ignored), name="easy")
-    page = Page("".join(plots({"easy": spread_of(file)})))
+    page = Page("".join(plots({"easy": spread_of(file)}, SKOPE33)))
     tips = [a["data-tip"] or "" for a in page.all("path") if "data-tip" in a]
     far = [tip for tip in tips if "distance" in tip]
     # Bands of 1 m up to 20 m, every second one marked: 0-1, 2-3, ... 18-19.
@@ -236,9 +237,9 @@ def test_plots_count_every_vehicle_once() -> None:
 
 def test_splits_with_no_vehicle_and_with_one_at_no_distance_have_plots_too() -> None:
     file = AnnotationFile(images=(make_image(1),), annotations=(), name="easy")
-    assert Page("".join(plots({"easy": spread_of(file)}))).all("svg")
+    assert Page("".join(plots({"easy": spread_of(file)}, SKOPE33))).all("svg")
     here = replace(make_annotation(1, 1, (0, 0, 40, 30)), distance=0.0)
-    page = Page("".join(plots({"easy": spread_of(replace(file, annotations=(here,)))})))
+    page = Page("".join(plots({"easy": spread_of(replace(file, annotations=(here,)))}, SKOPE33)))
     assert "easy (1): distance, m 0.5, share of vehicles 1.000" in [a.get("data-tip") for a in page.all("path")]
 
 

@@ -16,6 +16,8 @@ from skope.eval.tally import Floats, Integers, Judged, Options
 from skope.page import stage
 from skope.page.marks import tag
 
+Flags = NDArray[np.bool_]
+
 EACH: Final = 2
 """Images of each kind."""
 WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
@@ -111,6 +113,9 @@ def _layers(
     def label(box: Floats, text: str) -> str:
         return stage.label(box, text, unit, image.width)
 
+    def drawn(points: Floats, known: Flags, sure: Flags, joined: Flags) -> str:
+        return stage.points(points, known, sure, joined, unit, options.scheme.skeleton, options.points)
+
     truth, found, wrong, words = [], [], [], []
     ignored = [
         stage.box(box_of(a, options.boxes)) for a in measured.file.annotations if a.ignored and a.image_id == image.id
@@ -120,7 +125,7 @@ def _layers(
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
         known = points[:, 2] > 0
-        truth.append(stage.box(box, name) + stage.points(points, known, points[:, 2] > 1, known, unit, options.points))
+        truth.append(stage.box(box, name) + drawn(points, known, points[:, 2] > 1, known))
         if not judged.found[g]:
             wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
@@ -137,7 +142,7 @@ def _layers(
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
         known, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
-        found.append(stage.box(box, name) + stage.points(points, known, sure, sure, unit, options.points))
+        found.append(stage.box(box, name) + drawn(points, known, sure, sure))
         if false[d]:
             wrong.append(label(box, "false"))
             words.append(f"false {name}")
@@ -145,7 +150,7 @@ def _layers(
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
 
 
-def _strays(truth: Floats, found: Floats, wrong: NDArray[np.bool_]) -> str:
+def _strays(truth: Floats, found: Floats, wrong: Flags) -> str:
     """From where each wrong point was put to where it belongs."""
     return stage.path(
         "".join(f"M{stage.place(found[k])}L{stage.place(truth[k])}" for k in np.flatnonzero(wrong)), "stray"

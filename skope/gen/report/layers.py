@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skope import draw
 from skope.dataset import Dataset
 from skope.errors import UserError
+from skope.keypoints import Scheme
 from skope.page import stage
 from skope.page.marks import tag
 from skope.schema import Annotation, Image
@@ -53,7 +54,9 @@ def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> st
     return tag(
         "figure",
         tag("figcaption", larger, tag("b", escape(image.file_name)), tag("div", escape(caption))),
-        tag("div", photo, _depth(metres), stage.drawing(_layers(image, vehicles), size), class_="stage"),
+        tag(
+            "div", photo, _depth(metres), stage.drawing(_layers(image, vehicles, dataset.scheme), size), class_="stage"
+        ),
         class_="photo",
         data_split=image.split,
         data_site=image.site,
@@ -76,14 +79,14 @@ def _sun(image: Image) -> str:
     return f"sun {abs(degrees):.0f}° {'above' if degrees >= 0 else 'below'} the horizon"
 
 
-def _layers(image: Image, vehicles: Sequence[Annotation]) -> list[str]:
+def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> list[str]:
     known = [vehicle for vehicle in vehicles if not vehicle.ignored]
     unit = stage.unit(image.width)
     kinds: dict[str, Callable[[Annotation], str]] = {
         "masks": _mask,
         "boxes3d": lambda vehicle: _box_3d(image, vehicle),
         "boxes": lambda vehicle: stage.box(vehicle.bbox, _words(vehicle)),
-        "points": lambda vehicle: _points(vehicle, unit),
+        "points": lambda vehicle: _points(vehicle, unit, scheme),
     }
     layers = [tag("g", *(_own(vehicle, of(vehicle)) for vehicle in known), class_=name) for name, of in kinds.items()]
     ignored = [stage.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
@@ -115,9 +118,9 @@ def _words(vehicle: Annotation) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _points(vehicle: Annotation, unit: float) -> str:
+def _points(vehicle: Annotation, unit: float, scheme: Scheme) -> str:
     seen = vehicle.keypoints[:, 2]
-    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, unit)
+    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, unit, scheme.skeleton)
 
 
 def _box_3d(image: Image, vehicle: Annotation) -> str:

@@ -73,7 +73,7 @@ def _page(
             "section",
             tag("h2", "Numbers"),
             table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
-            tag("div", *plots(spreads), class_="grid"),
+            tag("div", *plots(spreads, dataset.scheme), class_="grid"),
         ),
         tag(
             "section",

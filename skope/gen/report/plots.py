@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
+from skope.keypoints import Scheme
 from skope.page.charts import Axes, Line, chart
 from skope.page.marks import bar, share, table
 from skope.page.outline import Point, outline
@@ -54,7 +55,7 @@ def _values(known: Sequence[Annotation], value: Callable[[Annotation], float | N
     return np.array([v for a in known if (v := value(a)) is not None], dtype=np.float64)
 
 
-def plots(spreads: Mapping[str, Spread]) -> list[str]:
+def plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
     """Figures and tables, as parts of a page."""
     distance = {split: of.distance_m for split, of in spreads.items()}
     height = {split: of.height_px for split, of in spreads.items()}
@@ -65,7 +66,7 @@ def plots(spreads: Mapping[str, Spread]) -> list[str]:
         *_histogram("How much something else hides of them", "hidden share", hidden, 1.0),
         _bars("Weather", "images", [of.weather for of in spreads.values()]),
         _bars("Vehicle types", "vehicles", [of.types for of in spreads.values()]),
-        _visible(list(spreads.values())),
+        _visible(list(spreads.values()), scheme),
     ]
 
 
@@ -99,10 +100,10 @@ def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
     return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
 
 
-def _visible(spreads: Sequence[Spread]) -> str:
+def _visible(spreads: Sequence[Spread], scheme: Scheme) -> str:
     seen, vehicles = sum(of.visible for of in spreads), sum(of.vehicles for of in spreads)
     points = {}
-    for name, count in zip(keypoints.NAMES, np.asarray(seen).tolist(), strict=True):
+    for name, count in zip(scheme.names, np.asarray(seen).tolist(), strict=True):
         part = count / vehicles if vehicles else None
         points[name] = Point(share=part, tip=f"visible on {count} of {vehicles}", cells=(str(count), share(part)))
     title = "Share of the vehicles on which each keypoint is visible"
