@@ -23,7 +23,7 @@ from skope.depth import depth_png
 from skope.gen.report.layers import figure
 from skope.gen.report.plots import plots, spread_of
 from skope.gen.report.sample import spread
-from skope.keypoints import SKOPE33
+from skope.keypoints import PUBLISHED, SKOPE33
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.eval.page import Page
 from tests.samples import make_annotation, make_dataset, make_image
@@ -111,6 +111,15 @@ def test_a_layer_that_no_image_has_is_not_offered(tmp_path: Path) -> None:
     page = page_of(make_dataset(tmp_path / "plain", images=1))
     assert [a["data-layer"] for a in page.all("input")] == ["boxes", "points"]
     assert [a["data-filter"] for a in page.all("select")] == ["split"]
+
+
+def test_keypoints_of_another_scheme_are_numbers_without_an_outline(tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "published", images=1, splits=("train",), scheme=PUBLISHED)
+    page = page_of(root)
+    assert "skope3d_00" in page.text
+    assert not [a for a in page.all("svg") if "outline" in (a.get("class") or "")]
+    edges = [a["d"] or "" for a in page.all("path") if a.get("class") == "edges"]
+    assert [d.count("M") for d in edges] == [len(PUBLISHED.skeleton)] * 2
 
 
 @pytest.mark.parametrize(
