@@ -90,7 +90,7 @@ def plain(name: str) -> str:
     after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
     if not after and parts[0] in ("images", "depth"):
         after = 1
-    return "/".join(parts[after:])
+    return "/".join(parts[after:]).replace(".depth.", ".")
 
 
 def frame_rate(images: Sequence[Image]) -> float:
