@@ -64,6 +64,8 @@ def convert(
         one_of("--to", write_as, WRITERS)
     if read_as is None and write_as is None:
         raise UserError("say --to which format, or --from which one")
+    if read_as is not None and write_as == "shards":
+        raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
     for name, formats in _OF.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
             raise UserError(f"--{name} is for {', '.join(formats)}")
