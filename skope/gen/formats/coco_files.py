@@ -25,7 +25,7 @@ from skope.dataset import FRAMES, PREDICTIONS, Dataset
 from skope.errors import UserError
 from skope.files import read_json, write_text
 from skope.gen.formats.files import Files, InFolder, files_at
-from skope.gen.formats.gather import LICENCE_FILE, Gathered, plain, put
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, Gathered, plain, put
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
 
@@ -217,7 +217,7 @@ def _annotation_files(source: Path, files: Files, form: str, split: str | None) 
         subset = PurePosixPath(name).stem.removeprefix(CVAT_START)
         where = f"{files.where}/{name}"
         chosen = split or ("train" if subset.lower() in (_DEFAULT, "instances_default") else subset)
-        if not re.fullmatch(r"\w[\w.-]*", chosen):
+        if not SPLIT_NAME.fullmatch(chosen):
             raise UserError(f"{where}: {chosen!r} cannot be the name of a split: give one with --split")
         yield _File(where, _parsed(where, files.find(name)), chosen, subset)
 

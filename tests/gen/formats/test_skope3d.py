@@ -279,6 +279,7 @@ def test_out_must_be_empty_and_flags_must_fit(skope: Any) -> None:
         (("ours", "ours", "new", "--to", "skope3d"), "expected one dataset folder and a new folder, got 2"),
         (("ours", "new", "--from", "coco", "--to", "shards"), "--to shards: is for what `skope gen` made"),
         (("ours", "new", "--to", "yolo", "--images", "ours"), "--images is for --from coco, --from cvat"),
+        (("ours", "new", "--from", "skope3d", "--split", "../train"), "--split: expected letters, digits"),
         (("new", "--to", "skope3d"), "new: name what to read and then the new folder"),
         (("ours", "new", "--to", "skope3d", "--split", "easy"), "--split is for --from"),
     ):
