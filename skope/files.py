@@ -35,14 +35,15 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
 
     On failure, or without `keep`, it is removed. Raises UserError where `path` is a file or not empty.
     """
-    temporary = path.absolute().with_name(f".{path.name}.{os.getpid()}.part")
+    whole = path.absolute()
+    temporary = whole.with_name(f".{whole.name}.{os.getpid()}.part")
     try:
         if keep and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise UserError(f"{path}: is {'not empty' if path.is_dir() else 'a file'}; choose another folder")
         temporary.mkdir(parents=True)
         yield temporary
         if keep:
-            temporary.replace(path)
+            temporary.replace(whole)
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:

@@ -18,7 +18,7 @@ from skope.gen.frames import Encoding
 from skope.gen.vehicles import fleet
 
 CROISSANT: Final = "croissant.json"
-PHOTOGRAPH: Final = "{} for what is drawn; the background is the user's photograph, whose rights are as they were"
+PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
 def card(

@@ -19,6 +19,7 @@ app = typer.Typer(help="Generate annotated roadside images.", invoke_without_com
 app.add_typer(vehicles_cli.app, name="vehicles")
 app.command()(sites_cli.sites)
 app.command()(formats_cli.convert)
+app.command()(formats_cli.merge)
 for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.report, look_cli.video):
     app.command()(command)
 

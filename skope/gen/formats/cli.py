@@ -1,4 +1,4 @@
-"""`skope gen convert`: datasets in the formats of other tools."""
+"""`skope gen convert` and `merge`: datasets in the formats of other tools, and joined."""
 
 from pathlib import Path
 from typing import Annotated
@@ -46,3 +46,17 @@ def convert(
     write(sources, out, read_as=source, write_as=to, options=options, console=console)
     after = "skope gen check" if to in (None, "folder", "shards") else ""
     console.result(f"wrote {out}" + (f"; next: {after} {out}" if after else ""))
+
+
+def merge(
+    paths: Annotated[list[Path], typer.Argument(metavar="A B... OUT", help="Datasets, and last the new folder.")],
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Join datasets: ids numbered anew, sites kept apart, splits as they are, licences united."""
+    from skope.gen.merge import merge as join
+
+    *sources, out = paths
+    console = Console(quiet)
+    join(sources, out, console)
+    console.result(f"wrote {out}; next: skope gen check {out}")

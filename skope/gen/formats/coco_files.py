@@ -25,13 +25,15 @@ from skope.dataset import FRAMES, PREDICTIONS, Dataset
 from skope.errors import UserError
 from skope.files import read_json, write_text
 from skope.gen.formats.files import Files, InFolder, files_at
-from skope.gen.formats.gather import LICENCE_FILE, Gathered, plain, put
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, Gathered, plain, put
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
 
 CVAT_START: Final = "person_keypoints_"
 _ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
 """Fields that CVAT holds as attributes."""
+_UNSAID: Final = "-"
+"""An attribute of CVAT's that nobody has set."""
 _DEFAULT: Final = "default"
 """CVAT's subset of images that are in none."""
 _SITE: Final = re.compile(r"(?:.*/)?([^/]+)/([^/]+)_(\d{1,9})\.\w+")
@@ -56,7 +58,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
                     row[key] = name
             rows.append(row)
         annotations = [coco.annotation_to_dict(a) for a in file.annotations]
-        coco.write_rows(out / "annotations" / f"{split}.json", file.info, rows, annotations, file.scheme)
+        coco.write_rows(out / "annotations" / f"{split}.json", {"split": split}, rows, annotations, file.scheme)
 
 
 def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
@@ -72,7 +74,7 @@ def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
             rows.append({**row, "file_name": name})
         annotations = [_cvat_row(annotation) for annotation in file.annotations]
         path = out / "annotations" / f"{CVAT_START}{split}.json"
-        coco.write_rows(path, file.info, rows, annotations, file.scheme)
+        coco.write_rows(path, {"split": split}, rows, annotations, file.scheme)
     write_text(out / "labels.json", json.dumps(cvat_labels(dataset.scheme), indent=1) + "\n")
 
 
@@ -108,10 +110,10 @@ def cvat_labels(scheme: Scheme) -> list[dict[str, Any]]:
             "name": schema.category()["name"],
             "type": "skeleton",
             "attributes": [
-                attribute("model", "text", [""]),
-                attribute("vehicle_type", "select", ["", *schema.VEHICLE_TYPES]),
-                attribute("color", "select", ["", *schema.COLORS]),
-                attribute("ignore_reason", "select", ["", *schema.IGNORE_REASONS]),
+                attribute("model", "text", [_UNSAID]),
+                attribute("vehicle_type", "select", [_UNSAID, *schema.VEHICLE_TYPES]),
+                attribute("color", "select", [_UNSAID, *schema.COLORS]),
+                attribute("ignore_reason", "select", [_UNSAID, *schema.IGNORE_REASONS]),
             ],
             "svg": "".join([*lines, *nodes]),
             "sublabels": [{"name": name, "type": "points", "attributes": []} for name in scheme.names],
@@ -215,7 +217,7 @@ def _annotation_files(source: Path, files: Files, form: str, split: str | None) 
         subset = PurePosixPath(name).stem.removeprefix(CVAT_START)
         where = f"{files.where}/{name}"
         chosen = split or ("train" if subset.lower() in (_DEFAULT, "instances_default") else subset)
-        if not re.fullmatch(r"\w[\w.-]*", chosen):
+        if not SPLIT_NAME.fullmatch(chosen):
             raise UserError(f"{where}: {chosen!r} cannot be the name of a split: give one with --split")
         yield _File(where, _parsed(where, files.find(name)), chosen, subset)
 
@@ -406,7 +408,7 @@ def _attributes(values: object) -> dict[str, Any]:
     for name, choices in lists.items():
         if given.get(name) in choices:
             out[name] = given[name]
-    if given.get("model"):
+    if given.get("model", "") not in ("", _UNSAID):
         out["model"] = str(given["model"])
     if re.fullmatch(r"\d{1,18}", str(given.get("track_id", ""))):
         out["track_id"] = int(given["track_id"])

@@ -12,7 +12,7 @@ from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_files, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.gather import LICENCE_FILE
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME
 from skope.gen.pack import FORMATS
 
 
@@ -64,9 +64,13 @@ def convert(
         one_of("--to", write_as, WRITERS)
     if read_as is None and write_as is None:
         raise UserError("say --to which format, or --from which one")
+    if read_as is not None and write_as == "shards":
+        raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
     for name, formats in _OF.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
             raise UserError(f"--{name} is for {', '.join(formats)}")
+    if options.split is not None and not SPLIT_NAME.fullmatch(options.split):
+        raise UserError(f"--split: expected letters, digits, _, . and -, got {options.split!r}")
     if read_as is None and len(sources) != 1:
         raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
     archive = write_as == "cvat" and out.suffix == ".zip"

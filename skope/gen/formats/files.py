@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Protocol
+from pathlib import Path, PurePosixPath
+from typing import Final, Protocol
 
 from skope.errors import UserError
 from skope.gen.formats.archive import Archive, opened
 
-_LARGEST_IMAGE = 1 << 28
+_LARGEST: Final = {".json": 1 << 31}
+_LARGEST_OTHER: Final = 1 << 28
+"""Bytes of a file that is unpacked into memory."""
 
 
 class Files(Protocol):
@@ -55,7 +57,8 @@ class InArchive:
         )
 
     def find(self, name: str) -> Path | bytes | None:
-        return self._archive.read(name, _LARGEST_IMAGE) if name in self._archive else None
+        limit = _LARGEST.get(PurePosixPath(name).suffix, _LARGEST_OTHER)
+        return self._archive.read(name, limit) if name in self._archive else None
 
 
 @contextmanager

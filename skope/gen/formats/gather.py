@@ -1,5 +1,6 @@
 """A dataset folder made of images and vehicles that come from elsewhere."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,10 @@ from skope.schema import Annotation, AnnotationFile, Image
 
 LICENCE_FILE: Final = "LICENCE.txt"
 """In every export: the dataset's licence."""
+
+
+SPLIT_NAME: Final = re.compile(r"\w[\w.-]*")
+"""What a split may be called: its file bears the name."""
 
 
 @dataclass
@@ -90,9 +95,9 @@ def plain(name: str) -> str:
     """A file name of ours, in a folder or in a shard, without what stands before site and frame."""
     parts = PurePosixPath(name).parts
     after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
-    if not after and parts[0] in ("images", "depth"):
-        after = 1
-    return "/".join(parts[after:])
+    if after:
+        return "/".join(parts[after:]).replace(".depth.", ".")
+    return "/".join(parts[1:] if parts[0] in ("images", "depth") else parts)
 
 
 def frame_rate(images: Sequence[Image]) -> float:

@@ -2,6 +2,7 @@
 
 import configparser
 import itertools
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco, keypoints
+from skope import coco, keypoints, shards
 from skope.calibration import over_plane, read_calibration, read_plane
 from skope.camera import Camera
 from skope.dataset import open_dataset
+from skope.files import write_json
 from skope.gen.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
 from tests.samples import make_annotation, make_dataset
@@ -221,6 +223,30 @@ def test_mot_sequences(skope: Any, ours: Path) -> None:
     coco.write(path, replace(file, annotations=(replace(file.annotations[0], track_id=None),)))
     code, _, err = skope("gen", "convert", "ours", "again", "--to", "mot", "-q")
     assert (code, "annotation 499: track_id: missing" in err) == (2, True)
+
+
+def test_shards_are_exported_like_folders(skope: Any, ours: Path) -> None:
+    file = open_dataset(ours).read("easy")
+    own = file.by_image()
+    shard = Path("tars/shards/easy-000000.tar")
+    members = []
+    for image in file.images:
+        stem = f"site/{image.recording}_{image.frame_index:06d}"
+        row = coco.image_to_dict(image) | {"file_name": f"shards/{shard.name}/{stem}.png"}
+        labels = {"image": row, "annotations": [coco.annotation_to_dict(a) for a in own[image.id]]}
+        members += [(f"{stem}.png", (ours / image.file_name).read_bytes())]
+        members += [(f"{stem}.json", json.dumps(labels).encode())]
+    shards.write_shard(shard, members)
+    write_json(Path("tars/dataset.json"), {"version": 1, "keypoint_scheme": "skope33", "format": "shards"})
+    (ours / "annotations" / "train.json").unlink()
+    for form in ("coco", "mot"):
+        for root in ("ours", "tars"):
+            assert skope("gen", "convert", root, f"{form}_{root}", "--to", form, "-q")[0] == 0
+        assert files_below(Path(f"{form}_ours")) == files_below(Path(f"{form}_tars"))
+
+
+def files_below(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def test_exports_share_the_images_of_the_dataset(skope: Any, ours: Path) -> None:

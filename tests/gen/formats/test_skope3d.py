@@ -277,6 +277,9 @@ def test_out_must_be_empty_and_flags_must_fit(skope: Any) -> None:
         (("ours", "new", "--to", "pascal"), "--to: 'pascal' is not one of folder, shards"),
         (("ours", "new", "--from", "pascal"), "--from: 'pascal' is not one of"),
         (("ours", "ours", "new", "--to", "skope3d"), "expected one dataset folder and a new folder, got 2"),
+        (("ours", "new", "--from", "coco", "--to", "shards"), "--to shards: is for what `skope gen` made"),
+        (("ours", "new", "--to", "yolo", "--images", "ours"), "--images is for --from coco, --from cvat"),
+        (("ours", "new", "--from", "skope3d", "--split", "../train"), "--split: expected letters, digits"),
         (("new", "--to", "skope3d"), "new: name what to read and then the new folder"),
         (("ours", "new", "--to", "skope3d", "--split", "easy"), "--split is for --from"),
     ):
