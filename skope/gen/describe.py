@@ -43,7 +43,7 @@ def sections(card: Card) -> list[Section]:
     """What is to be said of a dataset, in the order of reading."""
     parts = [
         Section("What it is for", purposes()),
-        Section("How it was made", [*_command(card), made(card)]),
+        Section("How it was made", [*_command(card), made(card), _sources(card)]),
         Section("What the labels mean", [list(card.get("label_rules", [])), *_rules_in_numbers(card)]),
         Section("Balance", _balance(card)),
         Section(LIMITS, [limits(card)]),
@@ -60,11 +60,11 @@ def summary(card: Card) -> str:
         return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
+    besides = f", and {ignored} more that are marked as ignored" if ignored else ""
     return (
         f"{counts['images']} images{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}, and {ignored} more that are marked as "
-        "ignored."
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{besides}."
     )
 
 
@@ -78,13 +78,18 @@ def purposes() -> list[str]:
     """What a dataset is good for."""
     return [
         "Training and measuring detectors of vehicle keypoints for fixed roadside cameras, and developing what builds "
-        "on keypoints: position, heading, size and speed of vehicles from one camera. Masks, 3D boxes, depth and track "
-        "numbers make it useful for segmentation, monocular 3D detection and tracking too.",
+        "on keypoints: position, heading, size and speed of vehicles from one camera. Where it has masks, 3D boxes, "
+        "depth and track numbers, it serves segmentation, monocular 3D detection and tracking too.",
     ]
 
 
 def _command(card: Card) -> list[Command]:
     return [Command(card["command"])] if "command" in card else []
+
+
+def _sources(card: Card) -> list[str]:
+    """What a joined dataset was joined from."""
+    return [f"{of['name']} ({of['licence']}): `{of['command']}`" for of in card.get("sources", ())]
 
 
 def made(card: Card) -> list[str]:

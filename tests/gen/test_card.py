@@ -74,6 +74,8 @@ def test_the_card_of_another_tool_says_what_it_knows() -> None:
     assert "Not validated for safety or enforcement" in text
     assert "## How it was made" not in text
     assert "## People" not in text
+    part = {"name": "west", "licence": "CC0 1.0", "command": "skope gen --seed 4"}
+    assert "- west (CC0 1.0): `skope gen --seed 4`" in describe.markdown({**known, "sources": [part]})
 
 
 def test_a_table_cell_cannot_break_out() -> None:
