@@ -78,7 +78,7 @@ def purposes() -> list[str]:
     """What a dataset is good for."""
     return [
         "Training and measuring detectors of vehicle keypoints for fixed roadside cameras, and developing what builds "
-        "on keypoints: position, heading, size and speed of vehicles from one camera. Where it has masks, 3D boxes, "
+        "on keypoints: position, heading, size and speed of vehicles from one camera. Where there are masks, 3D boxes, "
         "depth and track numbers, it serves segmentation, monocular 3D detection and tracking too.",
     ]
 
