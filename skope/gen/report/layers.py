@@ -81,26 +81,33 @@ def _sun(image: Image) -> str:
 
 def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> list[str]:
     known = [vehicle for vehicle in vehicles if not vehicle.ignored]
-    unit = stage.unit(image.width)
     kinds: dict[str, Callable[[Annotation], str]] = {
         "masks": _mask,
         "boxes3d": lambda vehicle: _box_3d(image, vehicle),
         "boxes": lambda vehicle: stage.box(vehicle.bbox, _words(vehicle)),
-        "points": lambda vehicle: _points(vehicle, unit, scheme),
+        "points": lambda vehicle: _points(vehicle, _scale(vehicle, image), scheme),
     }
-    layers = [tag("g", *(_own(vehicle, of(vehicle)) for vehicle in known), class_=name) for name, of in kinds.items()]
+    layers = [
+        tag("g", *(_own(vehicle, of(vehicle), _scale(vehicle, image)) for vehicle in known), class_=name)
+        for name, of in kinds.items()
+    ]
     ignored = [stage.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
     return [tag("g", *ignored, class_="ignored"), *layers]
 
 
-def _own(vehicle: Annotation, drawn: str) -> str:
+def _scale(vehicle: Annotation, image: Image) -> float:
+    """How large points are drawn: small on small vehicles, where they would run together."""
+    return float(np.clip(vehicle.bbox[2:].max() / 60, 0.3, stage.unit(image.width)))
+
+
+def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
     """What is drawn of a vehicle, in its colour."""
     if not drawn:
         return ""
     return tag(
         "g",
         drawn,
-        style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)),
+        style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)) + f";--s:{scale:.2f}",
         data_of=vehicle.vehicle_type or "unknown",
     )
 
@@ -118,9 +125,9 @@ def _words(vehicle: Annotation) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _points(vehicle: Annotation, unit: float, scheme: Scheme) -> str:
+def _points(vehicle: Annotation, scale: float, scheme: Scheme) -> str:
     seen = vehicle.keypoints[:, 2]
-    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, unit, scheme.skeleton)
+    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
 
 
 def _box_3d(image: Image, vehicle: Annotation) -> str:
