@@ -9,8 +9,9 @@ import numpy as np
 
 from skope import __version__, keypoints, schema
 from skope.camera import Camera
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.files import read_json, write_text
+from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 
 T = TypeVar("T")
@@ -23,21 +24,24 @@ _ANNOTATION_FIELDS = tuple(Annotation.__dataclass_fields__)
 
 
 def read(path: Path) -> AnnotationFile:
-    """Read an annotation file, ours or any COCO keypoints file with the same 33 keypoints.
+    """Read an annotation file, ours or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`.
 
     Raises UserError, naming file, record and field, where something is missing, malformed or inconsistent.
     """
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected a COCO object with images and annotations, got a {type(document).__name__}")
-    _check_scheme(path, document)
+    scheme = _scheme(path, document)
     images = _records(path, document, "images", image_from_dict)
     annotations = _records(path, document, "annotations", annotation_from_dict)
     _check_ids(path, images, annotations)
-    return AnnotationFile(images=images, annotations=annotations, info=document.get("info") or {}, name=path.stem)
+    info = document.get("info") or {}
+    return AnnotationFile(images=images, annotations=annotations, info=info, name=path.stem, scheme=scheme)
 
 
-def assembled(rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, split: str) -> AnnotationFile:
+def assembled(
+    rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, split: str, scheme: Scheme
+) -> AnnotationFile:
     """An annotation file from the rows of its images, each with those of its annotations; `path` is for errors."""
     images: list[Image] = []
     annotations: list[Annotation] = []
@@ -45,8 +49,8 @@ def assembled(rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, s
         images += _parse_rows(path, "images", [image], image_from_dict)
         annotations += _parse_rows(path, "annotations", own, annotation_from_dict)
     _check_ids(path, tuple(images), tuple(annotations))
-    info = {"split": split, "keypoint_scheme": keypoints.SCHEME, "schema_version": schema.VERSION}
-    return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split)
+    info = {"split": split, "keypoint_scheme": scheme.name, "schema_version": schema.VERSION}
+    return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split, scheme=scheme)
 
 
 def _records(path: Path, document: Mapping[str, Any], key: str, parse: Callable[[Any], T]) -> tuple[T, ...]:
@@ -72,11 +76,12 @@ def _parse_rows(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any]
     return tuple(out)
 
 
-def _check_scheme(path: Path, document: Mapping[str, Any]) -> None:
+def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
+    """The scheme that a file says it has, or else the one whose names it has."""
     info = document.get("info")
-    scheme = info.get("keypoint_scheme") if isinstance(info, dict) else None
-    if scheme not in (None, keypoints.SCHEME):
-        raise UserError(f"{path}: info.keypoint_scheme: {scheme!r} cannot be read as {keypoints.SCHEME}")
+    stated = info.get("keypoint_scheme") if isinstance(info, dict) else None
+    if stated is not None:
+        one_of(f"{path}: info.keypoint_scheme", stated, tuple(keypoints.SCHEMES))
     categories = document.get("categories")
     if not isinstance(categories, list) or len(categories) != 1 or not isinstance(categories[0], dict):
         raise UserError(f"{path}: field categories: expected exactly one category")
@@ -84,12 +89,16 @@ def _check_scheme(path: Path, document: Mapping[str, Any]) -> None:
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
         raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
-    if tuple(names) != keypoints.NAMES:
-        first = next(i for i, (a, b) in enumerate(zip(names, keypoints.NAMES, strict=True)) if a != b)
+    if stated is None:
+        stated = next((s.name for s in keypoints.SCHEMES.values() if s.names == tuple(names)), keypoints.SCHEME)
+    scheme = keypoints.SCHEMES[stated]
+    if tuple(names) != scheme.names:
+        first = next(i for i, (a, b) in enumerate(zip(names, scheme.names, strict=True)) if a != b)
         raise UserError(
-            f"{path}: categories[0].keypoints[{first}]: {names[first]!r} is not scheme {keypoints.SCHEME}'s "
-            f"{keypoints.NAMES[first]!r}"
+            f"{path}: categories[0].keypoints[{first}]: {names[first]!r} is not scheme {scheme.name}'s "
+            f"{scheme.names[first]!r}"
         )
+    return scheme
 
 
 def _check_ids(path: Path, images: tuple[Image, ...], annotations: tuple[Annotation, ...]) -> None:
@@ -128,28 +137,28 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
     return Annotation(**values)
 
 
-def read_results(path: Path, scheme: str = keypoints.SCHEME) -> tuple[Result, ...]:
+def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
     """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints.
 
-    Of another `scheme` of `keypoints.FOREIGN_SCHEMES` the points that mean the same are taken over; the others are 0.
+    Of a `foreign` scheme, one of `keypoints.FOREIGN_SCHEMES`, the points that mean the same as ours are taken over; the
+    others are 0.
     """
     document = read_json(path)
     if not isinstance(document, list):
         raise UserError(f"{path}: expected a list of results, got a {type(document).__name__}")
-    return _parse_rows(path, "results", document, lambda row: result_from_dict(row, scheme))
+    return _parse_rows(path, "results", document, lambda row: result_from_dict(row, foreign))
 
 
-def result_from_dict(row: Mapping[str, Any], scheme: str = keypoints.SCHEME) -> Result:
+def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:
     """One element of a results file (see `read_results`)."""
-    own = scheme == keypoints.SCHEME
-    theirs = schema.array("keypoints", row["keypoints"], keypoints.K if own else keypoints.FOREIGN_K[scheme], 3)
+    theirs = schema.array("keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3)
     bbox = row.get("bbox")
     if bbox is None:
         low, high = theirs[:, :2].min(axis=0), theirs[:, :2].max(axis=0)
         bbox = np.concatenate([low, high - low])
     points = theirs
-    if not own:
-        table = keypoints.FOREIGN_SCHEMES[scheme]
+    if foreign:
+        table = keypoints.FOREIGN_SCHEMES[foreign]
         points = np.zeros((keypoints.K, 3))
         points[list(table.values())] = theirs[list(table)]
     return Result(
@@ -170,7 +179,7 @@ def _rounded(values: Any, digits: int) -> Any:
 
 
 _DIGITS = {
-    **dict.fromkeys(("bbox", "bbox_visible", "keypoints"), 2),
+    **dict.fromkeys(("bbox", "bbox_visible", "keypoints", "box_3d_pixels"), 2),
     **dict.fromkeys(("keypoints_3d", "velocity", "distance", "occlusion", "truncation"), 4),
     "contrast": 2,
 }
@@ -213,21 +222,26 @@ def write(path: Path, file: AnnotationFile) -> None:
     """Write an annotation file, one record a line, the same bytes for the same records."""
     images = [image_to_dict(image) for image in file.images]
     annotations = [annotation_to_dict(annotation) for annotation in file.annotations]
-    write_rows(path, file.info, images, annotations)
+    write_rows(path, file.info, images, annotations, file.scheme)
 
 
 def write_rows(
-    path: Path, info: Mapping[str, Any], images: Iterable[Mapping[str, Any]], annotations: Iterable[Mapping[str, Any]]
+    path: Path,
+    info: Mapping[str, Any],
+    images: Iterable[Mapping[str, Any]],
+    annotations: Iterable[Mapping[str, Any]],
+    scheme: Scheme = SKOPE33,
 ) -> None:
     """Write already serialised records (see `image_to_dict`, `annotation_to_dict`) as an annotation file."""
 
     def lines(rows: Iterable[Mapping[str, Any]]) -> str:
         return ",\n".join(json.dumps(row, allow_nan=False, separators=(",", ":")) for row in rows)
 
-    head = {"keypoint_scheme": keypoints.SCHEME, "schema_version": schema.VERSION, "skope": __version__, **info}
+    head = {"keypoint_scheme": scheme.name, "schema_version": schema.VERSION, "skope": __version__}
+    head |= {**info, "keypoint_scheme": scheme.name}
     write_text(
         path,
-        f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category()])},\n'
+        f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n'
         f'"images":[\n{lines(images)}\n],\n"annotations":[\n{lines(annotations)}\n]}}\n',
     )
 

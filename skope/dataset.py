@@ -11,13 +11,19 @@ from numpy.typing import NDArray
 
 from skope import coco, keypoints, shards
 from skope.depth import read_depth
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.files import read_json
+from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Image
 
 CARD: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
 """Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
+FRAMES: Final = "frames.json"
+PREDICTIONS: Final = "predictions.json"
+"""What `skope eval predict` writes: the images, and what was found in them."""
+GAP_S: Final = 1.0
+"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +45,35 @@ class Dataset:
         """Whether the frames are in tar shards (see `skope.shards`)."""
         return self.card.get("format") == "shards"
 
+    @property
+    def scheme(self) -> Scheme:
+        """What the keypoints are."""
+        return keypoints.SCHEMES[self.card["keypoint_scheme"]]
+
+    @property
+    def licence(self) -> str:
+        """As the card states it, on one line."""
+        stated = self.card.get("licence") or self.card.get("license") or "not stated"
+        return " ".join(str(stated).split())
+
     def read(self, split: str) -> AnnotationFile:
         """Annotations of one split; a UserError lists the splits there are."""
         if split not in self.splits:
             raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
         if not self.sharded:
-            return coco.read(self.root / "annotations" / f"{split}.json")
+            return self._read_file(self.root / "annotations" / f"{split}.json")
         rows = (
             (labels["image"], labels["annotations"])
             for shard in shards.shards_of(self.root, split)
             for labels in shards.labels_in(shard)
         )
-        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split)
+        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme)
+
+    def _read_file(self, path: Path) -> AnnotationFile:
+        file = coco.read(path)
+        if file.scheme is not self.scheme:
+            raise UserError(f"{path}: has keypoint scheme {file.scheme.name}, the dataset's card {self.scheme.name}")
+        return file
 
     def image(self, image: Image) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB pixels."""
@@ -69,8 +92,7 @@ def open_dataset(root: Path) -> Dataset:
         raise UserError(f"{root}: no {CARD} in it, so it is not a (finished) dataset; run `skope gen --out {root}`")
     card = read_json(root / CARD)
     scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
-    if scheme != keypoints.SCHEME:
-        raise UserError(f"{root / CARD}: keypoint_scheme: expected {keypoints.SCHEME!r}, got {scheme!r}")
+    one_of(f"{root / CARD}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
     return Dataset(root, card)
 
 
@@ -99,6 +121,27 @@ def _place(image: Image) -> tuple[bool, int]:
 def end_of(images: Sequence[Image], share: float) -> int:
     """Where the last `share` of a recording's frames begins; after the last one of a recording too short for it."""
     return len(images) - round(share * len(images))
+
+
+def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
+    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
+    learnt: list[Image] = []
+    validated: list[Image] = []
+    for ordered in recordings(file):
+        first = end_of(ordered, fraction)
+        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
+        validated += ordered[first:]
+    return part(file, learnt), part(file, validated)
+
+
+def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
+    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
+    if first == len(ordered):
+        return False
+    begins = ordered[first].time_s
+    if image.time_s is None or begins is None:
+        return i == first - 1
+    return begins - image.time_s < GAP_S
 
 
 def take(file: AnnotationFile, n: int) -> AnnotationFile:

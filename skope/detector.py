@@ -55,8 +55,11 @@ class DetectorConfig:
     """Short side of the image inside the network, pixels ..."""
     max_size: int
     """... unless the long side would exceed this."""
+    scheme: str = keypoints.SCHEME
+    """What the keypoints are: a name in `keypoints.SCHEMES`."""
 
     def __post_init__(self) -> None:
+        one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
         one_of("norm", self.norm, NORMS)
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
@@ -75,7 +78,8 @@ class DetectorConfig:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
         names = {field.name for field in fields(cls)}
-        if not isinstance(values, Mapping) or set(values) != names:
+        # Checkpoints from before there were two schemes do not name theirs.
+        if not isinstance(values, Mapping) or {"scheme", *values} != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
         return cls(**values)
 
@@ -134,7 +138,7 @@ def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metada
     """
     header = {
         "version": _FORMAT_VERSION,
-        "scheme": keypoints.SCHEME,
+        "scheme": config.scheme,
         "num_keypoints": keypoints.K,
         "config": config.to_dict(),
         "metadata": dict(metadata),
@@ -152,7 +156,7 @@ def load_weights(
 ) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
     """Model in evaluation mode on `device`, config and metadata of a checkpoint that `save_weights` wrote.
 
-    Raises UserError, naming the file, where it is no such checkpoint or one of another keypoint scheme.
+    Raises UserError, naming the file, where it is no such checkpoint or one of an unknown keypoint scheme.
     """
     header, state = read_checkpoint(path)
     try:
@@ -186,10 +190,11 @@ def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
         header = None
     if not isinstance(header, dict) or not {"config", "metadata"} <= set(header):
         raise UserError(f"{path}: the header's field {HEADER} is damaged")
-    expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K, "scheme": keypoints.SCHEME}
+    expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K}
     for name, value in expected.items():
         if header.get(name) != value:
             raise UserError(f"{path}: {name}: expected {value!r}, got {header.get(name)!r}")
+    one_of(f"{path}: scheme", header.get("scheme"), tuple(keypoints.SCHEMES))
     return header
 
 

@@ -6,7 +6,7 @@ that their keypoints do not run together.
 """
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +20,7 @@ from skope.boxes import xywh_to_xyxy
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import replacing
+from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Result
 
 Pixels = NDArray[np.uint8]
@@ -37,23 +38,32 @@ _SHIFT: Final = 4
 """OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
 
 
-def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
+def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
     """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
 
     Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); an ignored vehicle is a dashed box with
     its reason. The label is the track's number, or the annotation's id.
     """
-    canvas = _Canvas(image, scale)
+    canvas = _Canvas(image, scale, scheme)
     for vehicle in sorted(vehicles, key=lambda a: not a.ignored):
-        number = vehicle.id if vehicle.track_id is None else vehicle.track_id
+        color = color_of(vehicle)
         if vehicle.ignored:
-            canvas.dashed_box(vehicle.bbox, IGNORED)
-            canvas.note(vehicle.bbox, vehicle.ignore_reason or "ignored", IGNORED)
+            canvas.dashed_box(vehicle.bbox, color)
+            canvas.note(vehicle.bbox, vehicle.ignore_reason or "ignored", color)
             continue
-        color = PALETTE[number % len(PALETTE)]
         canvas.vehicle(vehicle.bbox, vehicle.keypoints, vehicle.keypoints[:, 2] > 0, vehicle.keypoints[:, 2] > 1, color)
-        canvas.label(vehicle.bbox, str(number), color)
+        canvas.label(vehicle.bbox, str(number_of(vehicle)), color)
     return canvas.pixels
+
+
+def number_of(vehicle: Annotation) -> int:
+    """What a vehicle is called: its track's number, or the annotation's id."""
+    return vehicle.id if vehicle.track_id is None else vehicle.track_id
+
+
+def color_of(vehicle: Annotation) -> Color:
+    """The colour that a vehicle is drawn in, wherever it is seen."""
+    return IGNORED if vehicle.ignored else PALETTE[number_of(vehicle) % len(PALETTE)]
 
 
 def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
@@ -67,12 +77,12 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     return canvas.pixels
 
 
-def results(image: Pixels, found: Iterable[Result], *, scale: int = 1) -> Pixels:
+def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
     """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
     Keypoints are filled from a probability of 0.5 and hollow below. The label is the score.
     """
-    canvas = _Canvas(image, scale)
+    canvas = _Canvas(image, scale, scheme)
     for i, result in enumerate(sorted(found, key=lambda r: r.score)):
         color = PALETTE[i % len(PALETTE)]
         shown = np.ones(keypoints.K, dtype=bool)
@@ -87,20 +97,38 @@ def boxes_3d(image: Pixels, vehicles: Iterable[Annotation], camera: Camera) -> P
     for vehicle in vehicles:
         if vehicle.box_3d is None:
             continue
-        color = IGNORED if vehicle.ignored else PALETTE[(vehicle.track_id or vehicle.id) % len(PALETTE)]
-        canvas.box_3d(vehicle.box_3d, camera, color)
+        canvas.box_3d(vehicle.box_3d, camera, color_of(vehicle))
     return canvas.pixels
+
+
+def edges_3d(box: Box3D, camera: Camera) -> Iterator[tuple[list[NDArray[np.float64]], bool]]:
+    """Each of a box's 12 edges as pieces (2, 2) in pixels, as many as a lens may bend it, and whether it is in front.
+
+    What is behind the camera is left out.
+    """
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * box.size_lwh @ box.R.T + box.center
+    along = np.linspace(0, 1, 17)[:, None]
+    for a, b in itertools.combinations(range(8), 2):
+        if (a ^ b).bit_count() == 1:
+            pixels, _, valid = camera.project(corners[a] * (1 - along) + corners[b] * along)
+            yield [pixels[i : i + 2] for i in np.flatnonzero(valid[1:] & valid[:-1])], a >= 4 and b >= 4
+
+
+def mask_of(vehicle: Annotation) -> NDArray[np.bool_] | None:
+    """(H, W) the vehicle's visible pixels; None where they are not given as RLE."""
+    if not isinstance(vehicle.segmentation, Mapping):
+        return None
+    counts = str(vehicle.segmentation["counts"]).encode()
+    return np.asarray(coco_mask.decode({**vehicle.segmentation, "counts": counts}), dtype=np.bool_)
 
 
 def masks(image: Pixels, vehicles: Iterable[Annotation], *, strength: float = 0.45) -> Pixels:
     """Vehicles' visible pixels tinted on a copy of (H, W, 3) `image`."""
     out = image.astype(np.float32)
     for vehicle in vehicles:
-        if isinstance(vehicle.segmentation, dict):
-            color = IGNORED if vehicle.ignored else PALETTE[(vehicle.track_id or vehicle.id) % len(PALETTE)]
-            counts = str(vehicle.segmentation["counts"]).encode()
-            inside = coco_mask.decode({**vehicle.segmentation, "counts": counts}).astype(bool)
-            out[inside] = (1 - strength) * out[inside] + strength * np.array(color, dtype=np.float32)
+        inside = mask_of(vehicle)
+        if inside is not None:
+            out[inside] = (1 - strength) * out[inside] + strength * np.array(color_of(vehicle), dtype=np.float32)
     return np.rint(out).astype(np.uint8)
 
 
@@ -159,10 +187,10 @@ def write(path: Path, image: Pixels) -> None:
 class _Canvas:
     """An image being drawn on; positions are pixels of the image before it was enlarged."""
 
-    def __init__(self, image: Pixels, scale: int) -> None:
+    def __init__(self, image: Pixels, scale: int, scheme: Scheme = SKOPE33) -> None:
         size = (image.shape[1] * scale, image.shape[0] * scale)
         self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
-        self._scale = scale
+        self._scale, self._scheme = scale, scheme
         self._unit = max(1.0, min(size) / 540)
         """One at 960x540 and below, two at 1920x1080."""
         self._line = round(self._unit)
@@ -179,7 +207,7 @@ class _Canvas:
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)
         self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, self._line)
         dim = tuple(c // 2 for c in color)
-        for a, b in keypoints.SKELETON:
+        for a, b in self._scheme.skeleton:
             if shown[a] and shown[b]:
                 edge = color if sure[a] and sure[b] else dim
                 self._polyline([points[a, :2], points[b, :2]], edge, max(1, self._line // 2))
@@ -187,20 +215,13 @@ class _Canvas:
         extent = max(x1 - x0, y1 - y0) * self._scale
         radius = float(np.clip(extent / 50, 1.5, 2.25 * self._unit))
         for i in np.flatnonzero(shown):
-            self._point(points[i, :2], radius, keypoints.COLORS[i], filled=bool(sure[i]))
+            self._point(points[i, :2], radius, self._scheme.colors[i], filled=bool(sure[i]))
 
     def box_3d(self, box: Box3D, camera: Camera, color: Color) -> None:
-        """A box's edges, as finely as a lens bends them; what is behind the camera is left out."""
-        corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * box.size_lwh @ box.R.T + box.center
-        for a, b in itertools.combinations(range(8), 2):
-            if (a ^ b).bit_count() != 1:
-                continue
-            along = np.linspace(0, 1, 17)[:, None]
-            pixels, _, valid = camera.project(corners[a] * (1 - along) + corners[b] * along)
-            front = a >= 4 and b >= 4
-            for start, end, good in zip(pixels, pixels[1:], valid[1:] & valid[:-1], strict=False):
-                if good:
-                    self._polyline([start, end], color, 2 * self._line if front else max(1, self._line))
+        """A box's edges, those of its front end thicker."""
+        for pieces, front in edges_3d(box, camera):
+            for piece in pieces:
+                self._polyline(piece, color, 2 * self._line if front else max(1, self._line))
 
     def dashed_box(self, bbox: ArrayLike, color: Color) -> None:
         """The outline of a box in dashes."""

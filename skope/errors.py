@@ -1,5 +1,7 @@
 """The one exception that means "the user can mend this"."""
 
+from typing import Any
+
 
 class UserError(ValueError):
     """A mistake in a user's files or flags; its text is one line that names the file (or flag) and the field.
@@ -9,8 +11,8 @@ class UserError(ValueError):
     """
 
 
-def one_of(field: str, value: str, choices: tuple[str, ...]) -> str:
+def one_of(field: str, value: Any, choices: tuple[str, ...]) -> str:
     """Return `value` when it is among `choices`, else raise a UserError that lists them."""
     if value not in choices:
         raise UserError(f"{field}: {value!r} is not one of {', '.join(choices)}")
-    return value
+    return str(value)

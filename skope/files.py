@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,36 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
             temporary.unlink()
+
+
+@contextlib.contextmanager
+def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
+    """Yield a temporary folder beside `path`, which must be empty or missing; on success it takes its place.
+
+    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file or not empty.
+    """
+    whole = path.absolute()
+    temporary = whole.with_name(f".{whole.name}.{os.getpid()}.part")
+    try:
+        if keep and path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise UserError(f"{path}: is {'not empty' if path.is_dir() else 'a file'}; choose another folder")
+        temporary.mkdir(parents=True)
+        yield temporary
+        if keep:
+            temporary.replace(whole)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def link(source: Path, target: Path) -> None:
+    """Make `target` the same file as `source`, or a copy of it where the file system cannot link."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        target.hardlink_to(source)
+    except OSError:
+        write_bytes(target, read_bytes(source))
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -1,9 +1,11 @@
 """The 33 keypoints of scheme `skope33`: names, flip partners, skeleton, sigmas, colours, maps to other schemes.
 
-`NAMES` is the only place where the order stands; every index below is derived from names.
+`NAMES` is the only place where the order stands; every index below is derived from names. `SCHEMES` are the schemes
+that a dataset, and a detector trained on it, can have: ours, and that of the published SKoPe3D files.
 """
 
 import itertools
+from dataclasses import dataclass
 from typing import Final
 
 SCHEME: Final = "skope33"
@@ -132,7 +134,7 @@ VERI20: Final = _foreign(
 )
 """VeRi-776's 20 points (Wang et al. 2017)."""
 
-SKOPE3D: Final = _foreign(*NAMES[:4], *(None,) * 28, "front_logo")
+SKOPE3D: Final = _foreign(*NAMES[:4], *(None,) * 28, NAMES[32])
 """The published SKoPe3D files: only the roof corners and the logo; their users disagree on the order of the wheels."""
 
 FOREIGN_SCHEMES: Final[dict[str, Map]] = {
@@ -144,6 +146,39 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
 
 FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
 """How many keypoints each scheme has, those without a counterpart too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scheme:
+    """What the keypoints of a dataset or detector are: K of them."""
+
+    name: str
+    names: tuple[str, ...]
+    flip: tuple[int, ...] | None
+    """As `FLIP`; None where the partners are not known, so that images cannot be mirrored."""
+    skeleton: tuple[tuple[int, int], ...]
+    """0-based edges."""
+    sigmas: tuple[float, ...]
+    colors: tuple[tuple[int, int, int], ...]
+
+    def __post_init__(self) -> None:
+        assert len(self.names) == len(set(self.names)) == len(self.sigmas) == len(self.colors) == K
+
+
+SKOPE33: Final = Scheme(name=SCHEME, names=NAMES, flip=FLIP, skeleton=SKELETON, sigmas=SIGMAS, colors=COLORS)
+
+_UNKNOWN_COLOR: Final = (190, 190, 190)
+PUBLISHED: Final = Scheme(
+    name="skope3d",
+    names=tuple(f"skope3d_{i:02d}" for i in range(K)),
+    flip=None,
+    skeleton=tuple((a, b) for a, b in SKELETON if {a, b} <= SKOPE3D.keys()),
+    sigmas=SIGMAS,
+    colors=tuple(COLORS[SKOPE3D[i]] if i in SKOPE3D else _UNKNOWN_COLOR for i in range(K)),
+)
+"""The published files' own keypoints, whose order is not ours and but for `SKOPE3D` not documented."""
+
+SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
 
 assert K == 33
 assert all(max(FOREIGN_SCHEMES[name]) < count for name, count in FOREIGN_K.items())

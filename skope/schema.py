@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera import Camera
 from skope.errors import UserError, one_of
+from skope.keypoints import SKOPE33, Scheme
 
 VERSION: Final = 1
 CATEGORY_ID: Final = 1
@@ -49,15 +50,15 @@ IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 Array = NDArray[np.float64]
 
 
-def category() -> dict[str, Any]:
+def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
     """The one COCO category, `vehicle`, with names, 1-based skeleton and sigmas."""
     return {
         "id": CATEGORY_ID,
         "name": "vehicle",
         "supercategory": "vehicle",
-        "keypoints": list(keypoints.NAMES),
-        "skeleton": [[a + 1, b + 1] for a, b in keypoints.SKELETON],
-        "keypoint_sigmas": list(keypoints.SIGMAS),
+        "keypoints": list(scheme.names),
+        "skeleton": [[a + 1, b + 1] for a, b in scheme.skeleton],
+        "keypoint_sigmas": list(scheme.sigmas),
     }
 
 
@@ -172,6 +173,8 @@ class Annotation:
     keypoints_3d: Array | None = None
     """(33, 3) world positions of all keypoints, whatever v says, metres."""
     box_3d: Box3D | None = None
+    box_3d_pixels: Array | None = None
+    """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
     velocity: Array | None = None
     """(3,) world, m/s."""
     distance: float | None = None
@@ -197,6 +200,7 @@ class Annotation:
             ("keypoints", (keypoints.K, 3)),
             ("bbox_visible", (4,)),
             ("keypoints_3d", (keypoints.K, 3)),
+            ("box_3d_pixels", (8, 2)),
             ("velocity", (3,)),
         )
         for name, shape in shapes:
@@ -237,6 +241,8 @@ class AnnotationFile:
     info: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
     """The split's name: the file's stem."""
+    scheme: Scheme = SKOPE33
+    """What the keypoints are."""
 
     def by_image(self) -> dict[int, list[Annotation]]:
         """Annotations of each image id, in file order; images without a vehicle have an empty list."""

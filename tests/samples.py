@@ -76,7 +76,13 @@ def draw(image: Image, annotations: list[Annotation], rng: np.random.Generator) 
     return pixels
 
 
-def make_dataset(root: Path, images: int = 2, splits: tuple[str, ...] = ("train", "easy"), seed: int = 0) -> Path:
+def make_dataset(
+    root: Path,
+    images: int = 2,
+    splits: tuple[str, ...] = ("train", "easy"),
+    seed: int = 0,
+    scheme: keypoints.Scheme = keypoints.SKOPE33,
+) -> Path:
     """Write a dataset folder of PNG images, two vehicles in each; returns `root`."""
     rng = np.random.default_rng(seed)
     image_id = annotation_id = 0
@@ -96,7 +102,7 @@ def make_dataset(root: Path, images: int = 2, splits: tuple[str, ...] = ("train"
             cv2.imwrite(str(path), cv2.cvtColor(draw(record, vehicles, rng), cv2.COLOR_RGB2BGR))
             records.append(record)
             annotations.extend(vehicles)
-        file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split)
+        file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split, scheme=scheme)
         coco.write(root / "annotations" / f"{split}.json", file)
-    write_json(root / "dataset.json", {"version": 1, "keypoint_scheme": keypoints.SCHEME, "seed": seed})
+    write_json(root / "dataset.json", {"version": 1, "keypoint_scheme": scheme.name, "seed": seed})
     return root

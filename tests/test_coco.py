@@ -184,7 +184,7 @@ SWAPPED = [NAMES[1], NAMES[0], *NAMES[2:]]
             put(SWAPPED, "categories", 0, "keypoints"),
             "categories[0].keypoints[0]: 'roof_front_left' is not scheme skope33's 'roof_front_right'",
         ),
-        (put("apollo24", "info", "keypoint_scheme"), "info.keypoint_scheme: 'apollo24' cannot be read as skope33"),
+        (put("apollo24", "info", "keypoint_scheme"), "info.keypoint_scheme: 'apollo24' is not one of skope33, skope3d"),
         (drop("images", 1, "width"), "images[1]: field width is missing"),
         (put(-3, "images", 1, "height"), "images[1]: camera size: 160x-3 is not positive"),
         (put("../x.jpg", "images", 0, "file_name"), "images[0]: file_name: expected a path inside the dataset folder"),

@@ -103,7 +103,7 @@ def edited_header(path: Path, out: Path, **changes: Any) -> Path:
     ("changes", "words"),
     [
         ({"num_keypoints": 17}, "num_keypoints: expected 33, got 17"),
-        ({"scheme": "coco17"}, "scheme: expected 'skope33', got 'coco17'"),
+        ({"scheme": "coco17"}, "scheme: 'coco17' is not one of skope33, skope3d"),
         ({"config": {"norm": "batch"}}, "config: expected the fields"),
         ({"config": {"norm": "group", "norm_eps": 0, "min_size": 96, "max_size": 96}}, "norm: 'group' is not one of"),
     ],

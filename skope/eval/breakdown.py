@@ -46,7 +46,7 @@ def breakdown(images: Sequence[Image], matches: Matches, options: Options, fleet
         for quantity, of in parts.items()
     }
     out["keypoint"] = {
-        keypoints.NAMES[k]: {f"{t:g}": _of_points(judged[t], _column(matches, k), options.alpha) for t in judged}
+        options.scheme.names[k]: {f"{t:g}": _of_points(judged[t], _column(matches, k), options.alpha) for t in judged}
         for k in options.points
     }
     stand_ins = _stand_ins(matches.vehicles, fleet)

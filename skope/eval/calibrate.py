@@ -38,6 +38,7 @@ def calibrate(job: Job, console: Console) -> Path:
     """Fit and write the calibration beside the weights; returns its path."""
     predictor = Predictor(job.checkpoint, replace(job.settings, calibrated=False, min_score=job.score), console)
     truth = inputs.read_dataset(job.data, [job.split])
+    predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)
     file = inputs.limit(last_part(truth.splits[0], share), job.max_images)
     if not file.images:
@@ -64,7 +65,7 @@ def calibrate(job: Job, console: Console) -> Path:
         "score": job.score,
     }
     fitted = calibration.fit(calibration.raw_maxima(points[..., 2]), right, fitted_on)
-    path = calibration.write(predictor.weights, fitted)
+    path = calibration.write(predictor.weights, fitted, predictor.scheme.name)
     after = fitted(points)
     for words, p in (("before", points[..., 2]), ("after", after[..., 2])):
         error = confidence.calibration_error(confidence.reliability(p.ravel(), right.ravel()))

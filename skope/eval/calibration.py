@@ -130,17 +130,17 @@ def path_beside(weights: Path) -> Path:
     return weights.with_suffix(".calibration.json")
 
 
-def write(weights: Path, calibration: Calibration) -> Path:
-    """Write a calibration beside the checkpoint that it is for; returns its path."""
+def write(weights: Path, calibration: Calibration, scheme: str = keypoints.SCHEME) -> Path:
+    """Write a calibration beside the checkpoint, of a keypoint scheme, that it is for; returns its path."""
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
-    head = {"version": VERSION, "scheme": keypoints.SCHEME, "weights_sha256": _digest(weights)}
+    head = {"version": VERSION, "scheme": scheme, "weights_sha256": _digest(weights)}
     write_json(path, {**head, "fitted_on": calibration.fitted_on, **numbers})
     return path
 
 
-def read(weights: Path) -> Calibration | None:
+def read(weights: Path, scheme: str = keypoints.SCHEME) -> Calibration | None:
     """The calibration beside a checkpoint; None without one, and a UserError if it was made for other weights."""
     path = path_beside(weights)
     if not path.is_file():
@@ -148,7 +148,7 @@ def read(weights: Path) -> Calibration | None:
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
-    for name, expected in (("version", VERSION), ("scheme", keypoints.SCHEME), ("weights_sha256", _digest(weights))):
+    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", _digest(weights))):
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "

@@ -1,6 +1,7 @@
 """`skope eval`: flags, and the choice between a checkpoint and a results file."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,6 @@ import typer
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError, one_of
 from skope.eval import road_cli
-from skope.keypoints import SCHEME
 
 DATA = Path("data/skope")
 RUN = Path("runs/skope")
@@ -82,8 +82,12 @@ def run(
         float, typer.Option(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
     ] = 0.0,
     scheme: Annotated[
-        str, typer.Option(help="Keypoint scheme of --predictions; the points that mean the same are scored.")
-    ] = SCHEME,
+        str | None,
+        typer.Option(
+            help="Keypoint scheme of --predictions; the points that mean the same are scored.",
+            show_default="the ground truth's",
+        ),
+    ] = None,
     max_images: Annotated[
         int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
     ] = None,
@@ -110,7 +114,6 @@ def run(
         boxes="full" if boxes == GIVEN else boxes,
         iou=_thresholds(iou) or THRESHOLDS,
         keypoint_score=keypoint_score,
-        points=inputs.scheme_points(scheme),
     )
     if max_images is not None and max_images < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
@@ -118,12 +121,16 @@ def run(
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
     if fast and (predictions or boxes == GIVEN):
         raise UserError("--fast is for running a checkpoint that detects vehicles")
-    if scheme != SCHEME and not predictions:
-        raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
+    if scheme:
+        one_of("--scheme", scheme, inputs.SCHEMES)
+        if not predictions:
+            raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     out = out or _default_out(checkpoint, predictions)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
     truth = inputs.read_annotations(annotations) if annotations else inputs.read_dataset(data or DATA, splits)
+    scheme = scheme or truth.scheme.name
+    options = replace(options, scheme=truth.scheme, points=inputs.scheme_points(scheme, truth.scheme))
     evaluate(
         Job(
             truth=truth,

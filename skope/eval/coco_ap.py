@@ -25,14 +25,16 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     """AP over IoU (or OKS) 0.50 to 0.95 and at 0.50, of all results whatever they score; None without ground truth.
 
     An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. A vehicle without a
-    labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes and points play a part.
+    labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes, points and scheme play a
+    part.
     """
     left_out = ~np.isin(np.arange(keypoints.K), options.points)
     truth = [_truth_row(annotation, options, left_out) for annotation in file.annotations]
     found = [_result_row(i, result) for i, result in enumerate(results, start=1)]
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
-    box, box50 = _ap(images, truth, found, "bbox")
-    points, points50 = _ap(images, truth, found, "keypoints")
+    sigmas = options.scheme.sigmas
+    box, box50 = _ap(images, truth, found, "bbox", sigmas)
+    points, points50 = _ap(images, truth, found, "keypoints", sigmas)
     return {"box_ap": box, "box_ap50": box50, "keypoint_ap": points, "keypoint_ap50": points50}
 
 
@@ -73,14 +75,18 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
 
 
 def _ap(
-    images: list[dict[str, Any]], truth: list[dict[str, Any]], found: list[dict[str, Any]], kind: str
+    images: list[dict[str, Any]],
+    truth: list[dict[str, Any]],
+    found: list[dict[str, Any]],
+    kind: str,
+    sigmas: Sequence[float],
 ) -> tuple[float | None, float | None]:
     # pycocotools prints as it goes, and squares whatever a stray keypoint is.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
         evaluation.params.maxDets = [MAX_DETECTIONS]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0.0, 1e10]], ["all"]
-        evaluation.params.kpt_oks_sigmas = np.array(keypoints.SIGMAS)
+        evaluation.params.kpt_oks_sigmas = np.array(sigmas)
         evaluation.evaluate()
         evaluation.accumulate()
     precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none

@@ -51,6 +51,8 @@ def wrong_points(matches: Matches, judged: Judged, options: Options) -> Integers
     kinds = np.full(judged.labelled.shape, RIGHT, dtype=np.int64)
     wrong = judged.labelled & judged.predicted & ~judged.correct(options.alpha)
     kinds[wrong] = JITTER
+    if options.scheme is not keypoints.SKOPE33:  # nobody knows its counterparts
+        return kinds
     side = _apart(matches, judged, OTHER_SIDE)
     ends = np.minimum(_apart(matches, judged, OTHER_END), _apart(matches, judged, [OTHER_SIDE[k] for k in OTHER_END]))
     reach = options.alpha * judged.length[:, None]

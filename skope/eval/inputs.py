@@ -9,8 +9,11 @@ from skope import coco, dataset, keypoints
 from skope.errors import UserError, one_of
 from skope.eval.breakdown import Fleet
 from skope.eval.match import box_of
+from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Result
 
+SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
+"""Keypoint schemes of results that can be held against ours."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
 
@@ -22,6 +25,11 @@ class Truth:
     root: Path
     """The folder that file names are relative to."""
     fleet: Fleet
+
+    @property
+    def scheme(self) -> Scheme:
+        """What the keypoints are; of a dataset all splits have the same."""
+        return self.splits[0].scheme
 
 
 def read_dataset(root: Path, names: Sequence[str]) -> Truth:
@@ -54,17 +62,20 @@ def read_annotations(path: Path) -> Truth:
     return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet())
 
 
-def scheme_points(scheme: str) -> tuple[int, ...]:
-    """Our indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
-    one_of("--scheme", scheme, (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES))
-    if scheme == keypoints.SCHEME:
+def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
+    """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
+    one_of("--scheme", scheme, SCHEMES if truth is keypoints.SKOPE33 else (truth.name,))
+    if scheme == truth.name:
         return tuple(range(keypoints.K))
     return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
 
 
-def read_results(path: Path, file: AnnotationFile, scheme: str = keypoints.SCHEME) -> tuple[Result, ...]:
-    """Results of any detector for the images of `file`; a UserError names a result that is for none of them."""
-    results = coco.read_results(path, scheme)
+def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
+    """Results of a detector of `scheme`, by default that of `file`, for its images.
+
+    A UserError names a result that is for none of them.
+    """
+    results = coco.read_results(path, None if scheme == file.scheme.name else scheme)
     images = {image.id for image in file.images}
     categories = {a.category_id for a in file.annotations}
     for i, result in enumerate(results):

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
-from skope import boxes, dataset, detector
+from skope import boxes, dataset, detector, keypoints
 from skope.console import Console, minutes
+from skope.errors import UserError
 from skope.eval import bfloat16, calibration
 from skope.eval.settings import Settings
+from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, Result
 
 Pixels = NDArray[np.uint8]
@@ -35,7 +37,8 @@ class Predictor:
         self.weights = detector.find_checkpoint(checkpoint)
         self._model: KeypointRCNN
         self._model, config, self.metadata = detector.load_weights(self.weights, self._device)
-        self._calibration = calibration.read(self.weights) if settings.calibrated else None
+        self.scheme = keypoints.SCHEMES[config.scheme]
+        self._calibration = calibration.read(self.weights, config.scheme) if settings.calibrated else None
         low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
         if low:
             bfloat16.convert(self._model)
@@ -45,6 +48,14 @@ class Predictor:
         scores = "calibrated" if self.calibrated else "uncalibrated"
         number = "bfloat16" if low else "float32"
         console.say(f"{self.weights} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
+
+    def check_scheme(self, scheme: Scheme, data: Path) -> None:
+        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""
+        if scheme is not self.scheme:
+            raise UserError(
+                f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
+                "held against each other"
+            )
 
     @property
     def calibrated(self) -> bool:

@@ -39,7 +39,7 @@ class Job:
     """Carry only the detections that count through the keypoint head."""
     max_images: int | None = None
     scheme: str = keypoints.SCHEME
-    """Keypoint scheme of `predictions`."""
+    """Keypoint scheme of the detector."""
     beside_paper: bool = False
     """Print the published rows below ours."""
 
@@ -54,8 +54,7 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
         measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
     ]
     figures = {split.file.name: split.entry for split in measured}
-    scheme = job.scheme if job.predictions else keypoints.SCHEME
-    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=scheme)
+    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=job.scheme)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
@@ -80,6 +79,7 @@ def _predicted(
     assert job.checkpoint is not None
     settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
     predictor = Predictor(job.checkpoint, settings, console)
+    predictor.check_scheme(job.truth.scheme, job.truth.root)
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
@@ -111,8 +111,8 @@ def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console
             continue
         scale = 2 if image.width < 960 else 1
         found = [r for r in results if r.image_id == image.id and r.score > job.options.score]
-        labels = draw.annotations(pixels, truth[image.id], scale=scale)
-        answers = draw.results(pixels, found, scale=scale)
+        labels = draw.annotations(pixels, truth[image.id], scale=scale, scheme=file.scheme)
+        answers = draw.results(pixels, found, scale=scale, scheme=file.scheme)
         panels = [
             draw.caption(labels, f"ground truth  {image.file_name}"),
             draw.caption(answers, f"{len(found)} detections > {job.options.score:g}"),

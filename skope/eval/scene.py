@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skope import coco, keypoints
 from skope.calibration import read_calibration
 from skope.camera import Camera
+from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval import inputs
 from skope.eval.match import match
@@ -20,9 +21,6 @@ from skope.schema import Annotation, AnnotationFile, Image, Result
 
 Array = NDArray[np.float64]
 
-FRAMES: Final = "frames.json"
-PREDICTIONS: Final = "predictions.json"
-"""What `skope eval predict` writes into its folder."""
 MATCH_IOU: Final = 0.6
 """From which a detection's box and a ground-truth vehicle's belong together."""
 _SHARE: Final = 0.02
@@ -139,6 +137,8 @@ def read_scene(
         annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
     assert annotations is not None
     file = coco.read(annotations)
+    if file.scheme is not keypoints.SKOPE33:
+        raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
     results = inputs.read_results(predictions, file) if predictions else None
     if camera is None:
         return Scene(file, results, None, None if ground is None else Ground(height=ground))

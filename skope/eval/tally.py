@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.eval.match import BOX_KINDS, THRESHOLDS, Matches
+from skope.keypoints import Scheme
 
 PROTOCOLS: Final = ("pooled", "paper")
 LABELLED: Final = ("visible", "all")
@@ -53,6 +54,8 @@ class Options:
     """A keypoint counts as predicted when it scores above this; 0 takes all, as the paper does."""
     points: tuple[int, ...] = tuple(range(keypoints.K))
     """The keypoints that are scored: all, or those that another scheme shares."""
+    scheme: Scheme = keypoints.SKOPE33
+    """What the ground truth's keypoints are."""
 
     def __post_init__(self) -> None:
         for flag, value in (("--score", self.score), ("--keypoint-score", self.keypoint_score)):

@@ -13,8 +13,8 @@ from skope.eval import birdseye, track_files
 from skope.eval.located import locate_view
 from skope.eval.scene import Scene
 from skope.eval.track import Track, follow
-from skope.eval.video import write_video
 from skope.files import replacing, write_text
+from skope.video import write_video
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,15 +10,17 @@ from typing import Any, Final
 from skope import coco, draw
 from skope.camera import Camera
 from skope.console import Console
+from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.blur import blurred
 from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
-from skope.eval.scene import FRAMES, PREDICTIONS, with_camera
+from skope.eval.scene import with_camera
 from skope.eval.settings import Settings
-from skope.eval.video import write_video
 from skope.files import replacing
+from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Image, Result
+from skope.video import write_video
 
 _PROGRESS: Final = ".predict.jsonl"
 OVERLAY: Final = "overlay.mp4"
@@ -76,9 +78,12 @@ def predict(job: Job, console: Console) -> list[Path]:
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     coco.write_results(written[0], done.results)
     info = {"source": job.footage.name, "fps": job.footage.fps()}
-    coco.write(written[1], AnnotationFile(images=tuple(done.images), annotations=(), info=info, name=job.footage.name))
+    frames_file = AnnotationFile(
+        images=tuple(done.images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
+    )
+    coco.write(written[1], frames_file)
     if job.overlay:
-        written.append(_overlay(job, done, console))
+        written.append(_overlay(job, done, predictor.scheme, console))
     done.path.unlink()
     return written
 
@@ -121,12 +126,12 @@ def _resumed(job: Job, weights: Path, console: Console) -> _Done:
     return done
 
 
-def _overlay(job: Job, done: _Done, console: Console) -> Path:
+def _overlay(job: Job, done: _Done, scheme: Scheme, console: Console) -> Path:
     """Draw what was found: a video of a video, images of images."""
     by_image: dict[int, list[Result]] = {image.id: [] for image in done.images}
     for result in done.results:
         by_image[result.image_id].append(result)
-    drawn = _drawn(job, by_image, console)
+    drawn = _drawn(job, by_image, scheme, console)
     if job.footage.video is None:
         folder = job.out / OVERLAYS
         for image, pixels in drawn:
@@ -138,8 +143,10 @@ def _overlay(job: Job, done: _Done, console: Console) -> Path:
     return path
 
 
-def _drawn(job: Job, found: dict[int, list[Result]], console: Console) -> Iterator[tuple[Image, Pixels]]:
+def _drawn(
+    job: Job, found: dict[int, list[Result]], scheme: Scheme, console: Console
+) -> Iterator[tuple[Image, Pixels]]:
     frames = ((image, pixels) for image, pixels in job.footage.frames() if image.id in found)
     for image, pixels in console.bar(frames, total=len(found), unit="image", label="overlay"):
         results = found[image.id]
-        yield image, draw.results(blurred(pixels, results) if job.blur else pixels, results)
+        yield image, draw.results(blurred(pixels, results) if job.blur else pixels, results, scheme=scheme)

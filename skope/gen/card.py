@@ -1,20 +1,24 @@
-"""A dataset's card: dataset.json for programs and README.md for people."""
+"""A dataset's card: dataset.json for programs, README.md for people and croissant.json for catalogues."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 from skope import keypoints, schema
+from skope.dataset import CARD, MANIFEST
 from skope.depth import DEPTH_SCALE
-from skope.gen import annotate
+from skope.files import read_json, write_json, write_text
+from skope.gen import annotate, describe, licences
 from skope.gen.annotate import Rules
+from skope.gen.counts import Counts
+from skope.gen.croissant import croissant
 from skope.gen.frames import Encoding
-from skope.gen.store import Counts
 from skope.gen.vehicles import fleet
 
-LICENCE = "CC0 1.0: the images are drawn by this program from shapes of its own; do with them what you like."
-
-PHOTOGRAPH = "What is drawn is CC0 1.0; the background is the user's photograph, whose rights are as they were."
+CROISSANT: Final = "croissant.json"
+PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
 def card(
@@ -50,7 +54,7 @@ def card(
         "versions": values["versions"],
         "parameters": values,
         "takes": takes,
-        "licence": PHOTOGRAPH if own and own["photograph"] else LICENCE,
+        "licence": PHOTOGRAPH.format(_licence(values)) if own and own["photograph"] else _licence(values),
     }
 
 
@@ -73,7 +77,13 @@ def command(p: Mapping[str, Any]) -> str:
     parts += [f"--vehicles {','.join(p['vehicles'])}"] if p["vehicles"] else []
     parts += ["--shape-jitter"] if p["shape_jitter"] else []
     parts += ["--camera-jitter"] if "zoom_by" in p["cameras"] else []
+    parts += [f"--licence {shlex.quote(_licence(p))}"] if _licence(p) != licences.DEFAULT else []
     return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p["settings"].items())])
+
+
+def _licence(values: Mapping[str, Any]) -> str:
+    # Folders that were begun before it could be chosen do not have it.
+    return str(values.get("licence", licences.DEFAULT))
 
 
 def label_rules(rules: Rules) -> list[str]:
@@ -97,33 +107,14 @@ def label_rules(rules: Rules) -> list[str]:
     ]
 
 
-def readme(content: dict[str, Any]) -> str:
+def write(root: Path, content: Mapping[str, Any]) -> None:
+    """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
+    sums = read_json(root / MANIFEST)["sha256"]
+    write_text(root / "README.md", readme(content))
+    write_json(root / CROISSANT, croissant(content, sums))
+    write_json(root / CARD, content)
+
+
+def readme(content: Mapping[str, Any]) -> str:
     """The card as a page."""
-    counts = content["counts"]
-    rows = "\n".join(
-        f"| {split} | {c.get('images', 0)} | {c.get('ground_truth', 0)} | {c.get('ignored', 0)} |"
-        for split, c in counts["by_split"].items()
-    )
-    difference = content["localizer_difference_m"]
-    apart = ", ".join(f"{name} {value:.4f} m" for name, value in difference.items() if value is not None)
-    rules = "\n".join(f"- {rule}" for rule in content["label_rules"])
-    return f"""# Roadside images with 33 keypoints per vehicle
-
-Made by skope {content["versions"]["skope"]}:
-
-    {content["command"]}
-
-| split | images | vehicles | ignored |
-|---|---|---|---|
-{rows}
-
-Annotations are COCO keypoints files (`annotations/<split>.json`), depth is {content["depth"]}.
-
-## Label rules
-
-{rules}
-
-Trilateration and the rigid transform are apart by {apart or "nothing: no vehicles"} (keypoints of 1000 frames).
-
-Licence: {content["licence"]}
-"""
+    return describe.markdown(content)

@@ -8,6 +8,7 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.gen import look_cli, sites_cli, vehicles_cli
+from skope.gen.formats import cli as formats_cli
 from skope.gen.hire import AddressOption, EngineOption, WorkersOption, hired
 from skope.gen.options import asks_for_a_dataset
 
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles_cli.app, name="vehicles")
 app.command()(sites_cli.sites)
-for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.video):
+app.command()(formats_cli.convert)
+app.command()(formats_cli.merge)
+for command in (look_cli.check, look_cli.stats, look_cli.show, look_cli.report, look_cli.video):
     app.command()(command)
 
 DEFAULT = Path("data/skope")
@@ -106,23 +109,6 @@ def _data(out: Path) -> str:
 
 def _next(console: Console, out: Path, wrote: str, command: str) -> None:
     console.result(f"{f'{wrote} {out}' if wrote else f'{out} is complete already'}; next: {command}")
-
-
-@app.command()
-def convert(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder.")],
-    out: Annotated[Path, typer.Argument(help="New folder.")],
-    to: Annotated[str, typer.Option(help="shards, or folder.")],
-    quiet: QuietOption = False,
-    version: VersionOption = False,
-) -> None:
-    """Write a dataset in another format."""
-    from skope.dataset import open_dataset
-    from skope.gen.convert import convert as write
-
-    console = Console(quiet)
-    write(open_dataset(dataset), to, out, console)
-    console.result(f"wrote {out}; next: skope gen check {out}")
 
 
 @app.command()

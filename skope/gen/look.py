@@ -38,7 +38,7 @@ def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], l
     if "occlusion" in layers:
         pixels = draw.occlusion(pixels, annotations)
     if "keypoints" in layers:
-        pixels = draw.annotations(pixels, annotations)
+        pixels = draw.annotations(pixels, annotations, scheme=dataset.scheme)
     return pixels
 
 

@@ -1,4 +1,4 @@
-"""`skope gen check`, `stats`, `show` and `video`: what is in a dataset, and what a site looks like."""
+"""`skope gen check`, `stats`, `show`, `report` and `video`: what is in a dataset, and what a site looks like."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +53,7 @@ def stats(
     from skope.gen.stats import plot, split_stats, table
 
     console, folder = Console(quiet), open_dataset(dataset)
-    for line in table({split: split_stats(folder, split) for split in folder.splits}):
+    for line in table({split: split_stats(folder, folder.read(split)) for split in folder.splits}):
         console.result(line)
     if plots:
         console.result(f"wrote {plot(folder, plots)}")
@@ -82,6 +82,21 @@ def show(
     paths = [one_image(folder, image, layers, out)] if image is not None else sheets(folder, site, layers, out)
     for path in paths:
         console.result(f"wrote {path}")
+
+
+def report(
+    dataset: DatasetArgument = DEFAULT,
+    images: Annotated[int, typer.Option(help="At most so many images, spread over splits, sites and recordings.")] = 48,
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("runs/gallery"),
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
+    from skope.dataset import open_dataset
+    from skope.gen.report import write_report
+
+    console = Console(quiet)
+    console.result(f"wrote {write_report(open_dataset(dataset), images, out / 'index.html', console)}")
 
 
 def video(

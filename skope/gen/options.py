@@ -52,11 +52,15 @@ def parameters(
     format_: Annotated[
         str, typer.Option("--format", help="folder, or shards: tar files for hundreds of thousands of images.")
     ] = "folder",
+    licence: Annotated[
+        str, typer.Option(help="What others may use the images under; stated in the card.")
+    ] = "CC BY 4.0",
 ) -> "tuple[Parameters, str]":
     """What the options ask for, and what to say of the renderer."""
     from skope.gen.annotate import Rules
     from skope.gen.conditions import parse_settings
     from skope.gen.frames import Encoding
+    from skope.gen.licences import named
     from skope.gen.own.site import read_site
     from skope.gen.plan import from_preset
     from skope.gen.render import choose_renderer
@@ -81,6 +85,7 @@ def parameters(
         vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
         shape_jitter=shape_jitter,
         format=format_,
+        licence=named(licence),
         own=read_site(own) if own else None,
         camera_jitter=camera_jitter,
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from skope.camera import Distortion
 from skope.errors import UserError, one_of
-from skope.gen import cameras
+from skope.gen import cameras, licences
 from skope.gen.annotate import Rules
 from skope.gen.conditions import Range, check_settings
 from skope.gen.frames import Encoding
@@ -60,6 +60,8 @@ class Parameters:
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
     """What the dataset is kept in, one of `pack.FORMATS`."""
+    licence: str = licences.DEFAULT
+    """What the images may be used under, as the card states it."""
 
     def __post_init__(self) -> None:
         self.pixels()

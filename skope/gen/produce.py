@@ -149,7 +149,7 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     assert values is not None
     counts = store.merge(takes, values["parameters"]["format"])
     content = card.card(values["parameters"], values["takes"], counts, _localizer_difference(store, takes))
-    store.finish(content, card.readme(content))
+    store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(
         f"{counts.images} images, {content['counts']['ground_truth']} vehicles to learn and "

@@ -14,7 +14,7 @@ from skope import shards
 from skope.dataset import Dataset
 from skope.files import replacing
 from skope.keypoints import K
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, AnnotationFile, Image
 
 PICTURES: Final = 200
 """Images of a split, evenly spread, whose brightness is measured."""
@@ -49,9 +49,8 @@ class SplitStats:
     types: Mapping[str, int]
 
 
-def split_stats(dataset: Dataset, split: str) -> SplitStats:
-    """Numbers of a split; reads its annotations and at most `PICTURES` of its images."""
-    file = dataset.read(split)
+def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
+    """Numbers of one of a dataset's splits; reads at most `PICTURES` of its images."""
     known = [annotation for annotation in file.annotations if not annotation.iscrowd]
     sites = {image.id: image.site for image in file.images}
     seen = np.array([(a.keypoints[:, 2] == 2).mean() for a in known])
@@ -101,34 +100,37 @@ def _quartiles(values: list[float]) -> tuple[float, float, float]:
 
 def table(stats: Mapping[str, SplitStats]) -> list[str]:
     """Lines of a table with a column for each split."""
+    every = [("", list(stats)), *rows(stats)]
+    return [f"{name:<26}" + "".join(f"{cell:>18}" for cell in cells) for name, cells in every]
 
-    def row(name: str, *cells: str) -> str:
-        return f"{name:<26}" + "".join(f"{cell:>18}" for cell in cells)
 
-    def quartiles(values: tuple[float, float, float]) -> str:
-        low, middle, high = values
-        return f"{middle:.0f} ({low:.0f}-{high:.0f})"
-
-    columns = list(stats.values())
-    types = Counter[str]()
+def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
+    """What is said of each split, as names and a cell for each split."""
+    columns, types = list(stats.values()), Counter[str]()
     for column in columns:
         types.update(column.types)
-    return [
-        row("", *stats),
-        row("images", *(str(s.images) for s in columns)),
-        row("sites", *(str(s.sites) for s in columns)),
-        row("vehicles", *(str(s.vehicles) for s in columns)),
-        row("ignored", *(str(s.ignored) for s in columns)),
-        row("distinct vehicles", *(str(s.tracks) for s in columns)),
-        row("vehicles per image", *(f"{s.per_image:.2f}" for s in columns)),
-        row("distance, m", *(quartiles(s.distance_m) for s in columns)),
-        row("box height, px", *(quartiles(s.box_height_px) for s in columns)),
-        row("hidden share", *(f"{s.occluded:.3f}" for s in columns)),
-        row("more than 10% hidden", *(f"{s.crowded:.1%}" for s in columns)),
-        row("visible keypoints", *(f"{s.visible_points:.3f}" for s in columns)),
-        row("brightness, of 255", *(f"{s.brightness:.0f}" for s in columns)),
-        *(row(f"  {kind}", *(str(s.types.get(kind, 0)) for s in columns)) for kind, _ in types.most_common()),
+    said: dict[str, Callable[[SplitStats], str]] = {
+        "images": lambda s: str(s.images),
+        "sites": lambda s: str(s.sites),
+        "vehicles": lambda s: str(s.vehicles),
+        "ignored": lambda s: str(s.ignored),
+        "distinct vehicles": lambda s: str(s.tracks),
+        "vehicles per image": lambda s: f"{s.per_image:.2f}",
+        "distance, m": lambda s: _median(s.distance_m),
+        "box height, px": lambda s: _median(s.box_height_px),
+        "hidden share": lambda s: f"{s.occluded:.3f}",
+        "more than 10% hidden": lambda s: f"{s.crowded:.1%}",
+        "visible keypoints": lambda s: f"{s.visible_points:.3f}",
+        "brightness, of 255": lambda s: f"{s.brightness:.0f}",
+    }
+    return [(name, [cell(s) for s in columns]) for name, cell in said.items()] + [
+        (f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()
     ]
+
+
+def _median(values: tuple[float, float, float]) -> str:
+    low, middle, high = values
+    return f"{middle:.0f} ({low:.0f}-{high:.0f})"
 
 
 def plot(dataset: Dataset, out: Path) -> Path:

@@ -7,7 +7,6 @@ whatever moment a run is killed at, the frames with such a file are whole. It is
 import fcntl
 import json
 import shutil
-from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import astuple
@@ -18,6 +17,8 @@ from skope.dataset import CARD, Dataset
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_bytes, write_json, write_text
 from skope.gen import recording as recordings
+from skope.gen.card import write as write_card
+from skope.gen.counts import Counts
 from skope.gen.frames import Frame
 from skope.gen.pack import Labels, frames_of_split, writer_of
 from skope.gen.recording import Recording, Take
@@ -182,7 +183,7 @@ class Store:
 
     # ------------------------------------------------------------------------------------------------------------ end
 
-    def merge(self, takes: Iterable[Take], form: str) -> "Counts":
+    def merge(self, takes: Iterable[Take], form: str) -> Counts:
         """Write what holds the labels, in one of `pack.FORMATS`, and the manifest.
 
         Ids count through the whole dataset in the order of the takes.
@@ -194,10 +195,11 @@ class Store:
         writer.finish()
         return counts
 
-    def _numbered(self, take: Take, counts: "Counts") -> Iterator[Labels]:
+    def _numbered(self, take: Take, counts: Counts) -> Iterator[Labels]:
         for frame in range(take.frames):
             labels = read_json(self._label_path(take.frame_name(frame)))
-            counts.add(take, labels)
+            places = {"split": take.split, "site": take.site, "weather": labels["image"]["weather"]}
+            counts.add(places, labels["annotations"], labels["tally"])
             counts.images += 1
             rows = []
             for row in labels["annotations"]:
@@ -206,10 +208,9 @@ class Store:
             image = {**labels["image"], "id": counts.images}
             yield Labels(take.frame_name(frame), image, rows, labels["sha256"], labels["tally"])
 
-    def finish(self, card: dict[str, Any], readme: str) -> None:
+    def finish(self, content: Mapping[str, Any]) -> None:
         """Write the card, and remove what was only needed on the way, which makes the dataset complete."""
-        write_text(self.root / "README.md", readme)
-        write_json(self.root / CARD, card)
+        write_card(self.root, content)
         self._plan_path.unlink()
         shutil.rmtree(self._work, ignore_errors=True)
 
@@ -219,41 +220,6 @@ def _starts_like(recording: Recording, shorter: Path) -> bool:
         return recording.starts_like(recordings.load(shorter))
     except UserError:  # it is broken, or of another version
         return False
-
-
-class Counts:
-    """Counts for the card: images, ground truth and ignored vehicles by split, site, type and reason."""
-
-    def __init__(self) -> None:
-        self.images = self.vehicles = 0
-        self.by: dict[str, dict[str, Counter[str]]] = {"split": {}, "site": {}, "vehicle_type": {}}
-        self.tally: Counter[str] = Counter()
-        self.ignored: Counter[str] = Counter()
-
-    def add(self, take: Take, labels: dict[str, Any]) -> None:
-        places = [("split", take.split), ("site", take.site)]
-        for group, name in places:
-            self.by[group].setdefault(name, Counter())["images"] += 1
-        for annotation in labels["annotations"]:
-            kind = "ignored" if annotation["iscrowd"] else "ground_truth"
-            for group, name in (*places, ("vehicle_type", annotation["vehicle_type"])):
-                self.by[group].setdefault(name, Counter())[kind] += 1
-        tally = dict(labels["tally"])
-        self.ignored.update(tally.pop("ignored"))
-        self.tally.update(tally)
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "images": self.images,
-            "ground_truth": sum(counter["ground_truth"] for counter in self.by["split"].values()),
-            "ignored": dict(sorted(self.ignored.items())),
-            "by_split": self._table("split", "images", "ground_truth", "ignored"),
-            "by_site": self._table("site", "images", "ground_truth", "ignored"),
-            "by_vehicle_type": self._table("vehicle_type", "ground_truth", "ignored"),
-        }
-
-    def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
-        return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}
 
 
 def _short(value: Any) -> str:

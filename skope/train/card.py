@@ -21,7 +21,7 @@ def text(config: RunConfig, training: Training, datasets: Sequence[Dataset], cou
     lines = [
         "# Vehicle keypoint detector",
         "",
-        f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{keypoints.SCHEME}`), "
+        f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{config.scheme}`), "
         f"{training.config.norm} normalisation with eps {training.config.norm_eps:g}, images at a short side of "
         f"{recipe.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} epochs.",
         "",
@@ -30,7 +30,7 @@ def text(config: RunConfig, training: Training, datasets: Sequence[Dataset], cou
         "| dataset | images | vehicles | keypoints learnt | licence |",
         "|---|---|---|---|---|",
         *(
-            f"| {root} | {images} | {vehicles} | {recipe.supervise} | {licence(dataset)} |"
+            f"| {root} | {images} | {vehicles} | {recipe.supervise} | {dataset.licence.replace('|', '/')} |"
             for root, dataset, (images, vehicles) in zip(config.data, datasets, counts, strict=True)
         ),
         "",
@@ -57,12 +57,6 @@ def text(config: RunConfig, training: Training, datasets: Sequence[Dataset], cou
         "it (`skope eval`).",
     ]
     return "\n".join(lines) + "\n"
-
-
-def licence(dataset: Dataset) -> str:
-    """As the dataset's card states it."""
-    stated = dataset.card.get("licence") or dataset.card.get("license") or "not stated"
-    return " ".join(str(stated).split()).replace("|", "/")
 
 
 def _terms(origin: str) -> str:

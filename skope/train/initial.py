@@ -28,19 +28,27 @@ State = dict[str, torch.Tensor]
 
 
 def initialise(
-    init: str, *, norm: str, min_size: int, max_size: int, trainable_layers: int, seed: int
+    init: str,
+    *,
+    norm: str,
+    min_size: int,
+    max_size: int,
+    trainable_layers: int,
+    seed: int,
+    scheme: str = keypoints.SCHEME,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """A model with its first weights, its config, and the choice in words.
 
     `auto` takes weights trained on COCO if their file lies in torchvision's cache, else random ones, and never uses
     the network; `coco` and `imagenet` download what is not there; anything else is a file (see `_from_file`). As in
     torchvision, trained weights come with frozen normalisation, and random ones with normalisation and all layers that
-    learn, unless `norm` says otherwise. `seed` draws what no file gives.
+    learn, unless `norm` says otherwise. `seed` draws what no file gives. A checkpoint of ours must have the keypoint
+    `scheme` that is to be learnt.
     """
 
     def config(given_norm: str, eps: float) -> DetectorConfig:
         chosen = given_norm if norm == "given" else norm
-        return DetectorConfig(norm=chosen, norm_eps=eps, min_size=min_size, max_size=max_size)
+        return DetectorConfig(norm=chosen, norm_eps=eps, min_size=min_size, max_size=max_size, scheme=scheme)
 
     coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
     with torch.random.fork_rng(devices=[]):
@@ -58,7 +66,7 @@ def initialise(
             return detector.build(chosen, trainable_layers=5), chosen, words
         file = check(init)
         assert file is not None
-        state, own_norm, eps = _from_file(file)
+        state, own_norm, eps = _from_file(file, scheme)
         chosen = config(own_norm, eps)
         return _loaded(file, state, chosen, trainable_layers), chosen, f"weights of {file}"
 
@@ -72,7 +80,7 @@ def check(init: str) -> Path | None:
     return detector.find_checkpoint(Path(init))
 
 
-def _from_file(path: Path) -> tuple[State, str, float]:
+def _from_file(path: Path, scheme: str) -> tuple[State, str, float]:
     """Weights, norm and eps of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
     Ours records norm and eps. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0 for
@@ -82,6 +90,8 @@ def _from_file(path: Path) -> tuple[State, str, float]:
         if _is_ours(path):
             header, state = detector.read_checkpoint(path)
             own = DetectorConfig.from_dict(header["config"])
+            if own.scheme != scheme:
+                raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme}")
             return state, own.norm, own.norm_eps
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)

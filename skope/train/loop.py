@@ -14,6 +14,7 @@ from skope.console import Console, minutes
 from skope.detector import checkpoint_name
 from skope.errors import UserError
 from skope.files import write_text
+from skope.keypoints import SCHEMES
 from skope.train import assign, card, data, ranks, run, sources, step, validate, watch
 from skope.train.data import Sample, TrainingSet
 from skope.train.fold import fold_norms
@@ -57,10 +58,11 @@ def train(
     the state before they raise KeyboardInterrupt. Raises UserError for a dataset without anything to learn from, a
     broken image, a folder that holds another run, a loss that is no longer finite, and too little memory.
     """
-    recipe = config.recipe
     with ranks.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
         console = console if team.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
+        config = config.of([part.dataset for part in parts], sources.one_scheme(parts))
+        recipe = config.recipe
         training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
         begin = run.resume if resume else run.start
         training = begin(out, config, [part.fingerprint for part in parts], device)
@@ -232,6 +234,8 @@ def _announce(config: RunConfig, training: Training, training_set: TrainingSet, 
     recipe = config.recipe
     console.say(f"{recipe.describe()}; {training.origin}; seed {config.seed}; {where}")
     names = " + ".join(config.data)
+    if SCHEMES[config.scheme].flip is None:
+        console.say(f"images are not mirrored: of scheme {config.scheme} no mirror partners are known")
     console.say(f"{names}: {len(training_set)} images with {training_set.vehicles} vehicles to learn from")
     if training.epochs_done or training.steps_done:
         within = f" and {training.steps_done} steps" if training.steps_done else ""

@@ -13,7 +13,7 @@ and writes again what came after. The state of every random generator follows fr
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -21,9 +21,11 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector, keypoints
+from skope.dataset import Dataset
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_json, write_text
+from skope.keypoints import Scheme
 from skope.train import initial
 from skope.train.recipe import Recipe
 
@@ -46,16 +48,28 @@ class RunConfig:
     mix: float | None
     """Share of an epoch's images that the first dataset gives; None: all images of all datasets once."""
     max_images: int | None
+    scheme: str = keypoints.SCHEME
+    """The datasets' keypoint scheme."""
+    licences: tuple[str, ...] = ()
+    """Of the datasets, in their order, as their cards state them."""
+
+    def of(self, datasets: Sequence[Dataset], scheme: Scheme) -> Self:
+        """With what the datasets say; images are not mirrored where nobody knows the keypoints' mirror partners."""
+        recipe = self.recipe
+        if scheme.flip is None:
+            recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
+        return replace(self, recipe=recipe, scheme=scheme.name, licences=tuple(d.licence for d in datasets))
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "version": _VERSION,
-            "scheme": keypoints.SCHEME,
+            "scheme": self.scheme,
             "recipe": self.recipe.to_dict(),
             "seed": self.seed,
             "data": list(self.data),
             "mix": self.mix,
             "max_images": self.max_images,
+            "licences": list(self.licences),
         }
 
     @classmethod
@@ -125,6 +139,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         max_size=recipe.max_size,
         trainable_layers=recipe.trainable_layers,
         seed=config.seed,
+        scheme=config.scheme,
     )
     model = placed(model, recipe, device)
     return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)

@@ -12,12 +12,11 @@ from skope import dataset, shards
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_bytes
+from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.train.vehicles import Vehicles, vehicles_of
 
 SPLIT: Final = "train"
-GAP_S: Final = 1.0
-"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +46,24 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
     file = excluding(file, exclude_types)
-    learnt, validated = _split(file, val_fraction)
+    learnt, validated = dataset.held_back(file, val_fraction)
     if max_images is not None:
         learnt = dataset.take(learnt, max_images)
     if all(annotation.ignored for annotation in learnt.annotations):
         raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
     return Source(dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images))
+
+
+def one_scheme(sources: Sequence[Source]) -> Scheme:
+    """The keypoint scheme of all datasets; different ones are refused, since their points mean different things."""
+    first, *others = sources
+    for other in others:
+        if other.dataset.scheme is not first.dataset.scheme:
+            raise UserError(
+                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.name}, {first.dataset.root} has "
+                f"{first.dataset.scheme.name}: datasets of different schemes cannot be learnt together"
+            )
+    return first.dataset.scheme
 
 
 def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
@@ -62,27 +73,6 @@ def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
     return replace(
         file, annotations=tuple(replace(a, iscrowd=1) if a.vehicle_type in types else a for a in file.annotations)
     )
-
-
-def _split(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
-    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
-    learnt: list[Image] = []
-    validated: list[Image] = []
-    for ordered in dataset.recordings(file):
-        first = dataset.end_of(ordered, fraction)
-        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
-        validated += ordered[first:]
-    return dataset.part(file, learnt), dataset.part(file, validated)
-
-
-def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
-    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
-    if first == len(ordered):
-        return False
-    begins = ordered[first].time_s
-    if image.time_s is None or begins is None:
-        return i == first - 1
-    return begins - image.time_s < GAP_S
 
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
@@ -105,5 +95,6 @@ def for_validation(sources: Sequence[Source], most: int) -> tuple[AnnotationFile
     for number, (_, image, vehicles) in enumerate(chosen, start=1):
         images.append(replace(image, id=number))
         annotations += [replace(a, id=len(annotations) + k, image_id=number) for k, a in enumerate(vehicles, start=1)]
-    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation")
+    scheme = one_scheme(sources)
+    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation", scheme=scheme)
     return file, [root / image.file_name for root, image, _ in chosen]

@@ -28,7 +28,7 @@ class Vehicles:
     """(M, 4) ignored vehicles."""
 
     def flipped(self, width: float) -> "Vehicles":
-        """As in the mirrored image: x becomes width - x, and right and left change names."""
+        """As in the mirrored image: x becomes width - x, and right and left change names (of scheme `skope33`)."""
         points = self.keypoints[:, keypoints.FLIP].copy()
         points[..., 0] = np.where(points[..., 2] > 0, width - points[..., 0], 0.0)
         return Vehicles(_mirror(self.boxes_xyxy, width), points, _mirror(self.ignored_xyxy, width))

@@ -72,8 +72,12 @@ def overlays(
             continue
         pixels = read_image(place, size=(image.width, image.height))
         found: list[Result] = [r for r in validate.found(model, pixels, image.id, device) if r.score > _SURE]
-        pairs.append(draw.caption(draw.annotations(pixels, truth), f"{image.file_name}: ground truth"))
-        pairs.append(draw.caption(draw.results(pixels, found), f"after epoch {epoch}: {len(found)} found"))
+        pairs.append(
+            draw.caption(draw.annotations(pixels, truth, scheme=file.scheme), f"{image.file_name}: ground truth")
+        )
+        pairs.append(
+            draw.caption(draw.results(pixels, found, scheme=file.scheme), f"after epoch {epoch}: {len(found)} found")
+        )
     if pairs:
         draw.write(path, draw.contact_sheet(pairs, 2))
 

@@ -1,28 +1,8 @@
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from skope import cli, detector
-
-
-@pytest.fixture
-def skope(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Any:
-    """Run the command in an empty folder; returns exit code, standard output and standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*args: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["skope", *map(str, args)])
-        capsys.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        return code, *capsys.readouterr()
-
-    return call
+from skope import detector
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

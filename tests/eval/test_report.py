@@ -11,9 +11,10 @@ from skope import coco, keypoints
 from skope.eval.breakdown import Fleet
 from skope.eval.measure import Measured, measure
 from skope.eval.report import curves, gallery
-from skope.eval.report.charts import Axes, Line, chart, plan
 from skope.eval.tally import Options
 from skope.keypoints import INDEX
+from skope.page.charts import Axes, Line, chart
+from skope.page.outline import plan
 from skope.schema import AnnotationFile, Result
 from tests.eval.page import Page
 from tests.samples import make_annotation, make_dataset, make_image

@@ -116,7 +116,8 @@ def test_bad_flags_get_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["skope", "gen", "--out", str(tmp_path / "d"), *flags])
+    # Without OpenGL in this process: on a CPU it and torch's compiler, which a test below loads, bring an LLVM each.
+    monkeypatch.setattr(sys, "argv", ["skope", "gen", "--out", str(tmp_path / "d"), "--renderer", "pybullet", *flags])
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2

@@ -39,7 +39,8 @@ def dataset(tmp_path: Path) -> Path:
 
 
 def test_numbers_are_those_counted_by_hand(dataset: Path) -> None:
-    found = split_stats(open_dataset(dataset), "easy")
+    folder = open_dataset(dataset)
+    found = split_stats(folder, folder.read("easy"))
     assert (found.images, found.sites, found.vehicles, found.ignored, found.tracks) == (2, 1, 3, 1, 2)
     assert found.per_image == 1.5
     assert found.distance_m == (15, 20, 25)

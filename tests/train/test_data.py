@@ -112,7 +112,7 @@ def test_another_scheme_is_refused(tmp_path: Path) -> None:
     root = samples.make_dataset(tmp_path, splits=("train",))
     card = root / "dataset.json"
     card.write_text(card.read_text().replace(keypoints.SCHEME, "coco17"))
-    with pytest.raises(UserError, match=r"dataset.json: keypoint_scheme: expected 'skope33', got 'coco17'"):
+    with pytest.raises(UserError, match=r"dataset.json: keypoint_scheme: 'coco17' is not one of skope33, skope3d"):
         source(root)
 
 

@@ -59,7 +59,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A dataset of one image, and a detector that has seen it often."""
     folder = tmp_path_factory.mktemp("learnt")
     data = samples.make_dataset(folder / "data", images=1, splits=("train",))
-    recipe = replace(SMALL, epochs=60, augment=Augment(flip=0.0), warmup_steps=10)
+    recipe = replace(SMALL, epochs=48, learning_rate=0.03, augment=Augment(flip=0.0), warmup_steps=10)
     return data, train(data, folder / "run", recipe)
 
 
@@ -104,7 +104,7 @@ def check(answers: list[tuple[torch.Tensor, ...]], data: Path, checkpoint: Path)
 def test_torchscript(learnt: tuple[Path, Path]) -> None:
     data, checkpoint = learnt
     path = export(checkpoint.parent, "torchscript", None, console=Console(quiet=True))
-    assert path == checkpoint.with_name("epoch_060.torchscript.pt")
+    assert path == checkpoint.with_suffix(".torchscript.pt")
     model = torch.jit.load(str(path))  # type: ignore[no-untyped-call]
     with torch.inference_mode():
         check([model(image) for image in images(data)], data, checkpoint)

@@ -24,6 +24,8 @@ from skope.train.recipe import RECIPES, Recipe
 from skope.train.run import RunConfig
 from tests import samples
 
+pytestmark = pytest.mark.usefixtures("small_network")
+
 CPU = torch.device("cpu")
 TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, epochs=2, step_size=1)
 TINY = replace(TINY, val_fraction=0.0)

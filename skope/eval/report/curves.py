@@ -5,8 +5,8 @@ import numpy as np
 from skope.eval.confidence import curve
 from skope.eval.match import match
 from skope.eval.measure import Measured
-from skope.eval.report.charts import Line
 from skope.eval.tally import Options
+from skope.page.charts import Line
 
 ALPHAS = np.linspace(0, 0.2, 41)
 

@@ -2,18 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 from skope import __version__
 from skope.eval.measure import Measured
 from skope.eval.report import curves
-from skope.eval.report.charts import Axes, chart, outline
 from skope.eval.report.gallery import gallery
-from skope.eval.report.marks import bar, plain, table, tag
 from skope.eval.table import COLUMNS, drawn, published_row, row_of
 from skope.eval.tally import PROTOCOLS, Options
+from skope.page import document as page
+from skope.page.charts import Axes, chart
+from skope.page.marks import bar, plain, share, table, tag
+from skope.page.outline import Point, outline
+from skope.page.stage import switches
 
 _TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
 _PARTS: Final = {
@@ -51,25 +53,8 @@ def render(
         _about(document),
         _figures(document, protocol, beside),
         *(_split(split, root, options) for split in measured),
-        tag("div", id="tip", role="status", hidden="hidden"),
-        tag("script", _text("page.js")),
     ]
-    head = (
-        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-        # No request leaves the page, whatever it holds.
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
-        '<link rel="icon" href="data:,">'
-    )
-    style = tag("style", _text("page.css"))
-    return (
-        f'<!doctype html>\n<html lang="en"><head>{head}<title>{escape(f"skope eval: {names}")}</title>{style}</head>'
-        f"<body><main>{''.join(body)}</main></body></html>\n"
-    )
-
-
-def _text(name: str) -> str:
-    return resources.files("skope.eval.report").joinpath(name).read_text(encoding="utf-8")
+    return page(f"skope eval: {names}", *body)
 
 
 def _about(document: Mapping[str, Any]) -> str:
@@ -182,7 +167,7 @@ def _split(measured: Measured, root: Path, options: Options) -> str:
         tag(
             "div",
             *charts,
-            outline(f"PCK of each keypoint, IoU {loosest}", entry["by"]["keypoint"], loosest),
+            _keypoints(entry["by"]["keypoint"], loosest),
             class_="grid",
         ),
         _confidence(entry["confidence"], loosest),
@@ -196,8 +181,29 @@ def _split(measured: Measured, root: Path, options: Options) -> str:
             "Quality is the share of an image's labelled keypoints that are right, times vehicles / (vehicles + false "
             "detections). Lines lead from a wrong keypoint to its place.",
         ),
-        tag("div", _switches(name), shown, class_="gallery") if shown else tag("p", "No image file is there."),
+        tag(
+            "div",
+            switches(f"Layers of the images of {name}", _LAYERS, _LAYERS.keys() - {"ignored"}),
+            shown,
+            class_="gallery",
+        )
+        if shown
+        else tag("p", "No image file is there."),
     )
+
+
+def _keypoints(entry: Mapping[str, Any], threshold: str) -> str:
+    """PCK of each keypoint in its place on the vehicle."""
+    points = {}
+    for name, by_threshold in entry.items():
+        figures = by_threshold[threshold]
+        pck, correct, labelled = figures["pck"], figures["correct"], figures["labelled"]
+        points[name] = Point(
+            share=pck,
+            tip=f"PCK {share(pck)}, {correct} of {labelled}",
+            cells=(share(pck), str(correct), str(labelled), share(figures["keypoint_recall"])),
+        )
+    return outline(f"PCK of each keypoint, IoU {threshold}", points, ("PCK", "correct", "labelled", "recall"))
 
 
 def _confidence(entry: Mapping[str, Any], threshold: str) -> str:
@@ -225,12 +231,3 @@ def _failures(entry: Mapping[str, Mapping[str, int]]) -> str:
     head = ("IoU", "vehicles missed", "false vehicles", "left/right swapped", "front/rear swapped", "jitter")
     rows = [[t, *(str(count) for count in counts.values())] for t, counts in entry.items()]
     return table(head, rows, caption="Vehicles missed and false; wrong keypoints by kind")
-
-
-def _switches(split: str) -> str:
-    boxes = "".join(
-        f'<label><input type="checkbox" data-layer="{layer}"{"" if layer == "ignored" else " checked"}> '
-        f'<span class="key {layer}"></span>{escape(words)}</label>'
-        for layer, words in _LAYERS.items()
-    )
-    return tag("fieldset", tag("legend", escape(f"Layers of the images of {split}")), boxes, class_="choices")

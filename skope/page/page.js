@@ -6,13 +6,41 @@ for (const radio of document.querySelectorAll("input[name=protocol]")) {
   });
 }
 
-// Layers of a split's images.
+// Layers of a gallery's images.
 for (const box of document.querySelectorAll("input[data-layer]")) {
   const show = () => {
-    for (const group of box.closest(".gallery").querySelectorAll("g." + box.dataset.layer)) group.classList.toggle("off", !box.checked);
+    for (const layer of box.closest(".gallery").querySelectorAll(".stage ." + box.dataset.layer)) layer.classList.toggle("off", !box.checked);
   };
   box.addEventListener("change", show);
   show();
+}
+
+// Filters of a gallery: which images are shown, and of vehicles of one type only those.
+for (const gallery of document.querySelectorAll(".gallery")) {
+  const filters = [...gallery.querySelectorAll("select[data-filter]")];
+  const show = () => {
+    const wanted = filters.filter((f) => f.value).map((f) => [f.dataset.filter, f.value]);
+    let count = 0;
+    for (const figure of gallery.querySelectorAll("figure.photo")) {
+      // An image has several types of vehicles, and one of everything else.
+      figure.hidden = !wanted.every(([key, value]) => (key === "type" ? figure.dataset.type.split(" ").includes(value) : figure.dataset[key] === value));
+      count += !figure.hidden;
+    }
+    const type = (wanted.find(([key]) => key === "type") || [])[1];
+    for (const vehicle of gallery.querySelectorAll("g[data-of]")) vehicle.classList.toggle("off", type !== undefined && vehicle.dataset.of !== type);
+    gallery.querySelector("output.count").textContent = count ? count + (count === 1 ? " image" : " images") : "no image is like that";
+  };
+  for (const filter of filters) filter.addEventListener("change", show);
+  if (filters.length) show();
+}
+
+// An image across the whole page.
+for (const button of document.querySelectorAll("button.larger")) {
+  button.addEventListener("click", () => {
+    const large = button.closest("figure").classList.toggle("wide");
+    button.setAttribute("aria-pressed", large);
+    button.textContent = large ? "smaller" : "larger";
+  });
 }
 
 // Tables sort by a column's numbers, or its text; a second time the other way round. What has no number goes last.

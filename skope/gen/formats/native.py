@@ -1,24 +1,21 @@
-"""A dataset in another format."""
+"""A dataset that `skope gen` made, in folders or in shards."""
 
 from pathlib import Path
 
 from skope.console import Console
-from skope.dataset import CARD, MANIFEST, Dataset
-from skope.errors import UserError, one_of
-from skope.files import read_bytes, write_bytes, write_json, write_text
+from skope.dataset import MANIFEST, Dataset
+from skope.errors import UserError
+from skope.files import read_bytes, write_bytes
 from skope.gen import card
-from skope.gen.pack import FORMATS, frames_of_split, writer_of
+from skope.gen.pack import frames_of_split, writer_of
 
 
 def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
-    """Write a dataset that `skope gen` made in the other format at `out`, an empty or missing folder."""
-    one_of("--to", form, FORMATS)
+    """Write a dataset that `skope gen` made in the other of the two forms at `out`, an empty folder."""
     if not (dataset.root / MANIFEST).is_file():
         raise UserError(f"{dataset.root / MANIFEST}: no such file: only what `skope gen` made can be converted")
     if form == dataset.card.get("format"):
         raise UserError(f"{dataset.root}: is in this format already ({form})")
-    if out.exists() and any(out.iterdir()):
-        raise UserError(f"{out}: is not empty; choose another folder")
     writer = writer_of(form, out)
     for name in sorted(p.name for p in (dataset.root / "recordings").glob("*.npz")):
         write_bytes(out / "recordings" / name, read_bytes(dataset.root / "recordings" / name))
@@ -30,5 +27,4 @@ def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     writer.finish()
     parameters = {**dataset.card["parameters"], "format": form}
     content = {**dataset.card, "format": form, "parameters": parameters, "command": card.command(parameters)}
-    write_text(out / "README.md", card.readme(content))
-    write_json(out / CARD, content)
+    card.write(out, content)

@@ -2,6 +2,10 @@
 
 from collections.abc import Sequence
 from html import escape
+from typing import Final
+
+_VOID: Final = ("img",)
+"""Elements that have no end."""
 
 
 def tag(name: str, *children: str, **attributes: object) -> str:
@@ -11,7 +15,7 @@ def tag(name: str, *children: str, **attributes: object) -> str:
         for key, value in attributes.items()
         if value is not None
     )
-    return f"<{name}{written}>{''.join(children)}</{name}>"
+    return f"<{name}{written}>" if name in _VOID else f"<{name}{written}>{''.join(children)}</{name}>"
 
 
 def share(value: float | None) -> str:
@@ -46,6 +50,6 @@ def bar(value: float | None) -> str:
     return f'<span class="bar" style="--v:{100 * value:.1f}%">{100 * value:.1f}</span>'
 
 
-def details(summary: str, *children: str) -> str:
-    """What is shown when its summary is opened."""
-    return tag("details", tag("summary", escape(summary)), *children)
+def details(summary: str, *children: str, opened: bool = False) -> str:
+    """What is shown when its summary is opened, or from the beginning."""
+    return tag("details", tag("summary", escape(summary)), *children, open="" if opened else None)

@@ -1,0 +1,48 @@
+"""What a card counts."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+
+class Counts:
+    """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason."""
+
+    def __init__(self) -> None:
+        self.images = self.vehicles = 0
+        self.by: dict[str, dict[str, Counter[str]]] = {"split": {}, "site": {}, "weather": {}, "vehicle_type": {}}
+        self.tally: Counter[str] = Counter()
+        self.ignored: Counter[str] = Counter()
+
+    def add(
+        self, places: Mapping[str, str | None], rows: Iterable[Mapping[str, Any]], tally: Mapping[str, Any]
+    ) -> None:
+        """Count an image with the rows of its vehicles; `places` name its split, site and weather.
+
+        What is not known of an image or a vehicle is not counted.
+        """
+        known = [(group, name) for group, name in places.items() if name is not None]
+        for group, name in known:
+            self.by[group].setdefault(name, Counter())["images"] += 1
+        for row in rows:
+            kind = "ignored" if row["iscrowd"] else "ground_truth"
+            type_ = row.get("vehicle_type")
+            for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
+                self.by[group].setdefault(name, Counter())[kind] += 1
+        tally = dict(tally)
+        self.ignored.update(tally.pop("ignored"))
+        self.tally.update(tally)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "images": self.images,
+            "ground_truth": sum(counter["ground_truth"] for counter in self.by["split"].values()),
+            "ignored": dict(sorted(self.ignored.items())),
+            "by_split": self._table("split", "images", "ground_truth", "ignored"),
+            "by_site": self._table("site", "images", "ground_truth", "ignored"),
+            "by_weather": self._table("weather", "images", "ground_truth", "ignored"),
+            "by_vehicle_type": self._table("vehicle_type", "ground_truth", "ignored"),
+        }
+
+    def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
+        return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}

@@ -1,0 +1,117 @@
+"""From one format to another: `skope gen convert`."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from skope.console import Console
+from skope.dataset import Dataset, open_dataset
+from skope.errors import UserError, one_of
+from skope.files import replacing_folder, write_text
+from skope.gen.formats import coco_files, kitti, mot, native, skope3d, yolo
+from skope.gen.formats.archive import zipped
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME
+from skope.gen.pack import FORMATS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What some of the formats take; None or empty where nothing was said."""
+
+    map: Path | None = None
+    """What the keypoints of `--from skope3d` are."""
+    images: Path | None = None
+    """Where the images of annotation files lie."""
+    split: str | None = None
+    """Split that all that is read goes to."""
+    keypoints: tuple[str, ...] = ()
+    """Names of the keypoints to write; none for all."""
+
+
+_OF: Final = {
+    "map": ("--from skope3d",),
+    "images": ("--from coco", "--from cvat"),
+    "keypoints": ("--to yolo",),
+    "split": ("--from skope3d", "--from coco", "--from cvat"),
+}
+"""What an option is for."""
+
+_PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
+    "coco": coco_files.write,
+    "cvat": coco_files.write_cvat,
+    "kitti": kitti.write,
+    "mot": mot.write,
+    "skope3d": skope3d.write,
+}
+_YOLO: Final = "yolo"
+WRITERS: Final = (*FORMATS, *_PLAIN, _YOLO)
+READERS: Final = ("coco", "cvat", "skope3d")
+
+
+def convert(
+    sources: Sequence[Path], out: Path, *, read_as: str | None, write_as: str | None, options: Options, console: Console
+) -> None:
+    """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
+
+    Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one. CVAT takes archives:
+    there `out` may be a zip file.
+    """
+    if read_as is not None:
+        one_of("--from", read_as, READERS)
+    if write_as is not None:
+        one_of("--to", write_as, WRITERS)
+    if read_as is None and write_as is None:
+        raise UserError("say --to which format, or --from which one")
+    if read_as is not None and write_as == "shards":
+        raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
+    for name, formats in _OF.items():
+        if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
+            raise UserError(f"--{name} is for {', '.join(formats)}")
+    if options.split is not None and not SPLIT_NAME.fullmatch(options.split):
+        raise UserError(f"--split: expected letters, digits, _, . and -, got {options.split!r}")
+    if read_as is None and len(sources) != 1:
+        raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
+    archive = write_as == "cvat" and out.suffix == ".zip"
+    if archive and out.exists():
+        raise UserError(f"{out}: is there already; choose another name")
+    with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
+        if read_as is None:
+            _write(open_dataset(sources[0]), write_as or "folder", folder, options, console)
+        elif write_as in (None, "folder"):
+            _read(sources, folder, read_as, options, console)
+        else:
+            with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
+                _read(sources, Path(between), read_as, options, console)
+                _write(open_dataset(Path(between)), write_as, folder, options, console)
+        if archive:
+            zipped(folder, out)
+
+
+def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
+    told = "".join(f" --{name} {value}" for name in _OF if isinstance(value := getattr(options, name), str | Path))
+    command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
+    if form == "skope3d":
+        skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
+    else:
+        coco_files.read(
+            sources,
+            root,
+            form=form,
+            images=options.images,
+            split=options.split,
+            command=command,
+            console=console,
+        )
+
+
+def _write(dataset: Dataset, form: str, folder: Path, options: Options, console: Console) -> None:
+    if form in FORMATS:
+        native.convert(dataset, form, folder, console)
+        return
+    if form == _YOLO:
+        yolo.write(dataset, folder, options.keypoints, console)
+    else:
+        _PLAIN[form](dataset, folder, console)
+    write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")

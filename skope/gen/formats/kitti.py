@@ -1,0 +1,131 @@
+"""KITTI's object labels, with the road's plane as Rope3D and DAIR-V2X have it.
+
+    <split>/image_2/000000.jpg      the image
+    <split>/label_2/000000.txt      type truncated occluded alpha x1 y1 x2 y2 h w l X Y Z ry
+    <split>/calib/000000.txt        P0 to P3, R0_rect, Tr_velo_to_cam, Tr_imu_to_velo
+    <split>/denorm/000000.txt       a b c d: the road a x + b y + c z + d = 0 in the camera frame, its normal up
+    <split>/rotation/000000.txt     a row for each row of labels: the 3x3 rotation from box to camera axes, row by row
+    <split>/index.txt               the number of each image, and what it is called in the dataset
+
+X Y Z is the middle of the box's bottom in the camera frame. A roadside camera looks down, so `ry` turns about the
+road's normal, not the camera's y axis: corners = G R_y(ry) p + (X, Y, Z), G the smallest rotation that takes the
+camera's y axis to the road's downward normal, p in KITTI's box axes (x forward, y down, z to the right). That leaves
+out a vehicle's own pitch and roll, which `rotation` keeps. Lens distortion has no place in this format.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import boxes
+from skope.camera import Camera
+from skope.console import Console
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.files import write_text
+from skope.gen.formats.gather import put
+from skope.schema import Annotation, Box3D, Image
+
+Array = NDArray[np.float64]
+
+TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Van", "minivan": "Van", "other": "Misc"}
+"""KITTI's words; every other type is a Car."""
+OCCLUSIONS: Final = (0.1, 0.4)
+"""Shares from which a vehicle counts as partly and as largely occluded."""
+DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
+BOX_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+"""KITTI's box axes as columns in ours: x forward, y down, z right of x forward, y left, z up."""
+_ROAD: Final = np.array([0.0, 0.0, 1.0])
+
+
+def write(dataset: Dataset, out: Path, console: Console) -> None:
+    """Write every split; images must have cameras, and vehicles 3D boxes."""
+    distorted = 0
+    for split in dataset.splits:
+        file = dataset.read(split)
+        own = file.by_image()
+        folder, index = out / split, []
+        for number, image in enumerate(console.bar(file.images, unit="image", label=f"writing {split}")):
+            where = f"{dataset.root}: {split}: image {image.id}"
+            if image.camera is None:
+                raise UserError(f"{where}: camera: missing, and KITTI's labels are in its frame")
+            distorted += image.camera.distortion.model != "none"
+            suffix = PurePosixPath(image.file_name).suffix
+            put(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
+            labels, rotations = _labels(where, own[image.id], image, image.camera)
+            texts = {
+                "label_2": "".join(labels),
+                "rotation": "".join(rotations),
+                "calib": _calibration(image.camera),
+                "denorm": " ".join(f"{v:.9g}" for v in road_plane(image.camera)) + "\n",
+            }
+            for kind, text in texts.items():
+                write_text(folder / kind / f"{number:06d}.txt", text)
+            index.append(f"{number:06d} {image.file_name}\n")
+        write_text(folder / "index.txt", "".join(index))
+    if distorted:
+        console.say(f"{distorted} images have a distorted lens, which KITTI's calibration cannot say")
+
+
+def road_plane(camera: Camera) -> Array:
+    """(4,) a, b, c, d of the world's z = 0 in the camera frame; the unit normal points up, d is the camera's height."""
+    normal = camera.T_camera_world[:3, :3] @ _ROAD
+    return np.append(normal, -normal @ camera.T_camera_world[:3, 3])
+
+
+def levelling(plane: Array) -> Array:
+    """(3, 3) the smallest rotation that takes the y axis to the plane's downward normal."""
+    down = -plane[:3] / np.linalg.norm(plane[:3])
+    y = np.array([0.0, 1.0, 0.0])
+    axis, cosine = np.cross(y, down), float(y @ down)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
+
+
+def _labels(where: str, vehicles: Sequence[Annotation], image: Image, camera: Camera) -> tuple[list[str], list[str]]:
+    """A row of labels and one of rotations for each vehicle; an ignored one is a region not to care about."""
+    labels, rotations = [], []
+    for vehicle in vehicles:
+        box_2d = " ".join(f"{v:.2f}" for v in boxes.xywh_to_xyxy(vehicle.bbox))
+        if vehicle.ignored:
+            labels.append(DONT_CARE.format(box_2d) + "\n")
+            rotations.append("0 0 0 0 0 0 0 0 0\n")
+            continue
+        if vehicle.box_3d is None:
+            raise UserError(f"{where}, annotation {vehicle.id}: box_3d: missing")
+        bottom, turn, R = _placed(vehicle.box_3d, camera)
+        length, width, height = vehicle.box_3d.size_lwh
+        alpha = _wrapped(turn - float(np.arctan2(bottom[0], bottom[2])))
+        occluded = int(np.searchsorted(OCCLUSIONS, vehicle.occlusion or 0.0, side="right"))
+        kind = TYPES.get(vehicle.vehicle_type or "", "Car")
+        numbers = (height, width, length, *bottom, turn)
+        labels.append(
+            f"{kind} {vehicle.truncation or 0.0:.2f} {occluded} {alpha:.4f} {box_2d} "
+            f"{' '.join(f'{v:.4f}' for v in numbers)}\n"
+        )
+        rotations.append(" ".join(f"{v:.9g}" for v in R.ravel()) + "\n")
+    return labels, rotations
+
+
+def _placed(box: Box3D, camera: Camera) -> tuple[Array, float, Array]:
+    """In the camera frame: the middle of the bottom, the turn about the road's normal, and the whole rotation."""
+    bottom = camera.to_camera(box.center - box.R @ [0.0, 0.0, box.size_lwh[2] / 2])
+    R = camera.T_camera_world[:3, :3] @ box.R @ BOX_AXES
+    ahead = levelling(road_plane(camera)).T @ R[:, 0]
+    return bottom, float(np.arctan2(-ahead[2], ahead[0])), R
+
+
+def _wrapped(angle: float) -> float:
+    return float(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def _calibration(camera: Camera) -> str:
+    K = camera.K.copy()
+    K[:2, 2] -= 0.5  # this format counts the centre of a pixel as i
+    P = np.column_stack([K, np.zeros(3)])
+    rows = {f"P{i}": P for i in range(4)}
+    rows |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": np.eye(4)[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
+    return "".join(f"{name}: {' '.join(f'{v:.12e}' for v in values.ravel())}\n" for name, values in rows.items())

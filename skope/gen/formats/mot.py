@@ -1,0 +1,57 @@
+"""MOTChallenge's sequences: `<split>/<site>_<recording>/` with `img1/000001.jpg`, `gt/gt.txt` and `seqinfo.ini`.
+
+A row of `gt.txt` is frame (from 1), track, left, top, width, height, whether it counts, class, visibility. Ignored
+vehicles do not count (0). The class is always 1, the one that the challenge's evaluation looks at.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from skope.console import Console
+from skope.dataset import Dataset, recordings
+from skope.errors import UserError
+from skope.files import write_text
+from skope.gen.formats.gather import frame_rate, put
+from skope.schema import Annotation, Image
+
+CLASS: Final = 1
+
+
+def write(dataset: Dataset, out: Path, console: Console) -> None:
+    """Write each recording as a sequence."""
+    for split in console.bar(dataset.splits, unit="split", label="writing mot"):
+        file = dataset.read(split)
+        own = file.by_image()
+        for images in recordings(file):
+            name = f"{images[0].site or 'site'}_{images[0].recording or '00'}"
+            rows = []
+            for frame, image in enumerate(images, start=1):
+                suffix = PurePosixPath(image.file_name).suffix
+                put(dataset.root / image.file_name, out / split / name / "img1" / f"{frame:06d}{suffix}")
+                rows += [_row(f"{dataset.root}: {split}", frame, vehicle) for vehicle in own[image.id]]
+            write_text(out / split / name / "gt" / "gt.txt", "".join(rows))
+            write_text(out / split / name / "seqinfo.ini", _information(name, images))
+
+
+def _row(where: str, frame: int, vehicle: Annotation) -> str:
+    if vehicle.track_id is None:
+        raise UserError(f"{where}: annotation {vehicle.id}: track_id: missing")
+    x, y, w, h = vehicle.bbox
+    visible = 1 - (vehicle.occlusion or 0.0)
+    track = vehicle.track_id + 1  # they count from 1
+    return f"{frame},{track},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{int(not vehicle.ignored)},{CLASS},{visible:.4f}\n"
+
+
+def _information(name: str, images: Sequence[Image]) -> str:
+    first = images[0]
+    values = {
+        "name": name,
+        "imDir": "img1",
+        "frameRate": f"{frame_rate(images):g}",
+        "seqLength": len(images),
+        "imWidth": first.width,
+        "imHeight": first.height,
+        "imExt": PurePosixPath(first.file_name).suffix,
+    }
+    return "[Sequence]\n" + "".join(f"{key}={value}\n" for key, value in values.items())

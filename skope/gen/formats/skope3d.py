@@ -1,0 +1,410 @@
+"""The published dataset's layout: a zip a scene, with its video and two CSV files a vehicle and frame.
+
+    scene_K/original.avi
+    scene_K/<frame>/keypoint_<v>.csv    row 0: the crop's origin x, y; rows 1-2: the box's corners; then 33 rows x, y,
+                                        visible, relative to the crop's origin
+    scene_K/<frame>/metadata_<v>.csv    row 0: track id, model id; rows 1-8: the 3D box's corners x, y
+
+All in pixels of the image. A hidden point (visible = 0) with a place becomes v = 1, one at 0, 0 becomes v = 0. The
+order of the keypoints is not ours (scheme `skope3d`); a map by name makes `skope33` of those it names.
+"""
+
+import csv
+import io
+import itertools
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import boxes, keypoints
+from skope.console import Console
+from skope.dataset import Dataset, recordings
+from skope.errors import UserError
+from skope.files import read_json, write_json, write_text
+from skope.gen.formats.archive import Archive, opened, zipped
+from skope.gen.formats.gather import Gathered, frame_rate, licence_beside
+from skope.keypoints import PUBLISHED, SKOPE33, K
+from skope.schema import Annotation, Image
+from skope.video import write_video
+
+LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
+VIDEO: Final = "original.avi"
+SCENES: Final = "scenes.csv"
+"""Beside our own archives: which split, site and recording each scene is."""
+MAP: Final = "map.json"
+"""Beside our own archives: what their keypoints are."""
+CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+"""The 3D box's corners in our archives: back before front, right before left, below before above."""
+
+_CSV_BYTES: Final = 1 << 16
+_MEMBER: Final = re.compile(r"([^/]+)/(\d+)/(keypoint|metadata)_([^/]+)\.csv")
+_FRAME: Final = re.compile(r"[^/]+/(\d+)")
+_NOWHERE: Final = -1.0
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """One vehicle in one frame, as its files have it, in pixels of the image."""
+
+    box_xyxy: Array
+    points: Array
+    """(33, 3) x, y, visible."""
+    track_id: int
+    model: str
+    corners: Array
+    """(8, 2) of the 3D box."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An archive's content, its vehicles unread."""
+
+    archive: Archive
+    name: str
+    frames: Mapping[int, tuple[tuple[str, str], ...]]
+    """Frame -> the names of each vehicle's keypoint and metadata file."""
+
+    def vehicles(self, frame: int) -> list[Vehicle]:
+        return [_vehicle(self.archive, *names) for names in self.frames[frame]]
+
+
+# ------------------------------------------------------------------------------------------------------------ reading
+
+
+def scene_of(archive: Archive) -> Scene:
+    """What an archive holds; a UserError says what its layout lacks."""
+    found: dict[int, dict[str, dict[str, str]]] = {}
+    names = set()
+    for member in archive.names:
+        match = _MEMBER.fullmatch(member)
+        if match:
+            scene, frame, kind, vehicle = match.groups()
+            names.add(scene)
+            found.setdefault(int(frame), {}).setdefault(vehicle, {})[kind] = member
+        elif member.endswith(f"/{VIDEO}") and member.count("/") == 1:
+            names.add(member.split("/")[0])
+    for folder in archive.folders:  # frames without a vehicle
+        match = _FRAME.fullmatch(folder)
+        if match:
+            found.setdefault(int(match[1]), {})
+    if len(names) != 1:
+        raise UserError(f"{archive.path}: expected one folder with {VIDEO} and frames, got {len(names)}")
+    (name,) = names
+    if f"{name}/{VIDEO}" not in archive:
+        raise UserError(f"{archive.path}: has no member {name}/{VIDEO}")
+    if not found:
+        raise UserError(f"{archive.path}: {name} has no frames")
+    frames = {}
+    for frame, vehicles in sorted(found.items()):
+        for vehicle, kinds in vehicles.items():
+            for kind in ("keypoint", "metadata"):
+                if kind not in kinds:
+                    raise UserError(f"{archive.path}: {name}/{frame}: vehicle {vehicle} has no {kind} file")
+        ordered = sorted(vehicles, key=lambda v: (len(v), v))
+        frames[frame] = tuple((vehicles[v]["keypoint"], vehicles[v]["metadata"]) for v in ordered)
+    return Scene(archive, name, frames)
+
+
+def _vehicle(archive: Archive, keypoint: str, metadata: str) -> Vehicle:
+    rows = _rows(archive, keypoint, 3 + K)
+    origin = _numbers(archive, keypoint, rows, slice(0, 1), 2)[0]
+    corners = _numbers(archive, keypoint, rows, slice(1, 3), 2)
+    points = _numbers(archive, keypoint, rows, slice(3, None), 3)
+    if not np.isin(points[:, 2], (0, 1)).all():
+        line = 4 + int(np.flatnonzero(~np.isin(points[:, 2], (0, 1)))[0])
+        raise UserError(f"{archive.path}: {keypoint}: line {line}: visible is 0 or 1, got {points[line - 4, 2]:g}")
+    box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+    if (box[2:] <= box[:2]).any():
+        raise UserError(f"{archive.path}: {keypoint}: lines 2 and 3: the box is empty")
+    placed = (points != 0).any(axis=1)
+    points[:, :2] += origin
+    points[~placed] = 0
+    rows = _rows(archive, metadata, 9)
+    track, model = _cells(archive, metadata, rows, 0, 2)
+    if not re.fullmatch(r"\d{1,18}(\.0*)?", track):
+        raise UserError(f"{archive.path}: {metadata}: line 1: expected a track id from 0, got {track[:40]!r}")
+    return Vehicle(box, points, int(track.split(".")[0]), model, _numbers(archive, metadata, rows, slice(1, None), 2))
+
+
+def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
+    try:
+        text = archive.read(member, _CSV_BYTES).decode()
+        rows = list(csv.reader(io.StringIO(text), strict=True))
+    except (UnicodeDecodeError, csv.Error):
+        raise UserError(f"{archive.path}: {member}: not a CSV file") from None
+    while rows and not any(cell.strip() for cell in rows[-1]):
+        rows.pop()
+    if len(rows) != count:
+        raise UserError(f"{archive.path}: {member}: expected {count} rows, got {len(rows)}")
+    return rows
+
+
+def _cells(archive: Archive, member: str, rows: list[list[str]], row: int, count: int) -> list[str]:
+    cells = [cell.strip() for cell in rows[row]]
+    # Tables that were written as a whole have as many cells in every row.
+    if len(cells) < count or any(cells[count:]) or not all(cells[:count]):
+        raise UserError(f"{archive.path}: {member}: line {row + 1}: expected {count} values, got {','.join(cells)!r}")
+    return cells[:count]
+
+
+def _numbers(archive: Archive, member: str, rows: list[list[str]], part: slice, count: int) -> Array:
+    out = []
+    for row in range(len(rows))[part]:
+        cells = _cells(archive, member, rows, row, count)
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = [np.nan]
+        if not np.isfinite(values).all():
+            raise UserError(f"{archive.path}: {member}: line {row + 1}: expected numbers, got {','.join(cells)!r}")
+        out.append(values)
+    return np.array(out)
+
+
+# ---------------------------------------------------------------------------------------------------------- importing
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a scene belongs in the dataset."""
+
+    split: str
+    site: str
+    recording: str
+
+
+def archives(sources: Sequence[Path]) -> list[Path]:
+    """The archives among files and in folders, scene_2 before scene_10."""
+    found = [path for source in sources for path in (source.glob("*.zip") if source.is_dir() else [source])]
+    if not found:
+        raise UserError(f"{', '.join(map(str, sources))}: no scene_K.zip there")
+
+    def order(path: Path) -> tuple[Path, list[str]]:
+        return path.parent, [part.zfill(9) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+    return sorted(dict.fromkeys(found), key=order)
+
+
+def read(
+    sources: Sequence[Path], root: Path, *, split: str | None, map_file: Path | None, command: str, console: Console
+) -> None:
+    """Make a dataset at `root` of scenes: of scheme `skope3d`, or with a map of scheme `skope33`.
+
+    A scene goes to `split`, or where the `scenes.csv` beside it says, or else to train.
+    """
+    names = read_map(map_file) if map_file else None
+    gathered = Gathered(root, SKOPE33 if names is not None else PUBLISHED)
+    seen: dict[tuple[str, str], Path] = {}
+    licences = set()
+    for path in console.bar(archives(sources), unit="scene", label="reading scenes"):
+        with opened(path) as archive:
+            scene = scene_of(archive)
+            told = _places(path.parent / SCENES)
+            place = told.get(scene.name, Place("train", scene.name, "00"))
+            # What this program exported itself is not the published data.
+            licences.add(licence_beside(path.parent) if scene.name in told else LICENCE)
+            place = replace(place, split=split) if split else place
+            if (place.site, place.recording) in seen:
+                raise UserError(f"{path}: {scene.name} is in {seen[place.site, place.recording]} too")
+            seen[place.site, place.recording] = path
+            _gather(scene, place, names, gathered, root / ".video.avi")
+    rules = ["Boxes, keypoints and tracks are those of the files read; v = 2: visible, v = 1: hidden, with a place."]
+    if names is not None:
+        rules.append(f"{len(names)} of {K} keypoints are mapped to scheme {SKOPE33.name}; the others are unlabelled.")
+    if len(licences) > 1:
+        raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): read them apart")
+    gathered.finish(command=command, licence=licences.pop(), label_rules=rules)
+
+
+def _places(path: Path) -> dict[str, Place]:
+    if not path.is_file():
+        return {}
+    places = {}
+    try:
+        for row in csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))):
+            places[row["scene"]] = Place(row["split"], row["site"], row["recording"])
+    except (KeyError, UnicodeDecodeError, csv.Error):
+        raise UserError(f"{path}: expected the columns scene, split, site, recording") from None
+    for place in places.values():
+        if not all(re.fullmatch(r"[\w.-]*\w", text or "") for text in (place.split, place.site, place.recording)):
+            raise UserError(f"{path}: split, site and recording are names of letters, digits, _, . and -")
+    return places
+
+
+def _gather(scene: Scene, place: Place, names: Mapping[int, int] | None, gathered: Gathered, video: Path) -> None:
+    scene.archive.extract(f"{scene.name}/{VIDEO}", video)
+    try:
+        for frame, time_s, pixels in _pictures(scene, video):
+            height, width = pixels.shape[:2]
+            image = Image(
+                id=0,
+                file_name=f"images/{place.site}/{place.recording}_{frame:06d}.jpg",
+                width=width,
+                height=height,
+                site=place.site,
+                recording=place.recording,
+                frame_index=frame,
+                time_s=time_s,
+            )
+            done, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])
+            assert done
+            own = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
+            gathered.add(place.split, image, [a for a in own if a is not None], {image.file_name: data.tobytes()})
+    finally:
+        video.unlink(missing_ok=True)
+
+
+def _pictures(scene: Scene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
+    """Annotated frames with their time and BGR pixels."""
+    where = f"{scene.archive.path}: {scene.name}/{VIDEO}"
+    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise UserError(f"{where}: not a video that can be decoded")
+        fps, count = capture.get(cv2.CAP_PROP_FPS), round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        # Whether the first frame is 0 or 1 is not documented: a number just past the last one tells.
+        first = 1 if 0 not in scene.frames and max(scene.frames) == count else 0
+        for number in range(first, max(scene.frames) + 1):
+            wanted = number in scene.frames
+            good, pixels = capture.read() if wanted else (capture.grab(), None)
+            if not good:
+                raise UserError(f"{where}: frame {number} cannot be decoded; the annotations go to {max(scene.frames)}")
+            if pixels is not None:
+                time_s = round((number - first) / fps, 4) if fps > 0 else None
+                yield number, time_s, np.asarray(pixels, dtype=np.uint8)
+    finally:
+        capture.release()
+
+
+def _annotation(vehicle: Vehicle, width: int, height: int, names: Mapping[int, int] | None) -> Annotation | None:
+    """None for a vehicle whose box lies outside the image."""
+    box = boxes.clip(vehicle.box_xyxy, width, height)
+    if boxes.area(box) <= 0:
+        return None
+    x, y, visible = vehicle.points.T
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height) & ((x != 0) | (y != 0))
+    points = np.where(inside[:, None], np.column_stack([x, y, 1 + visible]), 0.0)
+    if names is not None:
+        mapped = np.zeros_like(points)
+        mapped[list(names.values())] = points[list(names)]
+        points = mapped
+    known = not (vehicle.corners == _NOWHERE).all()
+    bbox = boxes.xyxy_to_xywh(box)
+    return Annotation(
+        id=0,
+        image_id=0,
+        bbox=bbox,
+        keypoints=points,
+        area=float(bbox[2] * bbox[3]),
+        track_id=vehicle.track_id,
+        model=vehicle.model,
+        box_3d_pixels=vehicle.corners if known else None,
+    )
+
+
+def read_map(path: Path) -> dict[int, int]:
+    """Index in the files -> index in `skope33`, of a JSON object {"skope3d_16": "wheel_front_right", ...}.
+
+    The points that are known (`keypoints.SKOPE3D`) need not be named. A UserError names a wrong entry.
+    """
+    document = read_json(path)
+    if not isinstance(document, dict):
+        raise UserError(f'{path}: expected an object like {{"skope3d_16": "wheel_front_right"}}')
+    table = dict(keypoints.SKOPE3D)
+    for theirs, ours in document.items():
+        if theirs not in PUBLISHED.names:
+            raise UserError(f"{path}: {theirs!r} is not one of {PUBLISHED.names[0]} to {PUBLISHED.names[-1]}")
+        if ours not in keypoints.INDEX:
+            raise UserError(f"{path}: {theirs}: {ours!r} is no keypoint of {SKOPE33.name}")
+        index = PUBLISHED.names.index(theirs)
+        if table.get(index, keypoints.INDEX[ours]) != keypoints.INDEX[ours]:
+            raise UserError(f"{path}: {theirs}: is {keypoints.NAMES[table[index]]}, not {ours}")
+        table[index] = keypoints.INDEX[ours]
+    if len(set(table.values())) != len(table):
+        twice = next(ours for ours in table.values() if list(table.values()).count(ours) > 1)
+        raise UserError(f"{path}: {keypoints.NAMES[twice]} stands for two points")
+    return table
+
+
+# ---------------------------------------------------------------------------------------------------------- exporting
+
+
+def write(dataset: Dataset, out: Path, console: Console) -> None:
+    """Write each recording as an archive, and beside them where they come from and what their keypoints are.
+
+    What this layout has no place for (masks, depth, world coordinates, what is ignored) is left out.
+    """
+    groups = [(split, own) for split in dataset.splits for own in _groups(dataset, split)]
+    places = []
+    for number, (split, (images, vehicles)) in enumerate(
+        console.bar(groups, unit="scene", label="writing scenes"), start=1
+    ):
+        name, folder = f"scene_{number}", out / f".scene_{number}"
+        _write_scene(dataset, images, vehicles, folder / name)
+        zipped(folder, out / f"{name}.zip")
+        shutil.rmtree(folder)
+        places.append((name, split, images[0].site or name, images[0].recording or "00"))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([("scene", "split", "site", "recording"), *places])
+    write_text(out / SCENES, text.getvalue())
+    if dataset.scheme is SKOPE33:
+        write_json(out / MAP, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
+
+
+def _groups(dataset: Dataset, split: str) -> list[tuple[list[Image], dict[int, list[Annotation]]]]:
+    file = dataset.read(split)
+    return [(images, file.by_image()) for images in recordings(file)]
+
+
+def _write_scene(
+    dataset: Dataset, images: Sequence[Image], vehicles: Mapping[int, list[Annotation]], folder: Path
+) -> None:
+    if len({(image.width, image.height) for image in images}) != 1:
+        raise UserError(f"{dataset.root}: recording {images[0].recording} of {images[0].site} has images of two sizes")
+    folder.mkdir(parents=True)
+    write_video(folder / VIDEO, (dataset.image(image) for image in images), frame_rate(images), "MJPG")
+    for frame, image in enumerate(images):
+        (folder / str(frame)).mkdir()
+        own = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]
+        for number, vehicle in enumerate(own):
+            for kind, rows in _tables(vehicle, image).items():
+                text = io.StringIO()
+                csv.writer(text, lineterminator="\n").writerows(rows)
+                write_text(folder / str(frame) / f"{kind}_{number}.csv", text.getvalue())
+
+
+def _tables(vehicle: Annotation, image: Image) -> dict[str, list[list[Any]]]:
+    x0, y0, x1, y1 = boxes.xywh_to_xyxy(vehicle.bbox)
+    origin = np.floor([x0, y0])
+    known = vehicle.keypoints[:, 2] > 0
+    points = np.where(known[:, None], vehicle.keypoints[:, :2] - origin, 0.0)
+    visible = (vehicle.keypoints[:, 2] == 2).astype(int)
+    rows = [[f"{x:.2f}", f"{y:.2f}", v] for (x, y), v in zip(points, visible, strict=True)]
+    return {
+        "keypoint": [origin.astype(int).tolist(), [f"{x0:.2f}", f"{y0:.2f}"], [f"{x1:.2f}", f"{y1:.2f}"], *rows],
+        "metadata": [
+            [vehicle.id if vehicle.track_id is None else vehicle.track_id, vehicle.model or "unknown"],
+            *([f"{x:.2f}", f"{y:.2f}"] for x, y in _corners(vehicle, image)),
+        ],
+    }
+
+
+def _corners(vehicle: Annotation, image: Image) -> Array:
+    """(8, 2) pixels of the 3D box; all -1 where it is not known or reaches behind the camera."""
+    if vehicle.box_3d_pixels is not None:
+        return vehicle.box_3d_pixels
+    if vehicle.box_3d is not None and image.camera is not None:
+        box = vehicle.box_3d
+        pixels, _, valid = image.camera.project(CORNERS * box.size_lwh @ box.R.T + box.center)
+        if valid.all():
+            return pixels
+    return np.full((8, 2), _NOWHERE)

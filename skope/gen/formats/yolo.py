@@ -1,0 +1,105 @@
+"""Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, a text file an image.
+
+A row is `0 x y w h` and x, y, v of each keypoint, lengths as shares of the image's width and height; an image without
+a vehicle has an empty file. What is ignored has no place here: an ignored vehicle is background to this format's
+trainers.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+
+from skope.console import Console
+from skope.dataset import Dataset, held_back
+from skope.errors import UserError
+from skope.files import write_text
+from skope.gen.formats.gather import plain, put
+from skope.keypoints import K, Scheme
+from skope.schema import Annotation, AnnotationFile, Image
+
+VALIDATED: Final = 0.1
+"""Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
+TRAIN, VAL = "train", "val"
+
+
+def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -> None:
+    """Write the dataset with the keypoints `names`, by default all, in their order."""
+    chosen = _indices(dataset.scheme, names)
+    parts = _parts(dataset)
+    ignored = 0
+    for name, file in parts.items():
+        own = file.by_image()
+        for image in console.bar(file.images, unit="image", label=f"writing {name}"):
+            path = PurePosixPath(name) / plain(image.file_name)
+            put(dataset.root / image.file_name, out / "images" / path)
+            rows = [_row(vehicle, image, chosen) for vehicle in own[image.id] if not vehicle.ignored]
+            ignored += len(own[image.id]) - len(rows)
+            write_text(out / "labels" / path.with_suffix(".txt"), "".join(rows))
+    flip = _flip(dataset.scheme, chosen)
+    if flip is None:
+        console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")
+    if ignored:
+        console.say(f"{ignored} ignored vehicles are background here: this format has no place for them")
+    write_text(out / "data.yaml", _yaml(dataset, list(parts), chosen, flip))
+
+
+def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
+    for name in names:
+        if name not in scheme.names:
+            raise UserError(
+                f"--keypoints: {name!r} is no keypoint of {scheme.name}; they are {', '.join(scheme.names)}"
+            )
+        if names.count(name) > 1:
+            raise UserError(f"--keypoints: {name} stands twice")
+    return [scheme.names.index(name) for name in names] or list(range(K))
+
+
+def _parts(dataset: Dataset) -> dict[str, AnnotationFile]:
+    """The splits; without one to validate on, the end of the training recordings becomes it."""
+    parts = {split: dataset.read(split) for split in dataset.splits}
+    if TRAIN not in parts:
+        raise UserError(f"{dataset.root}: has no split {TRAIN}, which this format cannot do without")
+    if VAL not in parts:
+        parts[TRAIN], parts[VAL] = held_back(parts[TRAIN], VALIDATED)
+        if not parts[VAL].images:
+            raise UserError(f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val")
+    return parts
+
+
+def _row(vehicle: Annotation, image: Image, chosen: Sequence[int]) -> str:
+    size = np.array([image.width, image.height], dtype=np.float64)
+    box = vehicle.bbox
+    numbers = [*((box[:2] + box[2:] / 2) / size), *(box[2:] / size)]
+    cells = [f"{number:.6f}" for number in numbers]
+    for x, y, v in vehicle.keypoints[list(chosen)]:
+        cells += [f"{x / size[0]:.6f}", f"{y / size[1]:.6f}", f"{v:.0f}"]
+    return f"0 {' '.join(cells)}\n"
+
+
+def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
+    """Position among the chosen of each one's mirror partner."""
+    if scheme.flip is None:
+        return None
+    partners = [scheme.flip[i] for i in chosen]
+    return [chosen.index(i) for i in partners] if set(partners) == set(chosen) else None
+
+
+def _yaml(dataset: Dataset, parts: Sequence[str], chosen: Sequence[int], flip: Sequence[int] | None) -> str:
+    others = [name for name in parts if name not in (TRAIN, VAL)]
+    lines = [
+        f"# Paths are relative to this file. Licence: {dataset.licence}",
+        f"train: images/{TRAIN}",
+        f"val: images/{VAL}",
+        *([f"test: [{', '.join(f'images/{name}' for name in others)}]"] if others else []),
+        f"kpt_shape: [{len(chosen)}, 3]",
+        *([f"flip_idx: {list(flip)}"] if flip is not None else []),
+        f"kpt_oks_sigmas: {[dataset.scheme.sigmas[i] for i in chosen]}",
+        "names:",
+        "  0: vehicle",
+        "kpt_names:",
+        "  0:",
+        *(f"    - {dataset.scheme.names[i]}" for i in chosen),
+    ]
+    return "\n".join(lines) + "\n"

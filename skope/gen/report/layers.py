@@ -1,0 +1,152 @@
+"""One image of the gallery: the photograph, depth over it, and labels as layers of a drawing."""
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import draw
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.keypoints import Scheme
+from skope.page import stage
+from skope.page.marks import tag
+from skope.schema import Annotation, Image
+
+LAYERS: Final = {
+    "boxes": "boxes",
+    "points": "keypoints (rings: hidden)",
+    "boxes3d": "3D boxes (thick: front)",
+    "masks": "masks",
+    "depth": "depth (red near, blue far)",
+    "ignored": "ignored vehicles (dotted)",
+}
+SHOWN: Final = ("boxes", "points")
+"""Layers that are on at first."""
+_DEPTH: Final = 480
+"""Pixels of the longer edge of a depth picture."""
+
+
+def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> str:
+    """An image with its layers; a UserError says what is wrong with one of its files."""
+    try:
+        photograph, metres = dataset.image(image), dataset.depth(image)
+    except UserError as error:
+        raise UserError(f"{error} (skope gen check {dataset.root} finds everything that is wrong)") from None
+    known = [vehicle for vehicle in vehicles if not vehicle.ignored]
+    size = (image.width, image.height)
+    words = f"{len(known)} vehicles" if len(known) != 1 else "1 vehicle"
+    if len(vehicles) > len(known):
+        words += f", {len(vehicles) - len(known)} ignored"
+    caption = ", ".join(part for part in (image.split, image.site, image.weather, _sun(image), words) if part)
+    photo = tag(
+        "img",
+        src=stage.jpeg(photograph),
+        alt=f"{caption}: {image.file_name}",
+        width=image.width,
+        height=image.height,
+        loading="lazy",
+    )
+    larger = tag("button", "larger", type="button", class_="larger", aria_pressed="false")
+    return tag(
+        "figure",
+        tag("figcaption", larger, tag("b", escape(image.file_name)), tag("div", escape(caption))),
+        tag(
+            "div", photo, _depth(metres), stage.drawing(_layers(image, vehicles, dataset.scheme), size), class_="stage"
+        ),
+        class_="photo",
+        data_split=image.split,
+        data_site=image.site,
+        data_weather=image.weather,
+        data_type=" ".join(sorted({vehicle.vehicle_type or "unknown" for vehicle in known})),
+    )
+
+
+def _depth(metres: NDArray[np.float32] | None) -> str:
+    """Depth as a picture over the photograph, hidden until its layer is switched on."""
+    if metres is None:
+        return ""
+    return tag("img", src=stage.jpeg(draw.depth(metres), longest=_DEPTH), alt="", loading="lazy", class_="depth off")
+
+
+def _sun(image: Image) -> str:
+    degrees = image.sun_elevation_deg
+    if degrees is None:
+        return ""
+    return f"sun {abs(degrees):.0f}° {'above' if degrees >= 0 else 'below'} the horizon"
+
+
+def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> list[str]:
+    known = [vehicle for vehicle in vehicles if not vehicle.ignored]
+    kinds: dict[str, Callable[[Annotation], str]] = {
+        "masks": _mask,
+        "boxes3d": lambda vehicle: _box_3d(image, vehicle),
+        "boxes": lambda vehicle: stage.box(vehicle.bbox, _words(vehicle)),
+        "points": lambda vehicle: _points(vehicle, _scale(vehicle, image), scheme),
+    }
+    layers = [
+        tag("g", *(_own(vehicle, of(vehicle), _scale(vehicle, image)) for vehicle in known), class_=name)
+        for name, of in kinds.items()
+    ]
+    ignored = [stage.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
+    return [tag("g", *ignored, class_="ignored"), *layers]
+
+
+def _scale(vehicle: Annotation, image: Image) -> float:
+    """How large points are drawn: small on small vehicles, where they would run together."""
+    return float(np.clip(vehicle.bbox[2:].max() / 60, 0.3, stage.unit(image.width)))
+
+
+def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
+    """What is drawn of a vehicle, in its colour."""
+    if not drawn:
+        return ""
+    return tag(
+        "g",
+        drawn,
+        style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)) + f";--s:{scale:.2f}",
+        data_of=vehicle.vehicle_type or "unknown",
+    )
+
+
+def _words(vehicle: Annotation) -> str:
+    parts = [f"{vehicle.vehicle_type or 'vehicle'} {draw.number_of(vehicle)}", vehicle.color]
+    if vehicle.distance is not None:
+        parts.append(f"{vehicle.distance:.0f} m away")
+    if vehicle.velocity is not None:
+        parts.append(f"{3.6 * float(np.linalg.norm(vehicle.velocity)):.0f} km/h")
+    if vehicle.occlusion:
+        parts.append(f"{vehicle.occlusion:.0%} hidden")
+    if vehicle.ignored:
+        parts.append(f"ignored: {vehicle.ignore_reason or 'no reason given'}")
+    return ", ".join(part for part in parts if part)
+
+
+def _points(vehicle: Annotation, scale: float, scheme: Scheme) -> str:
+    seen = vehicle.keypoints[:, 2]
+    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
+
+
+def _box_3d(image: Image, vehicle: Annotation) -> str:
+    if vehicle.box_3d is None or image.camera is None:
+        return ""
+    straight = image.camera.distortion.model == "none"
+    ends: dict[bool, str] = {False: "", True: ""}
+    for pieces, front in draw.edges_3d(vehicle.box_3d, image.camera):
+        if pieces and straight:
+            pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
+        ends[front] += "".join(f"M{stage.place(start)}L{stage.place(end)}" for start, end in pieces)
+    return stage.path(ends[False], "edges_3d") + stage.path(ends[True], "front")
+
+
+def _mask(vehicle: Annotation) -> str:
+    """The outline of the visible pixels, simplified by less than a pixel."""
+    inside = draw.mask_of(vehicle)
+    if inside is None:
+        return ""
+    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    rings = [cv2.approxPolyDP(contour, 0.7, True)[:, 0] + 0.5 for contour in contours]
+    return stage.path("".join(f"M{'L'.join(stage.place(p) for p in ring)}Z" for ring in rings), "area")

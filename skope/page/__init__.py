@@ -1,0 +1,29 @@
+"""What the reports share: one HTML file with its style, its script and its pictures inside.
+
+`marks` are pieces of markup, `charts` and `outline` drawings with their numbers below, `stage` photographs with layers.
+"""
+
+from html import escape
+from importlib import resources
+
+from skope.page.marks import tag
+
+
+def document(title: str, *body: str) -> str:
+    """The whole page around its parts, which are markup."""
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        # No request leaves the page, whatever it holds.
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
+        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
+        '<link rel="icon" href="data:,">'
+    )
+    end = tag("div", id="tip", role="status", hidden="hidden") + tag("script", _text("page.js"))
+    return (
+        f'<!doctype html>\n<html lang="en"><head>{head}<title>{escape(title)}</title>'
+        f"{tag('style', _text('page.css'))}</head><body><main>{''.join(body)}{end}</main></body></html>\n"
+    )
+
+
+def _text(name: str) -> str:
+    return resources.files("skope.page").joinpath(name).read_text(encoding="utf-8")
