@@ -225,8 +225,11 @@ def bench_inference(checkpoint: Path, data: Path, split: str, images: int, score
 
 
 def _apart(stock: list[Result], ours: list[Result], score: float) -> str:
-    """How far the detections above `score` are from each other, image by image and in order."""
-    a, b = ([r for r in results if r.score > score] for results in (stock, ours))
+    """How far the detections above `score` are from each other; rounding may exchange two of nearly equal scores."""
+    a, b = (
+        sorted((r for r in results if r.score > score), key=lambda r: (r.image_id, *np.round(r.bbox)))
+        for results in (stock, ours)
+    )
     if [r.image_id for r in a] != [r.image_id for r in b]:
         return f"{len(a)} and {len(b)} detections above {score:g}: not the same"
     boxes, points = (
