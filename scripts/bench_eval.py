@@ -225,18 +225,28 @@ def bench_inference(checkpoint: Path, data: Path, split: str, images: int, score
 
 
 def _apart(stock: list[Result], ours: list[Result], score: float) -> str:
-    """How far the detections above `score` are from each other; rounding may exchange two of nearly equal scores."""
-    a, b = (
-        sorted((r for r in results if r.score > score), key=lambda r: (r.image_id, *np.round(r.bbox)))
-        for results in (stock, ours)
-    )
-    if [r.image_id for r in a] != [r.image_id for r in b]:
-        return f"{len(a)} and {len(b)} detections above {score:g}: not the same"
-    boxes, points = (
-        max((np.abs(getattr(p, of) - getattr(q, of)).max() for p, q in zip(a, b, strict=True)), default=0.0)
-        for of in ("bbox", "keypoints")
-    )
-    return f"the same {len(a)} detections above {score:g}; boxes at most {boxes:.1e}, points {points:.1e} px apart"
+    """How far the detections above `score` are from the nearest ones of the same image."""
+    theirs, own = (_by_image([r for r in results if r.score > score]) for results in (stock, ours))
+    counts = [sum(map(len, each.values())) for each in (theirs, own)]
+    if {k: len(v) for k, v in theirs.items()} != {k: len(v) for k, v in own.items()}:
+        return f"{counts[0]} and {counts[1]} detections above {score:g}: not the same"
+    boxes = points = 0.0
+    for image, found in theirs.items():
+        corners = np.array([r.bbox for r in own[image]])
+        nearest = [int(np.abs(corners - r.bbox).max(axis=1).argmin()) for r in found]
+        if len(set(nearest)) < len(nearest):
+            return f"as many detections above {score:g} in image {image}, but not the same"
+        for one, other in zip(found, (own[image][i] for i in nearest), strict=True):
+            boxes = max(boxes, float(np.abs(np.subtract(one.bbox, other.bbox)).max()))
+            points = max(points, float(np.abs(one.keypoints - other.keypoints)[:, :2].max()))
+    return f"the same {counts[1]} detections above {score:g}; boxes {boxes:.1e}, points {points:.1e} px apart"
+
+
+def _by_image(results: list[Result]) -> dict[int, list[Result]]:
+    groups: dict[int, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.image_id, []).append(result)
+    return groups
 
 
 def main() -> None:
