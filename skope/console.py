@@ -8,6 +8,7 @@ import typer
 from tqdm import tqdm
 
 from skope import __version__
+from skope.errors import UserError
 
 T = TypeVar("T")
 
@@ -22,6 +23,20 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print results 
 VersionOption = Annotated[
     bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
 ]
+
+
+def goes_on(context: typer.Context) -> bool:
+    """Whether a subcommand follows; a UserError where flags stand before it that only its group knows."""
+    if context.invoked_subcommand is None:
+        return False
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name != "quiet" and source is not None and source.name == "COMMANDLINE":
+            raise UserError(
+                f"{parameter.opts[0]}: is a flag of `{context.command_path}` by itself; write those of "
+                f"`{context.invoked_subcommand}` after that word"
+            )
+    return True
 
 
 @dataclass(frozen=True)

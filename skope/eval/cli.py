@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.console import Console, QuietOption, VersionOption, goes_on
 from skope.errors import UserError, one_of
 from skope.eval import road_cli
 
@@ -95,7 +95,7 @@ def run(
     version: VersionOption = False,
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
-    if ctx.invoked_subcommand is not None:
+    if goes_on(ctx):
         return
     from skope.eval import inputs
     from skope.eval.match import BOX_KINDS, THRESHOLDS

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.console import Console, QuietOption, VersionOption, goes_on
 from skope.gen import look_cli, sites_cli, vehicles_cli
 from skope.gen.formats import cli as formats_cli
 from skope.gen.hire import AddressOption, EngineOption, WorkersOption, hired
@@ -40,7 +40,7 @@ def gen(
     version: VersionOption = False,
 ) -> None:
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
-    if ctx.invoked_subcommand is not None:
+    if goes_on(ctx):
         return
     from skope.gen.produce import produce
 

@@ -19,7 +19,7 @@ from skope.gen.crew import Crew, Style
 from skope.gen.frames import Encoding
 from skope.gen.plan import Parameters
 from skope.gen.recording import Take
-from skope.gen.render import choose_renderer, make_renderer
+from skope.gen.render import choose_renderer
 from skope.gen.simulate import versions
 from skope.gen.store import Store
 
@@ -117,7 +117,7 @@ def _render(store: Store, crew: Crew, console: Console) -> None:
     if not todo:
         return
     style = style_of(store)
-    console.say(f"{todo} frames with {style.renderer}, {_estimate(store, missing, style)}")
+    console.say(f"{todo} frames with {style.renderer}")
     total = sum(take.frames for take in takes)
     with console.bar(total=total, unit="image", label="rendering") as bar:
         bar.update(total - todo)
@@ -131,17 +131,6 @@ def style_of(store: Store) -> Style:
     assert begun is not None
     values = begun["parameters"]
     return Style(values["renderer"], values["driver"], Rules(**values["rules"]), Encoding(**values["encoding"]))
-
-
-def _estimate(store: Store, missing: dict[Take, list[int]], style: Style) -> str:
-    """About how long rendering takes one process, from drawing the first missing frame here."""
-    (take, frames), begun = next(iter(missing.items())), time.perf_counter()
-    renderer = make_renderer(style.renderer, recording.load(store.recording_path(take)))
-    ready = time.perf_counter()
-    renderer.render(frames[0])
-    each, setup = time.perf_counter() - ready, ready - begun
-    seconds = each * sum(map(len, missing.values())) + setup * len(missing)
-    return f"about {minutes(seconds)} of one process"
 
 
 def _finish(store: Store, console: Console, begun: float) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.console import Console, QuietOption, VersionOption, goes_on
 from skope.errors import UserError
 
 DATA = Path("data/skope")
@@ -67,7 +67,7 @@ def run(
     version: VersionOption = False,
 ) -> None:
     """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most)."""
-    if context.invoked_subcommand is not None:
+    if goes_on(context):
         return
     for name, value in (("epochs", epochs), ("batch-size", batch_size), ("max-images", max_images), ("keep", keep)):
         if value is not None and value < 1:
