@@ -127,3 +127,15 @@ def test_licences() -> None:
             assert united((a, b)) == expected
     assert united((CC0, BY, NC)) == NC
     assert united(("CC BY-NC-SA 3.0", BY)) == "CC BY-NC-SA 3.0"
+
+
+def test_a_model_is_held_out_where_all_say_so(skope: Any) -> None:
+    for name, held_out, substituted in (("a", ["van", "suv"], {"bus": ["front_logo"]}), ("b", ["suv"], {})):
+        root = dataset(name, BY, {"train": name})
+        fleet = {"held_out": held_out, "substituted": substituted}
+        write_json(root / "dataset.json", {**read_json(root / "dataset.json"), "fleet": fleet})
+    dataset("c", BY, {"train": "c"})
+    assert skope("gen", "merge", "a", "b", "ab", "-q")[0] == 0
+    assert open_dataset(Path("ab")).card["fleet"] == {"held_out": ["suv"], "substituted": {"bus": ["front_logo"]}}
+    assert skope("gen", "merge", "a", "c", "ac", "-q")[0] == 0
+    assert "fleet" not in open_dataset(Path("ac")).card

@@ -10,9 +10,7 @@ from skope.errors import UserError
 
 
 def convert(
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE... OUT", help="What to read, and last the new folder.")
-    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
     to: Annotated[
         str | None, typer.Option(help="folder, shards, coco, cvat, kitti, mot, skope3d or yolo.", show_default="folder")
     ] = None,
@@ -49,7 +47,7 @@ def convert(
 
 
 def merge(
-    paths: Annotated[list[Path], typer.Argument(metavar="A B... OUT", help="Datasets, and last the new folder.")],
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Datasets, and last the new folder.")],
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:

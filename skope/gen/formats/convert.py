@@ -10,7 +10,7 @@ from skope.console import Console
 from skope.dataset import Dataset, open_dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
-from skope.gen.formats import coco_files, kitti, mot, native, skope3d, yolo
+from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME
 from skope.gen.pack import FORMATS
@@ -39,8 +39,8 @@ _OF: Final = {
 """What an option is for."""
 
 _PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
-    "coco": coco_files.write,
-    "cvat": coco_files.write_cvat,
+    "coco": coco_write.write,
+    "cvat": coco_write.write_cvat,
     "kitti": kitti.write,
     "mot": mot.write,
     "skope3d": skope3d.write,
@@ -95,7 +95,7 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: Options, cons
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
     else:
-        coco_files.read(
+        coco_read.read(
             sources,
             root,
             form=form,

@@ -191,6 +191,11 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
     ("damage", "said"),
     [
         (change("categories", to=None), "field categories is missing or not a list of objects"),
+        (change("categories", 1, "id", to=[4]), "categories[1]: id: expected a whole number, got [4]"),
+        (change("categories", 1, "id", to=3), "field categories: two have the same id"),
+        (change("images", 0, "id", to="5"), "images[0]: id: expected a whole number, got '5'"),
+        (change("annotations", 0, "category_id", to=None), "annotations[0]: category_id: expected a whole number"),
+        (change("categories", 1, "keypoints", to=7), "no keypoint has a name of skope33: it has none"),
         (change("annotations", to=[3]), "field annotations is missing or not a list of objects"),
         (change("categories", 1, "keypoints", to=["a", "b", "c"]), "no keypoint has a name of skope33"),
         (change("categories", 1, "keypoints", to=["mirror_left"] * 3), "category 'car' has a keypoint twice"),

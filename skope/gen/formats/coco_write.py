@@ -1,0 +1,102 @@
+"""COCO keypoints files, and CVAT's archives of them.
+
+COCO: `annotations/<split>.json` beside `images/`, as in a dataset folder, with everything that we know in extra fields.
+CVAT ("COCO Keypoints 1.0"): `annotations/person_keypoints_<subset>.json`, `images/<subset>/<file name>`; what its
+labels can carry besides points are attributes, of which `track_id` is the one that its own tracks use.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from skope import coco, schema
+from skope.console import Console
+from skope.dataset import Dataset
+from skope.files import write_text
+from skope.gen.formats.gather import plain, put
+from skope.keypoints import K, Scheme
+from skope.schema import Annotation
+
+CVAT_START: Final = "person_keypoints_"
+UNSAID: Final = "-"
+"""An attribute of CVAT's that nobody has set."""
+_ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
+"""Fields that CVAT holds as attributes."""
+
+
+def write(dataset: Dataset, out: Path, console: Console) -> None:
+    """A dataset's images, depth and annotation files alone; the files are linked where the file system can."""
+    for split in console.bar(dataset.splits, unit="split", label="writing coco"):
+        file = dataset.read(split)
+        rows = []
+        for image in file.images:
+            row = coco.image_to_dict(image)
+            for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
+                if key in row:
+                    name = f"{kind}/{plain(row[key])}"
+                    put(dataset.root / row[key], out / name)
+                    row[key] = name
+            rows.append(row)
+        annotations = [coco.annotation_to_dict(a) for a in file.annotations]
+        coco.write_rows(out / "annotations" / f"{split}.json", {"split": split}, rows, annotations, file.scheme)
+
+
+def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
+    """An archive's files. Masks are left out: CVAT would show them as shapes of their own."""
+    for split in console.bar(dataset.splits, unit="split", label="writing cvat"):
+        file = dataset.read(split)
+        rows = []
+        for image in file.images:
+            name = plain(image.file_name)
+            put(dataset.root / image.file_name, out / "images" / split / name)
+            row = coco.image_to_dict(image)
+            row.pop("depth_file_name", None)
+            rows.append({**row, "file_name": name})
+        annotations = [_cvat_row(annotation) for annotation in file.annotations]
+        path = out / "annotations" / f"{CVAT_START}{split}.json"
+        coco.write_rows(path, {"split": split}, rows, annotations, file.scheme)
+    write_text(out / "labels.json", json.dumps(cvat_labels(dataset.scheme), indent=1) + "\n")
+
+
+def _cvat_row(annotation: Annotation) -> dict[str, Any]:
+    row = coco.annotation_to_dict(annotation)
+    attributes = {name: row.pop(name) for name in _ATTRIBUTES if name in row}
+    box = annotation.bbox
+    kept = {name: row[name] for name in ("id", "image_id", "category_id", "bbox", "keypoints", "num_keypoints")}
+    # Its crowds are masks without points: an ignored vehicle is an ordinary one with a reason.
+    return {**kept, "area": float(box[2] * box[3]), "iscrowd": 0, "segmentation": [], "attributes": attributes}
+
+
+def cvat_labels(scheme: Scheme) -> list[dict[str, Any]]:
+    """What CVAT's "raw" editor of labels takes for a task: the skeleton, drawn in a square of 100, and attributes."""
+    side = 6
+    places = [(10 + 16 * (i % side), 10 + 16 * (i // side)) for i in range(K)]
+    lines = [
+        f'<line x1="{places[a][0]}" y1="{places[a][1]}" x2="{places[b][0]}" y2="{places[b][1]}" data-type="edge" '
+        f'data-node-from="{a + 1}" data-node-to="{b + 1}"></line>'
+        for a, b in scheme.skeleton
+    ]
+    nodes = [
+        f'<circle r="1.5" cx="{x}" cy="{y}" data-type="element node" data-element-id="{i}" data-node-id="{i}" '
+        f'data-label-name="{name}"></circle>'
+        for i, (name, (x, y)) in enumerate(zip(scheme.names, places, strict=True), start=1)
+    ]
+
+    def attribute(name: str, kind: str, values: Sequence[str]) -> dict[str, Any]:
+        return {"name": name, "mutable": False, "input_type": kind, "default_value": values[0], "values": list(values)}
+
+    return [
+        {
+            "name": schema.category()["name"],
+            "type": "skeleton",
+            "attributes": [
+                attribute("model", "text", [UNSAID]),
+                attribute("vehicle_type", "select", [UNSAID, *schema.VEHICLE_TYPES]),
+                attribute("color", "select", [UNSAID, *schema.COLORS]),
+                attribute("ignore_reason", "select", [UNSAID, *schema.IGNORE_REASONS]),
+            ],
+            "svg": "".join([*lines, *nodes]),
+            "sublabels": [{"name": name, "type": "points", "attributes": []} for name in scheme.names],
+        }
+    ]
