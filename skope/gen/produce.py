@@ -117,7 +117,8 @@ def _render(store: Store, crew: Crew, console: Console) -> None:
     if not todo:
         return
     style = style_of(store)
-    console.say(f"{todo} frames with {style.renderer}, {_estimate(store, missing, style)}")
+    if not console.quiet:
+        console.say(f"{todo} frames with {style.renderer}, {_estimate(store, missing, style)}")
     total = sum(take.frames for take in takes)
     with console.bar(total=total, unit="image", label="rendering") as bar:
         bar.update(total - todo)
