@@ -120,7 +120,9 @@ class Traffic:
         step: float = STEP,
     ) -> None:
         """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges."""
-        self._network, self._fleet, self._rng, self._step = network, fleet, rng, step
+        self._network, self._fleet, self._step = network, fleet, step
+        # Drawn before the trips, of which a longer recording has more: it begins like a shorter one.
+        self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
             if flows
@@ -137,7 +139,7 @@ class Traffic:
             **_OPTIONS,
             "step-length": self._step,
             "net-file": self._network,
-            "seed": int(self._rng.integers(1, 2**30)),
+            "seed": self._seed,
         }
         with tempfile.TemporaryDirectory() as folder:
             types = Path(folder) / "types.add.xml"
