@@ -1,5 +1,6 @@
 """Join datasets into one: `skope gen merge`."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -42,11 +43,16 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                 _add(dataset, split, file, names, gathered, console)
             names.close(dataset)
         gathered.finish(
-            command=f"skope gen merge {' '.join(map(str, sources))}",
+            command=shlex.join(["skope", "gen", "merge", *map(str, sources)]),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
             sources=[
-                {"name": d.root.name, "command": d.card.get("command"), "licence": d.licence, "sites": names.of(d)}
+                {
+                    "name": d.root.resolve().name,
+                    "command": d.card.get("command"),
+                    "licence": d.licence,
+                    "sites": names.of(d),
+                }
                 for d in datasets
             ],
             **_fleet(datasets),
@@ -74,11 +80,11 @@ class _Sites:
                     )
             uses.setdefault(dataset.root, set()).add(split)
             if site not in own:
-                number = 1
-                own[site] = site
-                while own[site] in self._taken:
+                number, name = 1, site
+                while name in self._taken or name in own.values():
                     number += 1
-                    own[site] = f"{site}_{number}"
+                    name = f"{site}_{number}"
+                own[site] = name
 
     def close(self, dataset: Dataset) -> None:
         """From here on the names belong to this dataset."""
@@ -92,7 +98,7 @@ def _add(
     dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, gathered: Gathered, console: Console
 ) -> None:
     own, sites = file.by_image(), names.of(dataset)
-    for image in console.bar(file.images, unit="image", label=f"{dataset.root.name}: {split}"):
+    for image in console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}"):
         new, files = _moved(image, sites, dataset, gathered.root)
         gathered.add(split, new, own[image.id], files)
 
@@ -109,7 +115,7 @@ def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) ->
         name = plain(old)
         if site is not None:
             name = f"{site}/{name.removeprefix(f'{image.site}/')}"
-        candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.name}/{name}")
+        candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.resolve().name}/{name}")
         free = next((c for c in candidates if not (root / c).exists()), None)
         if free is None:
             raise UserError(f"{dataset.root}: {old}: another image has this name")

@@ -1,5 +1,7 @@
 """From one format to another: `skope gen convert`."""
 
+import itertools
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,8 +92,9 @@ def convert(
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
-    told = "".join(f" --{name} {value}" for name in _OF if isinstance(value := getattr(options, name), str | Path))
-    command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
+    told = [(f"--{name}", str(value)) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
+    names = [path.resolve().name for path in sources]
+    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*told)])
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
     else:

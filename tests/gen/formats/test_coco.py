@@ -136,6 +136,21 @@ def test_files_of_others_are_read_by_name(skope: Any) -> None:
     assert (three.num_keypoints, three.bbox.tolist()) == (0, [1, 2, 3, 4])
 
 
+def test_boxes_end_at_the_image(skope: Any) -> None:
+    """As people drag them in an editor; what is outside, or a single point, is no vehicle to learn or to find."""
+    document = foreign(Path("in"))
+    first, second, third, _ = document["annotations"]
+    first["bbox"] = [-5, 40, 40, 30]
+    second["keypoints"] = [20, 30, 2, 0, 0, 0, 0, 0, 0]  # its box would be that point
+    third["bbox"] = [80, 10, 20, 20]
+    write_json(Path("in/labels.json"), document)
+    code, out, err = skope(*FOREIGN)
+    assert code == 0, err
+    assert "left out: 2 annotations whose box has no area inside the image" in out
+    (vehicle,) = open_dataset(Path("out")).read("train").annotations
+    assert (vehicle.bbox.tolist(), vehicle.area) == ([0, 40, 35, 20], 700)
+
+
 def test_published_names_make_their_scheme(skope: Any) -> None:
     make_dataset(Path("theirs"), scheme=PUBLISHED, splits=("train",))
     assert skope("gen", "convert", "theirs", "there", "--to", "cvat", "-q")[0] == 0
@@ -208,6 +223,11 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
         (change("images", 0, "width", to=None), "images[0]: field width is missing"),
         (change("images", 0, "file_name", to="../../etc/passwd"), "images[0]: file_name: expected a path inside"),
         (change("images", 0, "file_name", to="b.png"), "images[0]: file_name: no b.png in in/frames"),
+        (change("images", 0, "file_name", to="."), "images[0]: file_name: expected a path inside"),
+        (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png stands twice"),
+        (lambda d: (d.update(info={"keypoint_scheme": "skope33"}), d["images"][0].update(camera=None, site=None),
+                    d["annotations"][0].update(color=None, box_3d="x")),
+         "annotations[0]: box_3d: expected an object with center"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told(skope: Any, damage: Callable[[dict[str, Any]], None], said: str) -> None:

@@ -99,6 +99,18 @@ def test_yolo_takes_some_keypoints(skope: Any, ours: Path) -> None:
         assert (code, said in err, Path("new").exists()) == (2, True, False)
 
 
+def test_yolo_labels_of_two_images_are_not_written_to_one_file(skope: Any) -> None:
+    root = make_dataset(Path("ours"), splits=("train", "val"))
+    path = root / "annotations" / "train.json"
+    file = coco.read(path)
+    first, second = (root / image.file_name for image in file.images)
+    second.rename(first.with_suffix(".PNG"))
+    second_now = replace(file.images[1], file_name=first.with_suffix(".PNG").relative_to(root).as_posix())
+    coco.write(path, replace(file, images=(file.images[0], second_now)))
+    code, _, err = skope("gen", "convert", "ours", "new", "--to", "yolo", "-q")
+    assert (code, "another image has this name but for its suffix" in err, Path("new").exists()) == (2, True, False)
+
+
 def test_yolo_needs_something_to_learn_and_validate(skope: Any) -> None:
     make_dataset(Path("tests"), splits=("easy",))
     make_dataset(Path("short"), splits=("train",), images=2)
