@@ -182,7 +182,7 @@ def read_map(path: Path) -> dict[int, int]:
     for theirs, ours in document.items():
         if theirs not in PUBLISHED.names:
             raise UserError(f"{path}: {theirs!r} is not one of {PUBLISHED.names[0]} to {PUBLISHED.names[-1]}")
-        if ours not in keypoints.INDEX:
+        if not isinstance(ours, str) or ours not in keypoints.INDEX:
             raise UserError(f"{path}: {theirs}: {ours!r} is no keypoint of {SKOPE33.name}")
         index = PUBLISHED.names.index(theirs)
         if table.get(index, keypoints.INDEX[ours]) != keypoints.INDEX[ours]:
