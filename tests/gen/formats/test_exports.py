@@ -191,6 +191,13 @@ def test_kitti_boxes_stand_where_ours_do(boxed: list[Annotation]) -> None:
         turn = np.array([[np.cos(ry), 0, np.sin(ry)], [0, 1, 0], [-np.sin(ry), 0, np.cos(ry)]])
         truth = CAMERA.to_camera(box_corners(vehicle.box_3d))
         assert apart(kitti_corners(h, w, length, at, rotations[i]), truth) < 0.001
+        # The set of corners is the same for a mirrored box: the axes are told by points with names.
+        assert np.linalg.det(rotations[i]) == pytest.approx(1, abs=1e-6)
+        named = [[length / 2, -h / 2, 0], [0, -h, 0], [0, -h / 2, w / 2]]  # middles of the front, top and left
+        box = vehicle.box_3d
+        assert box is not None
+        ours = CAMERA.to_camera(np.diag(box.size_lwh / 2)[[0, 2, 1]] @ box.R.T + box.center)
+        assert np.abs(np.array(at) + np.array(named) @ rotations[i].T - ours).max() < 0.001
         level = apart(kitti_corners(h, w, length, at, tilt @ turn), truth)
         assert level < 0.001 if i < 2 else 0.05 < level < 0.3  # its own pitch is not in the label
         # Without the tilt the box would not stand on the road.
@@ -235,6 +242,11 @@ def test_mot_sequences(skope: Any, ours: Path) -> None:
     coco.write(path, replace(file, annotations=(replace(file.annotations[0], track_id=None),)))
     code, _, err = skope("gen", "convert", "ours", "again", "--to", "mot", "-q")
     assert (code, "annotation 499: track_id: missing" in err) == (2, True)
+
+
+def test_scenes_say_what_they_leave_out(skope: Any, ours: Path) -> None:
+    code, out, _ = skope("gen", "convert", "ours", "zips", "--to", "skope3d")
+    assert (code, "1 ignored vehicles are left out" in out) == (0, True)
 
 
 def test_shards_are_exported_like_folders(skope: Any, ours: Path) -> None:
