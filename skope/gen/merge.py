@@ -1,15 +1,18 @@
 """Join datasets into one: `skope gen merge`."""
 
 import shlex
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
+from skope import shards
 from skope.console import Console
-from skope.dataset import Dataset, open_dataset
+from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import replacing_folder
-from skope.gen.formats.gather import Gathered, plain
+from skope.gen.formats.gather import Gathered, dataset_at, plain
 from skope.gen.licences import united
 from skope.schema import AnnotationFile, Image
 
@@ -25,7 +28,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
         raise UserError("a dataset is named twice")
-    datasets = [open_dataset(source) for source in sources]
+    datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
     for other in datasets[1:]:
         if other.scheme is not first.scheme:
@@ -35,13 +38,19 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
         gathered = Gathered(folder, first.scheme)
-        names = _Sites()
+        names, begun = _Sites(), dict[str, tuple[Path, str]]()
         for dataset in datasets:
+            twice = Counter[Path]()
             for split in dataset.splits:
                 file = dataset.read(split)
                 names.check(dataset, split, file)
+                twice.update(_twice(dataset, split, file, begun))
                 _add(dataset, split, file, names, gathered, console)
             names.close(dataset)
+            for whose, count in twice.items():
+                console.say(
+                    f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
+                )
         gathered.finish(
             command=shlex.join(["skope", "gen", "merge", *map(str, sources)]),
             licence=licence,
@@ -92,6 +101,30 @@ class _Sites:
 
     def of(self, dataset: Dataset) -> dict[str, str]:
         return self._named[dataset.root]
+
+
+def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
+    """For each recording whose first image with a vehicle another dataset begins one with too: whose.
+
+    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance.
+
+    A UserError where the other dataset has it in another split.
+    """
+    own = file.by_image()
+    for images in recordings(file):
+        first = next((image for image in images if own[image.id]), None)
+        if first is None:
+            continue
+        digest = sha256(shards.read(dataset.root / first.file_name)).hexdigest()
+        whose, of = begun.setdefault(digest, (dataset.root, split))
+        if whose == dataset.root:
+            continue
+        if of != split:
+            raise UserError(
+                f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
+                "what is tested would have been learnt"
+            )
+        yield whose
 
 
 def _add(

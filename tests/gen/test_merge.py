@@ -86,6 +86,18 @@ def test_names_given_in_a_merge_are_not_given_twice(skope: Any) -> None:
     assert [image.file_name.split("/")[1] for image in images] == ["mast", "mast_2", "mast_2_2"]
 
 
+def test_what_is_there_twice_is_told(skope: Any) -> None:
+    dataset("a", BY, {"train": "mast", "easy": "pole"})
+    dataset("b", BY, {"train": "bridge"}, seed=1)
+    assert skope("gen", "merge", "a", "b", "both", "-q")[0] == 0
+    code, out, _ = skope("gen", "merge", "b", "both", "out")
+    assert code == 0
+    assert "both: 1 recordings show the same as recordings of b: they are there twice" in out
+    assert " of a: " not in out
+    code, out, _ = skope("gen", "merge", "a", "b", "other")
+    assert (code, "twice" in out) == (0, False)
+
+
 def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Images without a site and of equal names go below the dataset's own name, however it was given."""
     for number, name in enumerate(("a", "b c")):
@@ -107,9 +119,11 @@ def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.
     ("make", "said"),
     [
         (lambda: dataset("b", CC0, {"easy": "bridge"}), "site bridge is in split easy, and in train of a"),
+        (lambda: dataset("b", CC0, {"easy": "x"}), "is in split easy, the same image in train of a: what is tested"),
         (lambda: dataset("b", CC0, {"train": "x"}, scheme=PUBLISHED), "b: has keypoint scheme skope3d, a has skope33"),
         (lambda: dataset("b", ND, {"train": "x"}), f"licence: '{ND}' does not allow to be joined with '{BY}'"),
         (lambda: Path("b").mkdir(), "b: no dataset.json in it"),
+        (lambda: (dataset("b", BY, {"train": "x"}) / "annotations" / "train.json").unlink(), "b: has no annotations"),
         (lambda: Path("b").symlink_to("a"), "a dataset is named twice"),
     ],
 )

@@ -9,12 +9,12 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from skope.console import Console
-from skope.dataset import Dataset, open_dataset
+from skope.dataset import Dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at
 from skope.gen.pack import FORMATS
 
 
@@ -80,13 +80,13 @@ def convert(
         raise UserError(f"{out}: is there already; choose another name")
     with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
         if read_as is None:
-            _write(open_dataset(sources[0]), write_as or "folder", folder, options, console)
+            _write(dataset_at(sources[0]), write_as or "folder", folder, options, console)
         elif write_as in (None, "folder"):
             _read(sources, folder, read_as, options, console)
         else:
             with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
                 _read(sources, Path(between), read_as, options, console)
-                _write(open_dataset(Path(between)), write_as, folder, options, console)
+                _write(dataset_at(Path(between)), write_as, folder, options, console)
         if archive:
             zipped(folder, out)
 

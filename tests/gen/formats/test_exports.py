@@ -14,7 +14,7 @@ from skope import coco, keypoints, shards
 from skope.calibration import over_plane, read_calibration, read_plane
 from skope.camera import Camera
 from skope.dataset import open_dataset
-from skope.files import write_json
+from skope.files import read_json, write_json
 from skope.gen.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
 from tests.samples import make_annotation, make_dataset
@@ -280,3 +280,27 @@ def test_exports_share_the_images_of_the_dataset(skope: Any, ours: Path) -> None
     image = ours / open_dataset(ours).read("easy").images[0].file_name
     assert image.stat().st_nlink == 4
     assert {finding.text for finding in check(open_dataset(ours))} == {"site: site stands in split easy too"}
+
+
+@pytest.mark.parametrize(
+    ("card", "manifest", "said"),
+    [
+        ({}, None, "manifest.json: no such file: only what `skope gen` made can be converted"),
+        ({}, {}, "dataset.json: takes, parameters: missing"),
+        (
+            {"takes": [["site", "00", "train", 13]], "parameters": {}},
+            None,
+            "train: has fewer images than its card says",
+        ),
+    ],
+)
+def test_shards_are_made_of_whole_datasets(skope: Any, ours: Path, card: Any, manifest: Any, said: str) -> None:
+    if card:
+        images = [image.file_name for split in ("train", "easy") for image in open_dataset(ours).read(split).images]
+        manifest = {"sha256": dict.fromkeys(images, ""), "tallies": {name: {} for name in images}}
+    if manifest is not None:
+        write_json(ours / "manifest.json", manifest)
+    write_json(ours / "dataset.json", {**read_json(ours / "dataset.json"), **card})
+    code, out, err = skope("gen", "convert", "ours", "tars", "--to", "shards", "-q")
+    assert (code, out, err.count("\n"), Path("tars").exists()) == (2, "", 1, False)
+    assert said in err
