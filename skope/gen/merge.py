@@ -106,9 +106,8 @@ class _Sites:
 def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
     """For each recording whose first image with a vehicle another dataset begins one with too: whose.
 
-    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance.
-
-    A UserError where the other dataset has it in another split.
+    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance. A UserError where the other
+    dataset has it in another split.
     """
     own = file.by_image()
     for images in recordings(file):

@@ -163,7 +163,9 @@ class _Import:
         if self.given:
             content, there = self.given.find(old), str(self.given.where)
         else:
-            looked = [old, f"images/{old}", f"images/{file.subset}/{old}", f"../{old}", f"../images/{old}"]
+            # A subset's own folder first: another subset may have an image of the same name.
+            below = [f"images/{file.subset}/{old}", old, f"images/{old}"]
+            looked = [*below, *(f"../{name}" for name in below)]
             content, there = _first(files, looked), f"{files.where}, as itself or below images/"
         if content is None:
             raise UserError(f"{where}: file_name: no {old} in {there}; say with --images where images lie")

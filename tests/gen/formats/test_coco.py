@@ -151,6 +151,22 @@ def test_boxes_end_at_the_image(skope: Any) -> None:
     assert (vehicle.bbox.tolist(), vehicle.area) == ([0, 40, 35, 20], 700)
 
 
+def test_images_of_a_subset_lie_in_its_folder(skope: Any) -> None:
+    """Two subsets and the folder above have an image of one name; the archive's folder or one file of it is read."""
+    document = foreign(Path("in"))
+    for folder, level in (("images", 10), ("images/train", 20), ("images/val", 30)):
+        (Path("in") / folder).mkdir()
+        cv2.imwrite(f"in/{folder}/a 1.png", np.full((60, 80, 3), level, np.uint8))
+    for subset in ("train", "val"):
+        write_json(Path(f"in/annotations/person_keypoints_{subset}.json"), document)
+    one = "in/annotations/person_keypoints_val.json"
+    for source, out, expected in (("in", "both", {"train": 20, "val": 30}), (one, "one", {"val": 30})):
+        code, _, err = skope("gen", "convert", source, out, "--from", "cvat", "-q")
+        assert code == 0, err
+        data = open_dataset(Path(out))
+        assert {split: data.image(data.read(split).images[0])[0, 0, 0] for split in data.splits} == expected
+
+
 def test_published_names_make_their_scheme(skope: Any) -> None:
     make_dataset(Path("theirs"), scheme=PUBLISHED, splits=("train",))
     assert skope("gen", "convert", "theirs", "there", "--to", "cvat", "-q")[0] == 0
