@@ -77,6 +77,8 @@ def read(
     A split is called like the annotation file, CVAT's subset of no name train; `split` takes all. `images` is a folder
     that file names are relative to, in place of the usual ones.
     """
+    if images is not None and not images.is_dir():
+        raise UserError(f"--images: {images}: no such folder")
     work = _Import(root, InFolder(images) if images else None, console)
     licences = set()
     for source in sources:

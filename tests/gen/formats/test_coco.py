@@ -257,6 +257,13 @@ def test_what_is_wrong_is_told(skope: Any, damage: Callable[[dict[str, Any]], No
     assert {path.name for path in Path().iterdir()} == {"in"}
 
 
+def test_images_that_are_nowhere_are_told(skope: Any) -> None:
+    write_json(Path("labels.json"), foreign(Path("in")))
+    code, out, err = skope("gen", "convert", "labels.json", "out", "--from", "coco", "--images", "gone", "-q")
+    assert (code, out, err) == (2, "", "skope: --images: gone: no such folder\n")
+    assert not Path("out").exists()
+
+
 def test_sources_that_are_none_are_told(skope: Any) -> None:
     Path("empty").mkdir()
     Path("bad.json").write_text("{")
