@@ -52,7 +52,8 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                     f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
                 )
         gathered.finish(
-            command=shlex.join(["skope", "gen", "merge", *map(str, sources)]),
+            # Names alone: where they lie on this machine is nobody's business.
+            command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
             sources=[

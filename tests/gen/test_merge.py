@@ -112,6 +112,7 @@ def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.
     first, second = (image.file_name for image in both.read("train").images)
     assert second == f"images/b c/{first.removeprefix('images/')}"
     assert [of["name"] for of in both.card["sources"]] == ["a", "b c"]
+    assert both.card["command"] == "skope gen merge a 'b c'"  # and nothing of this machine's folders
     assert "b c (not stated)\n" in (both.root / "README.md").read_text()  # of which no command is known
 
 

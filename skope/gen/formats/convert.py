@@ -92,7 +92,8 @@ def convert(
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
-    told = [(f"--{name}", str(value)) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
+    # Names alone: where files lie on this machine is nobody's business.
+    told = [(f"--{name}", Path(value).name) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
     names = [path.resolve().name for path in sources]
     command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*told)])
     if form == "skope3d":
