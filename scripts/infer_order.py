@@ -153,6 +153,8 @@ def main() -> None:
     parser.add_argument("--margin", type=float, default=0.05, help="metres by which a name must be nearest")
     arguments = parser.parse_args()
     try:
+        if not arguments.margin >= 0:
+            raise UserError(f"--margin: expected metres from 0, got {arguments.margin}")
         vehicles = vehicles_in(arguments.scenes)
         if len(vehicles) < LEAST_VIEWS:
             raise UserError(f"only {len(vehicles)} vehicles with 3D boxes; expected {LEAST_VIEWS} or more")

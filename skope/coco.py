@@ -133,6 +133,8 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
         values["area"] = float(schema.array("bbox", row["bbox"], 4)[2:].prod())
     if values.get("box_3d") is not None:
         box = row["box_3d"]
+        if not isinstance(box, Mapping):
+            raise UserError(f"box_3d: expected an object with center, size_lwh, yaw and R, got {str(box)[:40]!r}")
         values["box_3d"] = Box3D(center=box["center"], size_lwh=box["size_lwh"], yaw=float(box["yaw"]), R=box["R"])
     return Annotation(**values)
 

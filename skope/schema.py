@@ -7,6 +7,7 @@ plain COCO files do not have are optional, so that the same records hold anybody
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -119,7 +120,8 @@ class Image:
             path = getattr(self, name)
             if path is None and name == "depth_file_name":
                 continue
-            if not isinstance(path, str) or not path or path.startswith("/") or ".." in path.split("/"):
+            parts = PurePosixPath(path).parts if isinstance(path, str) else ()
+            if not parts or parts[0].startswith("/") or ".." in parts:
                 raise UserError(f"{name}: expected a path inside the dataset folder, got {path!r}")
         _choice("weather", self.weather, WEATHERS)
 

@@ -67,6 +67,7 @@ def full_annotation() -> Annotation:
         area_full=2000,
         keypoints_3d=np.round(rng.normal(0, 20, (33, 3)), 4),
         box_3d=Box3D(center=np.array([1.0, 2.0, 0.75]), size_lwh=np.array([4.5, 1.8, 1.5]), yaw=angle, R=turn),
+        box_3d_pixels=np.round(rng.uniform(-50, 700, (8, 2)), 2),
         velocity=np.array([3.5, -1.25, 0.0]),
         distance=21.5,
         occlusion=0.25,

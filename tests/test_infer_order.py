@@ -178,3 +178,13 @@ def test_corners_in_no_order_are_told(script: ModuleType, vehicles: list[Vehicle
     jumbled = [Vehicle(v.box_xyxy, v.points, 0, "", rng.permutation(v.corners)) for v in vehicles]
     with pytest.raises(UserError, match="counted in no known order"):
         script.places(jumbled)
+
+
+def test_a_margin_below_zero_is_told(
+    script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["infer_order.py", "scene_1.zip", "--margin", "-1"])
+    with pytest.raises(SystemExit) as ended:
+        script.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "infer_order: --margin: expected metres from 0, got -1.0\n"

@@ -1,6 +1,7 @@
 """From footage to the road: `skope eval predict`, `pose`, `track` and `camera`."""
 
 import math
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -90,7 +91,7 @@ def predict(
     if footage.skipped:
         raise typer.Exit(1)
     if fixed:
-        console.result(f"next: skope eval track {out}")
+        console.result(f"next: skope eval track {shlex.quote(str(out))}")
 
 
 def pose(

@@ -184,6 +184,8 @@ def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) 
     for annotation in annotations:
         where = f"image {image.id}, annotation {annotation.id}"
         yield from ((where, text) for text in _check_annotation(image, annotation))
+        if "takes" in dataset.card and annotation.ignored and annotation.ignore_reason is None:
+            yield where, "ignore_reason: missing on an ignored vehicle"
         yield from ((where, text) for text in _check_mask(image, annotation))
         yield from ((where, text) for text in _check_box_3d(image.camera, annotation))
         if image.camera is not None and annotation.keypoints_3d is not None:
@@ -250,8 +252,6 @@ def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
         yield "keypoints: a labelled point lies outside the image"
     if ((v == 0) & ((x != 0) | (y != 0))).any():
         yield "keypoints: v = 0 with coordinates"
-    if annotation.iscrowd and annotation.ignore_reason is None:
-        yield "ignore_reason: missing on an ignored vehicle"
     if annotation.area_full is not None and annotation.area > annotation.area_full:
         yield "area: more visible pixels than the whole silhouette has"
 

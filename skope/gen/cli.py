@@ -1,5 +1,6 @@
 """`skope gen`: make datasets and check them."""
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -69,7 +70,7 @@ def simulate(
     hire, who = hired(engine, workers, address)
     _announce(console, parameters, who)
     made = simulate_only(parameters, out, hire, console)
-    _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {out}")
+    _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {shlex.quote(str(out))}")
 
 
 @app.command()
@@ -104,7 +105,7 @@ def _announce(console: Console, parameters: "Parameters", who: str) -> None:
 
 
 def _data(out: Path) -> str:
-    return "" if out == DEFAULT else f" --data {out}"
+    return "" if out == DEFAULT else f" --data {shlex.quote(str(out))}"
 
 
 def _next(console: Console, out: Path, wrote: str, command: str) -> None:

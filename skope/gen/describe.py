@@ -89,7 +89,10 @@ def _command(card: Card) -> list[Command]:
 
 def _sources(card: Card) -> list[str]:
     """What a joined dataset was joined from."""
-    return [f"{of['name']} ({of['licence']}): `{of['command']}`" for of in card.get("sources", ())]
+    return [
+        f"{of['name']} ({of['licence']})" + (f": `{of['command']}`" if of.get("command") else "")
+        for of in card.get("sources", ())
+    ]
 
 
 def made(card: Card) -> list[str]:

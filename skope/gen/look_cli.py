@@ -1,5 +1,6 @@
 """`skope gen check`, `stats`, `show`, `report` and `video`: what is in a dataset, and what a site looks like."""
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -37,7 +38,7 @@ def check(
     if findings and repair:
         hire, _ = hired("local", workers, None)
         mend(folder, findings, hire, console)
-        console.result(f"repaired {dataset}; next: skope gen check {dataset}")
+        console.result(f"repaired {dataset}; next: skope gen check {shlex.quote(str(dataset))}")
     elif found:
         raise typer.Exit(1)
 

@@ -1,14 +1,18 @@
 """Join datasets into one: `skope gen merge`."""
 
-from collections.abc import Sequence
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
+from skope import shards
 from skope.console import Console
-from skope.dataset import Dataset, open_dataset
+from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import replacing_folder
-from skope.gen.formats.gather import Gathered, plain
+from skope.gen.formats.gather import Gathered, dataset_at, plain
 from skope.gen.licences import united
 from skope.schema import AnnotationFile, Image
 
@@ -24,7 +28,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
         raise UserError("a dataset is named twice")
-    datasets = [open_dataset(source) for source in sources]
+    datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
     for other in datasets[1:]:
         if other.scheme is not first.scheme:
@@ -34,19 +38,31 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
         gathered = Gathered(folder, first.scheme)
-        names = _Sites()
+        names, begun = _Sites(), dict[str, tuple[Path, str]]()
         for dataset in datasets:
+            twice = Counter[Path]()
             for split in dataset.splits:
                 file = dataset.read(split)
                 names.check(dataset, split, file)
+                twice.update(_twice(dataset, split, file, begun))
                 _add(dataset, split, file, names, gathered, console)
             names.close(dataset)
+            for whose, count in twice.items():
+                console.say(
+                    f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
+                )
         gathered.finish(
-            command=f"skope gen merge {' '.join(map(str, sources))}",
+            # Names alone: where they lie on this machine is nobody's business.
+            command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
             sources=[
-                {"name": d.root.name, "command": d.card.get("command"), "licence": d.licence, "sites": names.of(d)}
+                {
+                    "name": d.root.resolve().name,
+                    "command": d.card.get("command"),
+                    "licence": d.licence,
+                    "sites": names.of(d),
+                }
                 for d in datasets
             ],
             **_fleet(datasets),
@@ -74,11 +90,11 @@ class _Sites:
                     )
             uses.setdefault(dataset.root, set()).add(split)
             if site not in own:
-                number = 1
-                own[site] = site
-                while own[site] in self._taken:
+                number, name = 1, site
+                while name in self._taken or name in own.values():
                     number += 1
-                    own[site] = f"{site}_{number}"
+                    name = f"{site}_{number}"
+                own[site] = name
 
     def close(self, dataset: Dataset) -> None:
         """From here on the names belong to this dataset."""
@@ -88,11 +104,34 @@ class _Sites:
         return self._named[dataset.root]
 
 
+def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
+    """For each recording whose first image with a vehicle another dataset begins one with too: whose.
+
+    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance. A UserError where the other
+    dataset has it in another split.
+    """
+    own = file.by_image()
+    for images in recordings(file):
+        first = next((image for image in images if own[image.id]), None)
+        if first is None:
+            continue
+        digest = sha256(shards.read(dataset.root / first.file_name)).hexdigest()
+        whose, of = begun.setdefault(digest, (dataset.root, split))
+        if whose == dataset.root:
+            continue
+        if of != split:
+            raise UserError(
+                f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
+                "what is tested would have been learnt"
+            )
+        yield whose
+
+
 def _add(
     dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, gathered: Gathered, console: Console
 ) -> None:
     own, sites = file.by_image(), names.of(dataset)
-    for image in console.bar(file.images, unit="image", label=f"{dataset.root.name}: {split}"):
+    for image in console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}"):
         new, files = _moved(image, sites, dataset, gathered.root)
         gathered.add(split, new, own[image.id], files)
 
@@ -109,7 +148,7 @@ def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) ->
         name = plain(old)
         if site is not None:
             name = f"{site}/{name.removeprefix(f'{image.site}/')}"
-        candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.name}/{name}")
+        candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.resolve().name}/{name}")
         free = next((c for c in candidates if not (root / c).exists()), None)
         if free is None:
             raise UserError(f"{dataset.root}: {old}: another image has this name")

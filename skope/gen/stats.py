@@ -1,5 +1,6 @@
 """What a dataset holds, split by split, in numbers: how many vehicles, how large, how far, how hidden."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
     hidden = np.array([a.occlusion for a in known if a.occlusion is not None])
     return SplitStats(
         images=len(file.images),
-        sites=len(set(sites.values())),
+        sites=len(set(sites.values()) - {None}),
         vehicles=len(known),
         ignored=len(file.annotations) - len(known),
         tracks=len({(sites[a.image_id], a.track_id) for a in known if a.track_id is not None}),
@@ -88,12 +89,12 @@ def _brightness(dataset: Dataset, images: tuple[Image, ...]) -> float:
 
 
 def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")
+    return float(values.mean()) if len(values) else math.nan
 
 
 def _quartiles(values: list[float]) -> tuple[float, float, float]:
     if not values:
-        return (float("nan"),) * 3
+        return (math.nan,) * 3
     low, middle, high = np.percentile(values, [25, 50, 75])
     return float(low), float(middle), float(high)
 
@@ -118,10 +119,10 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         "vehicles per image": lambda s: f"{s.per_image:.2f}",
         "distance, m": lambda s: _median(s.distance_m),
         "box height, px": lambda s: _median(s.box_height_px),
-        "hidden share": lambda s: f"{s.occluded:.3f}",
-        "more than 10% hidden": lambda s: f"{s.crowded:.1%}",
-        "visible keypoints": lambda s: f"{s.visible_points:.3f}",
-        "brightness, of 255": lambda s: f"{s.brightness:.0f}",
+        "hidden share": lambda s: _known(s.occluded, ".3f"),
+        "more than 10% hidden": lambda s: _known(s.crowded, ".1%"),
+        "visible keypoints": lambda s: _known(s.visible_points, ".3f"),
+        "brightness, of 255": lambda s: _known(s.brightness, ".0f"),
     }
     return [(name, [cell(s) for s in columns]) for name, cell in said.items()] + [
         (f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()
@@ -130,7 +131,12 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
 
 def _median(values: tuple[float, float, float]) -> str:
     low, middle, high = values
-    return f"{middle:.0f} ({low:.0f}-{high:.0f})"
+    return "-" if math.isnan(middle) else f"{middle:.0f} ({low:.0f}-{high:.0f})"
+
+
+def _known(value: float, form: str) -> str:
+    """A number, or "-" where nothing was there to count: other programs' files need not say it."""
+    return "-" if math.isnan(value) else format(value, form)
 
 
 def plot(dataset: Dataset, out: Path) -> Path:

@@ -1,6 +1,7 @@
 """From flags to the configuration of a run, new or resumed, and what to say around it."""
 
 import os
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -103,7 +104,7 @@ def next_command(out: Path, data: Path, default_out: Path, default_data: Path) -
     """The command that evaluates a run, with the flags that differ from the defaults."""
     parts = ["skope eval --split hard"]
     if data != default_data:
-        parts.append(f"--data {data}")
+        parts.append(f"--data {shlex.quote(str(data))}")
     if out != default_out:
-        parts.append(f"--checkpoint {out}")
+        parts.append(f"--checkpoint {shlex.quote(str(out))}")
     return " ".join(parts)

@@ -75,13 +75,56 @@ def test_everything_is_there_once(skope: Any) -> None:
     assert skope("gen", "convert", "more", "yolo", "--to", "coco", "-q")[0] == 0
 
 
+def test_names_given_in_a_merge_are_not_given_twice(skope: Any) -> None:
+    """The second dataset has `mast` and, from a merge of its own, `mast_2`."""
+    dataset("a", BY, {"train": "mast"}, images=1)
+    dataset("b", BY, {"train": "mast"}, seed=1, images=1)
+    assert skope("gen", "merge", "a", "b", "both", "-q")[0] == 0
+    assert skope("gen", "merge", "a", "both", "out", "-q")[0] == 0
+    images = open_dataset(Path("out")).read("train").images
+    assert [image.site for image in images] == ["mast", "mast_2", "mast_2_2"]
+    assert [image.file_name.split("/")[1] for image in images] == ["mast", "mast_2", "mast_2_2"]
+
+
+def test_what_is_there_twice_is_told(skope: Any) -> None:
+    dataset("a", BY, {"train": "mast", "easy": "pole"})
+    dataset("b", BY, {"train": "bridge"}, seed=1)
+    assert skope("gen", "merge", "a", "b", "both", "-q")[0] == 0
+    code, out, _ = skope("gen", "merge", "b", "both", "out")
+    assert code == 0
+    assert "both: 1 recordings show the same as recordings of b: they are there twice" in out
+    assert " of a: " not in out
+    code, out, _ = skope("gen", "merge", "a", "b", "other")
+    assert (code, "twice" in out) == (0, False)
+
+
+def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images without a site and of equal names go below the dataset's own name, however it was given."""
+    for number, name in enumerate(("a", "b c")):
+        root = make_dataset(Path(name), splits=("train",), images=1, seed=number)
+        path = root / "annotations" / "train.json"
+        file = coco.read(path)
+        coco.write(path, replace(file, images=tuple(replace(i, site=None) for i in file.images)))
+    monkeypatch.chdir("b c")
+    code, out, err = skope("gen", "merge", "../a", ".", "../o ut", "-q")
+    assert (code, out, err) == (0, "wrote ../o ut; next: skope gen check '../o ut'\n", "")
+    both = open_dataset(Path("../o ut"))
+    first, second = (image.file_name for image in both.read("train").images)
+    assert second == f"images/b c/{first.removeprefix('images/')}"
+    assert [of["name"] for of in both.card["sources"]] == ["a", "b c"]
+    assert both.card["command"] == "skope gen merge a 'b c'"  # and nothing of this machine's folders
+    assert "b c (not stated)\n" in (both.root / "README.md").read_text()  # of which no command is known
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
         (lambda: dataset("b", CC0, {"easy": "bridge"}), "site bridge is in split easy, and in train of a"),
+        (lambda: dataset("b", CC0, {"easy": "x"}), "is in split easy, the same image in train of a: what is tested"),
         (lambda: dataset("b", CC0, {"train": "x"}, scheme=PUBLISHED), "b: has keypoint scheme skope3d, a has skope33"),
         (lambda: dataset("b", ND, {"train": "x"}), f"licence: '{ND}' does not allow to be joined with '{BY}'"),
         (lambda: Path("b").mkdir(), "b: no dataset.json in it"),
+        (lambda: (dataset("b", BY, {"train": "x"}) / "annotations" / "train.json").unlink(), "b: has no annotations"),
         (lambda: Path("b").symlink_to("a"), "a dataset is named twice"),
     ],
 )

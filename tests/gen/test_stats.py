@@ -12,9 +12,9 @@ from skope import coco, keypoints
 from skope.cli import app
 from skope.dataset import open_dataset
 from skope.files import write_json
-from skope.gen.stats import split_stats
+from skope.gen.stats import rows, split_stats
 from skope.schema import AnnotationFile
-from tests.samples import make_annotation, make_image
+from tests.samples import make_annotation, make_dataset, make_image
 
 
 @pytest.fixture
@@ -50,6 +50,19 @@ def test_numbers_are_those_counted_by_hand(dataset: Path) -> None:
     assert found.visible_points == pytest.approx((11 + 22 + 0) / 99)
     assert found.brightness == pytest.approx(60, abs=1)
     assert found.types == {"sedan": 2, "bus": 1}
+
+
+def test_what_a_file_does_not_say_is_a_dash(tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "theirs", splits=("train",))
+    path = root / "annotations" / "train.json"
+    file = coco.read(path)
+    images = tuple(replace(image, site=None) for image in file.images)
+    vehicles = tuple(replace(vehicle, occlusion=None, distance=None) for vehicle in file.annotations)
+    coco.write(path, replace(file, images=images, annotations=vehicles))
+    said = dict(rows({"train": split_stats(open_dataset(root), coco.read(path))}))
+    assert [said[name] for name in ("sites", "distance, m", "hidden share", "more than 10% hidden")] == [
+        ["0"], ["-"], ["-"], ["-"]
+    ]  # fmt: skip
 
 
 def test_the_command_prints_a_column_for_each_split(dataset: Path) -> None:

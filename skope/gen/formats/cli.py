@@ -1,5 +1,6 @@
 """`skope gen convert` and `merge`: datasets in the formats of other tools, and joined."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -42,8 +43,7 @@ def convert(
         map=map_file, images=images, split=split, keypoints=tuple(keypoints.split(",")) if keypoints else ()
     )
     write(sources, out, read_as=source, write_as=to, options=options, console=console)
-    after = "skope gen check" if to in (None, "folder", "shards") else ""
-    console.result(f"wrote {out}" + (f"; next: {after} {out}" if after else ""))
+    console.result(f"wrote {out}" + (f"; next: {_check(out)}" if to in (None, "folder", "shards") else ""))
 
 
 def merge(
@@ -57,4 +57,8 @@ def merge(
     *sources, out = paths
     console = Console(quiet)
     join(sources, out, console)
-    console.result(f"wrote {out}; next: skope gen check {out}")
+    console.result(f"wrote {out}; next: {_check(out)}")
+
+
+def _check(out: Path) -> str:
+    return shlex.join(["skope", "gen", "check", str(out)])

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope import coco, keypoints, schema
-from skope.boxes import xyxy_to_xywh
+from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
@@ -77,6 +77,8 @@ def read(
     A split is called like the annotation file, CVAT's subset of no name train; `split` takes all. `images` is a folder
     that file names are relative to, in place of the usual ones.
     """
+    if images is not None and not images.is_dir():
+        raise UserError(f"--images: {images}: no such folder")
     work = _Import(root, InFolder(images) if images else None, console)
     licences = set()
     for source in sources:
@@ -84,8 +86,8 @@ def read(
             licences.add(_licence(files))
             for file in _annotation_files(source, files, form, split):
                 work.add(file, files)
-    for name, count in work.left_out.items():
-        console.say(f"left out: {count} annotations of {name}, which has no keypoint of ours")
+    for what, count in work.left_out.items():
+        console.say(f"left out: {count} annotations {what}")
     if len(licences) > 1:
         raise UserError(f"files under different licences ({'; '.join(sorted(licences))}): read them apart")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
@@ -103,7 +105,7 @@ class _Import:
     console: Console
     gathered: Gathered | None = None
     left_out: Counter[str] = field(default_factory=Counter)
-    """Annotations of categories without keypoints of ours, by name."""
+    """How many annotations were, by why."""
     _names: set[str] = field(default_factory=set)
 
     def add(self, file: _File, files: Files) -> None:
@@ -122,16 +124,24 @@ class _Import:
                 raise UserError(f"{file.path}: annotations[{i}]: image_id {row['image_id']} is not among the images")
             own[row["image_id"]].append((i, row))
         called = {category["id"]: str(category.get("name")) for category in file.document["categories"]}
+        named: set[str] = set()
         for i, row in enumerate(self.console.bar(file.document["images"], unit="image", label=file.split)):
             image, contents = self._image(f"{file.path}: images[{i}]", row, file, files)
+            if row["file_name"] in named:
+                raise UserError(f"{file.path}: images[{i}]: file_name: {row['file_name']} stands twice")
+            named.add(row["file_name"])
             vehicles = []
             for k, annotation in own[row["id"]]:
                 label = labels.get(annotation["category_id"])
                 if label is None:
-                    self.left_out[called.get(annotation["category_id"], "no category")] += 1
+                    name = called.get(annotation["category_id"], "no category")
+                    self.left_out[f"of {name}, which has no keypoint of ours"] += 1
+                    continue
+                vehicle = _annotation(f"{file.path}: annotations[{k}]", annotation, label, image, file.ours)
+                if vehicle is None:
+                    self.left_out["whose box has no area inside the image"] += 1
                 else:
-                    where = f"{file.path}: annotations[{k}]"
-                    vehicles.append(_annotation(where, annotation, label, image, file.ours))
+                    vehicles.append(vehicle)
             self.gathered.add(file.split, image, vehicles, contents)
 
     def _image(
@@ -155,7 +165,9 @@ class _Import:
         if self.given:
             content, there = self.given.find(old), str(self.given.where)
         else:
-            looked = [old, f"images/{old}", f"images/{file.subset}/{old}", f"../{old}", f"../images/{old}"]
+            # A subset's own folder first: another subset may have an image of the same name.
+            below = [f"images/{file.subset}/{old}", old, f"images/{old}"]
+            looked = [*below, *(f"../{name}" for name in below)]
             content, there = _first(files, looked), f"{files.where}, as itself or below images/"
         if content is None:
             raise UserError(f"{where}: file_name: no {old} in {there}; say with --images where images lie")
@@ -294,7 +306,8 @@ def _first(files: Files, names: Sequence[str]) -> Path | bytes | None:
     return next((found for name in names if (found := files.find(name)) is not None), None)
 
 
-def _annotation(where: str, row: Mapping[str, Any], label: _Label, image: Image, ours: bool) -> Annotation:
+def _annotation(where: str, row: Mapping[str, Any], label: _Label, image: Image, ours: bool) -> Annotation | None:
+    """None for a vehicle whose box, which is cut to the image, has no area: nothing can be learnt or found there."""
     with _told(where):
         theirs = schema.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
         points = np.zeros((K, 3))
@@ -313,7 +326,15 @@ def _annotation(where: str, row: Mapping[str, Any], label: _Label, image: Image,
             told["iscrowd"] = 1
         fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
         fields["category_id"] = schema.CATEGORY_ID
-        return coco.annotation_from_dict(fields)
+        vehicle = coco.annotation_from_dict(fields)
+        corners = xywh_to_xyxy(vehicle.bbox)
+        cut = clip(corners, image.width, image.height)
+        size = float(area(cut))
+        if size <= 0:
+            return None
+        if (cut != corners).any():
+            vehicle = replace(vehicle, bbox=xyxy_to_xywh(cut), area=min(vehicle.area, size))
+        return vehicle
 
 
 @contextmanager

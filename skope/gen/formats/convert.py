@@ -1,5 +1,7 @@
 """From one format to another: `skope gen convert`."""
 
+import itertools
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,12 +9,12 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from skope.console import Console
-from skope.dataset import Dataset, open_dataset
+from skope.dataset import Dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at
 from skope.gen.pack import FORMATS
 
 
@@ -78,20 +80,22 @@ def convert(
         raise UserError(f"{out}: is there already; choose another name")
     with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
         if read_as is None:
-            _write(open_dataset(sources[0]), write_as or "folder", folder, options, console)
+            _write(dataset_at(sources[0]), write_as or "folder", folder, options, console)
         elif write_as in (None, "folder"):
             _read(sources, folder, read_as, options, console)
         else:
             with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
                 _read(sources, Path(between), read_as, options, console)
-                _write(open_dataset(Path(between)), write_as, folder, options, console)
+                _write(dataset_at(Path(between)), write_as, folder, options, console)
         if archive:
             zipped(folder, out)
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
-    told = "".join(f" --{name} {value}" for name in _OF if isinstance(value := getattr(options, name), str | Path))
-    command = f"skope gen convert {' '.join(path.name for path in sources)} --from {form}{told}"
+    # Names alone: where files lie on this machine is nobody's business.
+    told = [(f"--{name}", Path(value).name) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
+    names = [path.resolve().name for path in sources]
+    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*told)])
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
     else:

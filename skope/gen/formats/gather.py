@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope import __version__, coco, schema, shards
-from skope.dataset import CARD
+from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import link, read_bytes, write_bytes, write_json, write_text
 from skope.gen import describe
@@ -79,6 +79,14 @@ class Gathered:
         }
         write_text(self.root / "README.md", describe.markdown(card))
         write_json(self.root / CARD, card)
+
+
+def dataset_at(root: Path) -> Dataset:
+    """A dataset to read from; one without a split is a UserError."""
+    dataset = open_dataset(root)
+    if not dataset.splits:
+        raise UserError(f"{root}: has no annotations")
+    return dataset
 
 
 def put(content: Path | bytes, target: Path) -> None:

@@ -9,7 +9,7 @@
 
 X Y Z is the middle of the box's bottom in the camera frame. A roadside camera looks down, so `ry` turns about the
 road's normal, not the camera's y axis: corners = G R_y(ry) p + (X, Y, Z), G the smallest rotation that takes the
-camera's y axis to the road's downward normal, p in KITTI's box axes (x forward, y down, z to the right). That leaves
+camera's y axis to the road's downward normal, p in KITTI's box axes (x forward, y down, z to the left). That leaves
 out a vehicle's own pitch and roll, which `rotation` keeps. Lens distortion has no place in this format.
 """
 
@@ -36,8 +36,8 @@ TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Va
 OCCLUSIONS: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""
 DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
-BOX_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
-"""KITTI's box axes as columns in ours: x forward, y down, z right of x forward, y left, z up."""
+BOX_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""KITTI's box axes as columns in ours: x forward, y down, z left, of x forward, y left, z up."""
 _ROAD: Final = np.array([0.0, 0.0, 1.0])
 
 

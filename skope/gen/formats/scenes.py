@@ -127,7 +127,7 @@ def _vehicle(archive: Archive, keypoint: str, metadata: str) -> Vehicle:
 
 def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
     try:
-        text = archive.read(member, _CSV_BYTES).decode()
+        text = archive.read(member, _CSV_BYTES).decode("utf-8-sig")
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except (UnicodeDecodeError, csv.Error):
         raise UserError(f"{archive.path}: {member}: not a CSV file") from None

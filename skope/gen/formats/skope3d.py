@@ -182,7 +182,7 @@ def read_map(path: Path) -> dict[int, int]:
     for theirs, ours in document.items():
         if theirs not in PUBLISHED.names:
             raise UserError(f"{path}: {theirs!r} is not one of {PUBLISHED.names[0]} to {PUBLISHED.names[-1]}")
-        if ours not in keypoints.INDEX:
+        if not isinstance(ours, str) or ours not in keypoints.INDEX:
             raise UserError(f"{path}: {theirs}: {ours!r} is no keypoint of {SKOPE33.name}")
         index = PUBLISHED.names.index(theirs)
         if table.get(index, keypoints.INDEX[ours]) != keypoints.INDEX[ours]:
@@ -203,18 +203,21 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     What this layout has no place for (masks, depth, world coordinates, what is ignored) is left out.
     """
     groups = [(split, own) for split in dataset.splits for own in _groups(dataset, split)]
-    places = []
+    places, ignored = [], 0
     for number, (split, (images, vehicles)) in enumerate(
         console.bar(groups, unit="scene", label="writing scenes"), start=1
     ):
         name, folder = f"scene_{number}", out / f".scene_{number}"
         _write_scene(dataset, images, vehicles, folder / name)
+        ignored += sum(vehicle.ignored for image in images for vehicle in vehicles[image.id])
         zipped(folder, out / f"{name}.zip")
         shutil.rmtree(folder)
         places.append((name, split, images[0].site or name, images[0].recording or "00"))
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([("scene", "split", "site", "recording"), *places])
     write_text(out / SCENES, text.getvalue())
+    if ignored:
+        console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
     if dataset.scheme is SKOPE33:
         write_json(out / MAP, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 

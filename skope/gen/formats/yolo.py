@@ -34,9 +34,12 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
             path = PurePosixPath(name) / plain(image.file_name)
             put(dataset.root / image.file_name, out / "images" / path)
+            labels = out / "labels" / path.with_suffix(".txt")
+            if labels.exists():
+                raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
             rows = [_row(vehicle, image, chosen) for vehicle in own[image.id] if not vehicle.ignored]
             ignored += len(own[image.id]) - len(rows)
-            write_text(out / "labels" / path.with_suffix(".txt"), "".join(rows))
+            write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
         console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")

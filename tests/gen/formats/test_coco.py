@@ -136,6 +136,37 @@ def test_files_of_others_are_read_by_name(skope: Any) -> None:
     assert (three.num_keypoints, three.bbox.tolist()) == (0, [1, 2, 3, 4])
 
 
+def test_boxes_end_at_the_image(skope: Any) -> None:
+    """As people drag them in an editor; what is outside, or a single point, is no vehicle to learn or to find."""
+    document = foreign(Path("in"))
+    first, second, third, _ = document["annotations"]
+    first["bbox"] = [-5, 40, 40, 30]
+    second["keypoints"] = [20, 30, 2, 0, 0, 0, 0, 0, 0]  # its box would be that point
+    third["bbox"] = [80, 10, 20, 20]
+    write_json(Path("in/labels.json"), document)
+    code, out, err = skope(*FOREIGN)
+    assert code == 0, err
+    assert "left out: 2 annotations whose box has no area inside the image" in out
+    (vehicle,) = open_dataset(Path("out")).read("train").annotations
+    assert (vehicle.bbox.tolist(), vehicle.area) == ([0, 40, 35, 20], 700)
+
+
+def test_images_of_a_subset_lie_in_its_folder(skope: Any) -> None:
+    """Two subsets and the folder above have an image of one name; the archive's folder or one file of it is read."""
+    document = foreign(Path("in"))
+    for folder, level in (("images", 10), ("images/train", 20), ("images/val", 30)):
+        (Path("in") / folder).mkdir()
+        cv2.imwrite(f"in/{folder}/a 1.png", np.full((60, 80, 3), level, np.uint8))
+    for subset in ("train", "val"):
+        write_json(Path(f"in/annotations/person_keypoints_{subset}.json"), document)
+    one = "in/annotations/person_keypoints_val.json"
+    for source, out, expected in (("in", "both", {"train": 20, "val": 30}), (one, "one", {"val": 30})):
+        code, _, err = skope("gen", "convert", source, out, "--from", "cvat", "-q")
+        assert code == 0, err
+        data = open_dataset(Path(out))
+        assert {split: data.image(data.read(split).images[0])[0, 0, 0] for split in data.splits} == expected
+
+
 def test_published_names_make_their_scheme(skope: Any) -> None:
     make_dataset(Path("theirs"), scheme=PUBLISHED, splits=("train",))
     assert skope("gen", "convert", "theirs", "there", "--to", "cvat", "-q")[0] == 0
@@ -208,6 +239,11 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
         (change("images", 0, "width", to=None), "images[0]: field width is missing"),
         (change("images", 0, "file_name", to="../../etc/passwd"), "images[0]: file_name: expected a path inside"),
         (change("images", 0, "file_name", to="b.png"), "images[0]: file_name: no b.png in in/frames"),
+        (change("images", 0, "file_name", to="."), "images[0]: file_name: expected a path inside"),
+        (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png stands twice"),
+        (lambda d: (d.update(info={"keypoint_scheme": "skope33"}), d["images"][0].update(camera=None, site=None),
+                    d["annotations"][0].update(color=None, box_3d="x")),
+         "annotations[0]: box_3d: expected an object with center"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told(skope: Any, damage: Callable[[dict[str, Any]], None], said: str) -> None:
@@ -219,6 +255,13 @@ def test_what_is_wrong_is_told(skope: Any, damage: Callable[[dict[str, Any]], No
     assert "labels.json" in err
     assert said in err
     assert {path.name for path in Path().iterdir()} == {"in"}
+
+
+def test_images_that_are_nowhere_are_told(skope: Any) -> None:
+    write_json(Path("labels.json"), foreign(Path("in")))
+    code, out, err = skope("gen", "convert", "labels.json", "out", "--from", "coco", "--images", "gone", "-q")
+    assert (code, out, err) == (2, "", "skope: --images: gone: no such folder\n")
+    assert not Path("out").exists()
 
 
 def test_sources_that_are_none_are_told(skope: Any) -> None:

@@ -14,7 +14,7 @@ from skope import coco, keypoints, shards
 from skope.calibration import over_plane, read_calibration, read_plane
 from skope.camera import Camera
 from skope.dataset import open_dataset
-from skope.files import write_json
+from skope.files import read_json, write_json
 from skope.gen.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
 from tests.samples import make_annotation, make_dataset
@@ -99,6 +99,18 @@ def test_yolo_takes_some_keypoints(skope: Any, ours: Path) -> None:
         assert (code, said in err, Path("new").exists()) == (2, True, False)
 
 
+def test_yolo_labels_of_two_images_are_not_written_to_one_file(skope: Any) -> None:
+    root = make_dataset(Path("ours"), splits=("train", "val"))
+    path = root / "annotations" / "train.json"
+    file = coco.read(path)
+    first, second = (root / image.file_name for image in file.images)
+    second.rename(first.with_suffix(".PNG"))
+    second_now = replace(file.images[1], file_name=first.with_suffix(".PNG").relative_to(root).as_posix())
+    coco.write(path, replace(file, images=(file.images[0], second_now)))
+    code, _, err = skope("gen", "convert", "ours", "new", "--to", "yolo", "-q")
+    assert (code, "another image has this name but for its suffix" in err, Path("new").exists()) == (2, True, False)
+
+
 def test_yolo_needs_something_to_learn_and_validate(skope: Any) -> None:
     make_dataset(Path("tests"), splits=("easy",))
     make_dataset(Path("short"), splits=("train",), images=2)
@@ -179,6 +191,13 @@ def test_kitti_boxes_stand_where_ours_do(boxed: list[Annotation]) -> None:
         turn = np.array([[np.cos(ry), 0, np.sin(ry)], [0, 1, 0], [-np.sin(ry), 0, np.cos(ry)]])
         truth = CAMERA.to_camera(box_corners(vehicle.box_3d))
         assert apart(kitti_corners(h, w, length, at, rotations[i]), truth) < 0.001
+        # The set of corners is the same for a mirrored box: the axes are told by points with names.
+        assert np.linalg.det(rotations[i]) == pytest.approx(1, abs=1e-6)
+        named = [[length / 2, -h / 2, 0], [0, -h, 0], [0, -h / 2, w / 2]]  # middles of the front, top and left
+        box = vehicle.box_3d
+        assert box is not None
+        ours = CAMERA.to_camera(np.diag(box.size_lwh / 2)[[0, 2, 1]] @ box.R.T + box.center)
+        assert np.abs(np.array(at) + np.array(named) @ rotations[i].T - ours).max() < 0.001
         level = apart(kitti_corners(h, w, length, at, tilt @ turn), truth)
         assert level < 0.001 if i < 2 else 0.05 < level < 0.3  # its own pitch is not in the label
         # Without the tilt the box would not stand on the road.
@@ -225,6 +244,11 @@ def test_mot_sequences(skope: Any, ours: Path) -> None:
     assert (code, "annotation 499: track_id: missing" in err) == (2, True)
 
 
+def test_scenes_say_what_they_leave_out(skope: Any, ours: Path) -> None:
+    code, out, _ = skope("gen", "convert", "ours", "zips", "--to", "skope3d")
+    assert (code, "1 ignored vehicles are left out" in out) == (0, True)
+
+
 def test_shards_are_exported_like_folders(skope: Any, ours: Path) -> None:
     file = open_dataset(ours).read("easy")
     own = file.by_image()
@@ -256,3 +280,27 @@ def test_exports_share_the_images_of_the_dataset(skope: Any, ours: Path) -> None
     image = ours / open_dataset(ours).read("easy").images[0].file_name
     assert image.stat().st_nlink == 4
     assert {finding.text for finding in check(open_dataset(ours))} == {"site: site stands in split easy too"}
+
+
+@pytest.mark.parametrize(
+    ("card", "manifest", "said"),
+    [
+        ({}, None, "manifest.json: no such file: only what `skope gen` made can be converted"),
+        ({}, {}, "dataset.json: takes, parameters: missing"),
+        (
+            {"takes": [["site", "00", "train", 13]], "parameters": {}},
+            None,
+            "train: has fewer images than its card says",
+        ),
+    ],
+)
+def test_shards_are_made_of_whole_datasets(skope: Any, ours: Path, card: Any, manifest: Any, said: str) -> None:
+    if card:
+        images = [image.file_name for split in ("train", "easy") for image in open_dataset(ours).read(split).images]
+        manifest = {"sha256": dict.fromkeys(images, ""), "tallies": {name: {} for name in images}}
+    if manifest is not None:
+        write_json(ours / "manifest.json", manifest)
+    write_json(ours / "dataset.json", {**read_json(ours / "dataset.json"), **card})
+    code, out, err = skope("gen", "convert", "ours", "tars", "--to", "shards", "-q")
+    assert (code, out, err.count("\n"), Path("tars").exists()) == (2, "", 1, False)
+    assert said in err

@@ -39,7 +39,7 @@ def video(tmp_path: Path, frames: int = FRAMES) -> bytes:
 def members(tmp_path: Path) -> Members:
     return {
         "scene_5/original.avi": video(tmp_path),
-        "scene_5/1/keypoint_0.csv": KEYPOINT,
+        "scene_5/1/keypoint_0.csv": "\ufeff" + KEYPOINT,  # as spreadsheets write it
         "scene_5/1/metadata_0.csv": METADATA,
         "scene_5/2/": "",
         "scene_5/readme.txt": "of no interest",
@@ -118,6 +118,7 @@ def test_points_are_mapped_by_name(skope: Any, members: Members) -> None:
         ([], "map.json: expected an object like"),
         ({"skope3d_33": "front_logo"}, "'skope3d_33' is not one of skope3d_00 to skope3d_32"),
         ({"skope3d_16": "wheel"}, "skope3d_16: 'wheel' is no keypoint of skope33"),
+        ({"skope3d_16": ["wheel"]}, "skope3d_16: ['wheel'] is no keypoint of skope33"),
         ({"skope3d_00": "roof_rear_left"}, "skope3d_00: is roof_front_right, not roof_rear_left"),
         ({"skope3d_04": "mirror_left", "skope3d_05": "mirror_left"}, "mirror_left stands for two points"),
     ],
