@@ -65,8 +65,8 @@ def predict(
     footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))
     if blur and not overlay:
         raise UserError("--blur is for the overlay: give --overlay too")
-    if overlay and footage.stream:
-        raise UserError("--overlay: a stream cannot be read again; record it to a file first")
+    if overlay and footage.live:
+        raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = Settings(device=device, precision=precision, batch_size=batch_size, min_score=score)
     fixed = read_camera(camera)[0] if camera else None
 
@@ -116,6 +116,8 @@ def pose(
 
     _probability("--score", score)
     levels = _numbers("--noise", noise)
+    _pixels("--noise", *levels)
+    _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
     console = Console(quiet)
     rows, refused = [], 0
@@ -161,6 +163,8 @@ def track(
     from skope.eval.tracks import Job, run
 
     _probability("--score", score)
+    _pixels("--noise", noise)
+    _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
     job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     console = Console(quiet)
@@ -192,6 +196,8 @@ def camera(
     from skope.eval.camera_file import from_points, from_vehicles
 
     _probability("--score", score)
+    _pixels("--noise", noise)
+    _pixels("--sigma", sigma)
     console = Console(quiet)
     if points is not None:
         if folder or annotations or predictions:
@@ -219,6 +225,12 @@ def _numbers(flag: str, text: str) -> list[float]:
     if not all(math.isfinite(value) for value in values):
         raise UserError(f"{flag}: expected numbers, got {text!r}")
     return values
+
+
+def _pixels(flag: str, *values: float | None) -> None:
+    for value in values:
+        if value is not None and not 0 <= value < math.inf:
+            raise UserError(f"{flag}: expected pixels from 0, got {value:g}")
 
 
 def _probability(flag: str, value: float) -> None:

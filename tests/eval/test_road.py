@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+import threading
+import time
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +23,7 @@ from skope.eval.footage import Cut, open_footage
 from skope.eval.scene import read_camera
 from skope.files import write_json
 from skope.schema import Box3D, Result
+from tests.eval import streams
 from tests.eval.seen import CAMERA, drive, scene
 from tests.eval.test_pose import drawn
 
@@ -50,6 +53,42 @@ def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
     assert [image.time_s for image, _ in frames] == pytest.approx([0.5, 0.9, 1.3, 1.7, 2.1, 2.5])
     later = list(footage.frames(first=2))
     assert [(i.id, i.frame_index) for i, _ in later] == [(i.id, i.frame_index) for i, _ in frames[2:]]
+
+
+def test_a_camera_on_the_network_is_read_until_it_hangs_up(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    with streams.rtsp(numbered_video(tmp_path / "v.ts", 30)) as address:
+        code, _, err = skope("eval", "predict", address, "--checkpoint", random_run, "--every", 3, "--out", "p")
+        assert code == 0, err
+        assert skope("eval", "predict", address, "--checkpoint", random_run, "--overlay", "--out", "o")[0] == 2
+    images = coco.read(Path("p/frames.json")).images
+    assert images
+    for image in images:
+        assert image.frame_index is not None
+        assert image.frame_index % 3 == 0
+        assert image.time_s == pytest.approx(image.frame_index / 10)
+
+
+def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames() -> None:
+    with streams.mjpeg(24, 20) as address:
+        footage = open_footage(address, Cut())
+        assert footage.live
+        taken = []
+        for image, pixels in footage.frames():
+            taken.append((image, pixels.mean() / 8))
+            time.sleep(0.25)
+    indices = [image.frame_index for image, _ in taken]
+    assert 3 <= len(taken) <= 12
+    assert indices == [round(brightness) for _, brightness in taken]
+    assert indices[-1] == 23
+    times = [image.time_s or 0.0 for image, _ in taken]
+    assert times == sorted(set(times))
+
+
+def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
+    with streams.mjpeg(1000, 50) as address:
+        frames = open_footage(address, Cut(end_s=0.3)).frames()
+        assert 1 <= len(list(frames)) < 30
+    assert threading.active_count() < 8
 
 
 def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, random_run: Path, tmp_path: Path) -> None:
@@ -116,6 +155,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
         (".", (), "no images in it"),
         ("*.png", (), "matches no file"),
         ("text.txt", (), "text.txt: neither an image nor a video"),
+        ("rtsp://127.0.0.1:9/no", (), "neither an image nor a video"),
         ("text.txt", ("--every", 0), "--every: expected a whole number from 1"),
         ("text.txt", ("--start", 5, "--end", 2), "--start, --end"),
     ],
