@@ -10,6 +10,7 @@ from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError
 
 RUN = Path("runs/skope")
+_FITTED = ("auto", "fit")
 PREDICTED = Path("runs/predict")
 
 FolderArgument = Annotated[Path | None, typer.Argument(help="Folder that `skope eval predict` wrote.")]
@@ -28,7 +29,11 @@ CameraOption = Annotated[
     ),
 ]
 GroundOption = Annotated[
-    str, typer.Option(help="Height of the road in the camera's world, metres; none: unknown, size tells distance.")
+    str,
+    typer.Option(
+        help="Height of the level road in the camera's world, metres; fit: the plane that the vehicles show; auto: 0 "
+        "unless they clearly show another; none: unknown, size tells distance."
+    ),
 ]
 ScoreOption = Annotated[float, typer.Option(help="Take detections above this.")]
 SigmaOption = Annotated[
@@ -98,7 +103,7 @@ def pose(
     annotations: AnnotationsOption = None,
     predictions: PredictionsOption = None,
     camera: CameraOption = None,
-    ground: GroundOption = "0",
+    ground: GroundOption = "auto",
     noise: Annotated[
         str, typer.Option(help="Pixels of noise added to ground-truth keypoints; several: measure each.")
     ] = "0",
@@ -109,6 +114,7 @@ def pose(
     version: VersionOption = False,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
+    from skope.eval.ground_fit import settled
     from skope.eval.located import locate_view, records, write_poses
     from skope.eval.pose_errors import measure, summary, table
     from skope.eval.scene import read_scene
@@ -120,6 +126,10 @@ def pose(
     _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
     console = Console(quiet)
+    if ground in _FITTED:
+        scene, words = settled(scene, ground, score=score, noise=levels[0], sigma_px=sigma)
+        if words:
+            console.result(words)
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
@@ -146,7 +156,7 @@ def track(
     annotations: AnnotationsOption = None,
     predictions: PredictionsOption = None,
     camera: CameraOption = None,
-    ground: GroundOption = "0",
+    ground: GroundOption = "auto",
     fps: Annotated[
         float | None, typer.Option(help="Frames a second.", show_default="the times that the frames carry")
     ] = None,
@@ -159,6 +169,7 @@ def track(
     version: VersionOption = False,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
+    from skope.eval.ground_fit import settled
     from skope.eval.scene import read_scene
     from skope.eval.tracks import Job, run
 
@@ -166,8 +177,12 @@ def track(
     _pixels("--noise", noise)
     _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
-    job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     console = Console(quiet)
+    if ground in _FITTED:
+        scene, words = settled(scene, ground, score=score, noise=noise, sigma_px=sigma)
+        if words:
+            console.result(words)
+    job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     for line in run(job, console):
         console.result(line)
 
@@ -214,6 +229,9 @@ def camera(
 
 
 def _ground(text: str) -> float | None:
+    """Height of the plane to begin with; None: no plane."""
+    if text in _FITTED:
+        return 0.0
     return None if text == "none" else _numbers("--ground", text)[0]
 
 

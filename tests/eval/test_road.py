@@ -20,9 +20,10 @@ from skope.camera import Camera
 from skope.eval import camera_fit, pose_errors
 from skope.eval.blur import blurred
 from skope.eval.footage import Cut, open_footage
-from skope.eval.scene import read_camera
+from skope.eval.refine import Ground
+from skope.eval.scene import Scene, read_camera
 from skope.files import write_json
-from skope.schema import Box3D, Result
+from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from tests.eval import streams
 from tests.eval.seen import CAMERA, drive, scene
 from tests.eval.test_pose import drawn
@@ -213,6 +214,59 @@ def test_pose_writes_what_it_measures(skope: Any) -> None:
         < told["labels with 2 px of noise"]["all"]["position"]["50"]
     )
     assert told["labels with 0 px of noise"]["all"]["iou"] > 0.85
+
+
+def tilted(file: AnnotationFile, T: Any) -> AnnotationFile:
+    """The same scene in a world that `T` (4, 4) brings it to."""
+
+    def turned(a: Annotation) -> Annotation:
+        assert a.box_3d is not None
+        R = T[:3, :3] @ a.box_3d.R
+        center = T[:3, :3] @ a.box_3d.center + T[:3, 3]
+        return replace(a, box_3d=replace(a.box_3d, center=center, R=R, yaw=math.atan2(R[1, 0], R[0, 0])))
+
+    camera = replace(CAMERA, T_camera_world=CAMERA.T_camera_world @ np.linalg.inv(T))
+    images = tuple(replace(image, camera=camera) for image in file.images)
+    return replace(file, images=images, annotations=tuple(turned(a) for a in file.annotations))
+
+
+def test_a_sloping_road_that_is_known_costs_nothing() -> None:
+    ground = Ground(height=3.0, slope=(0.05, -0.03), about=(12.0, 4.0))
+    T = ground.T_world_level
+    assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3))
+    for x, y in ((0, 0), (7, -2)):
+        point = T[:3, :3] @ [x, y, 0] + T[:3, 3]
+        assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
+    a, b = pose_errors.measure(level, noise=1), pose_errors.measure(sloping, noise=1)
+    assert b.position == pytest.approx(a.position, abs=2e-3)
+    assert b.heading == pytest.approx(a.heading, abs=0.1)
+
+
+@pytest.mark.parametrize(("asked", "height", "slope"), [("auto", -5.0, (0.0, 0.0)), ("fit", 2.0, (0.04, -0.03))])
+def test_a_road_elsewhere_is_found_from_its_vehicles(
+    skope: Any, asked: str, height: float, slope: tuple[float, float]
+) -> None:
+    T = Ground(height=height, slope=slope).T_world_level
+    coco.write(Path("slope.json"), tilted(drive(2, 4, speeds=(9.0, 3.0, -6.0)), T))
+    told = {}
+    for ground in ("0", asked):
+        call = ("eval", "pose", "--annotations", "slope.json", "--noise", 1, "--ground", ground, "--out", ground, "-q")
+        code, out, err = skope(*call)
+        assert code == 0, err
+        assert ("contradict a level road" in out) == (ground == "auto")
+        told[ground] = json.loads(Path(ground, "pose_errors.json").read_text())["labels with 1 px of noise"]["all"]
+    assert told[asked]["position"]["90"] < 0.8
+    assert told["0"]["refused"] > 10 or told["0"]["position"]["50"] > 2.0
+
+
+def test_a_level_road_stays_where_it_is_said_to_be(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
+    call = ("eval", "pose", "--annotations", "road.json", "--noise", 2, "-q")
+    for ground in ("0", "auto"):
+        assert skope(*call, "--ground", ground, "--out", ground)[0] == 0
+    assert Path("0/poses.jsonl").read_bytes() == Path("auto/poses.jsonl").read_bytes()
 
 
 def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
