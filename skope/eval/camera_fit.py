@@ -121,7 +121,7 @@ def _camera(size: tuple[int, int], at: Array) -> Camera:
 
 def _start_cost(vehicles: Sample, at: Array) -> float:
     seen = observe(_camera(vehicles.size, at), vehicles.found, vehicles.sigma_px)
-    return float(_capped(start.on_ground(seen, fleet_shapes(), _GROUND).cost.min(axis=1)).sum())
+    return float(capped(start.on_ground(seen, fleet_shapes(), _GROUND).cost.min(axis=1)).sum())
 
 
 def _costs(vehicles: Sample, at: Array) -> Array:
@@ -129,14 +129,14 @@ def _costs(vehicles: Sample, at: Array) -> Array:
     if not (3 < at[0] < 12 and -0.2 < at[1] < 1.4 and abs(at[2]) < 0.5 and 0 < at[3] < 5):
         return np.full(len(vehicles.found), _CAP)
     seen = observe(_camera(vehicles.size, at), vehicles.found, vehicles.sigma_px)
-    return _capped(best_types(seen, fleet_shapes(), _GROUND).cost[:, 0])
+    return capped(best_types(seen, fleet_shapes(), _GROUND).cost[:, 0])
 
 
 def _cost(vehicles: Sample, at: Array) -> float:
     return float(_costs(vehicles, at).sum())
 
 
-def _capped(cost: Array) -> Array:
+def capped(cost: Array) -> Array:
     """Costs that level off at `_CAP`, still smooth."""
     return np.asarray(_CAP * np.tanh(np.minimum(cost, 1e6) / _CAP))
 

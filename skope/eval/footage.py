@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from skope import dataset
 from skope.errors import UserError
+from skope.eval import live
 from skope.schema import Image
 
 Pixels = NDArray[np.uint8]
@@ -37,44 +38,61 @@ class Cut:
             raise UserError(f"--start, --end: expected 0 <= start < end, got {self.start_s:g} and {self.end_s:g}")
 
 
+@dataclass(frozen=True)
+class Clip:
+    """A video file or stream, opened once to see what it says of itself: a camera may not like to be asked often."""
+
+    address: str
+    count: float
+    """Frames, 0 or less where nobody knows."""
+    rate: float
+    """Frames a second."""
+
+    @property
+    def live(self) -> bool:
+        """Whether its frames come when they come, and only once."""
+        scheme, found, _ = self.address.partition("://")
+        return bool(found) and (scheme not in ("http", "https") or self.count <= 0)
+
+
 @dataclass
 class Footage:
-    """A source of frames; going over it again gives the same ones, except of a stream."""
+    """A source of frames; going over it again gives the same ones, except of a live stream."""
 
     name: str
     cut: Cut = field(default_factory=Cut)
     images: tuple[Path, ...] = ()
     """Of images; empty for a video or stream."""
-    video: str | None = None
+    clip: Clip | None = None
     skipped: list[str] = field(default_factory=list)
     """What could not be read, in one line each."""
 
     @property
-    def stream(self) -> bool:
-        return self.video is not None and "://" in self.video
+    def live(self) -> bool:
+        """Whether it cannot be read again."""
+        return self.clip is not None and self.clip.live
 
     def __len__(self) -> int:
         """How many frames there are, as far as the file says; 0: unknown."""
-        if self.video is None:
+        if self.clip is None:
             return len(self.images[:: self.cut.every])
-        with _opened(self.video) as capture:
-            count, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture)
+        count, fps = self.clip.count, self.clip.rate
         last = min(count, self.cut.end_s * fps)
         return max(0, math.ceil((last - math.floor(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
 
+    @property
     def fps(self) -> float | None:
-        """Frames a second after the cut; None of images."""
-        if self.video is None:
-            return None
-        with _opened(self.video) as capture:
-            return _rate(capture) / self.cut.every
+        """Frames a second after the cut; None of images, and of a live stream, whose frames come as they can."""
+        return None if self.clip is None or self.clip.live else self.clip.rate / self.cut.every
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         """Frames with their pixels (H, W, 3) RGB, numbered from 1 as `Image.id`; `first` of them are left out.
 
         What cannot be read is noted in `skipped`, and keeps its number.
         """
-        return self._of_video(first) if self.video is not None else self._of_images(first)
+        if self.clip is None:
+            return self._of_images(first)
+        return self._of_stream(self.clip) if self.clip.live else self._of_video(self.clip, first)
 
     def _of_images(self, first: int) -> Iterator[tuple[Image, Pixels]]:
         folder = self.images[0].parent
@@ -87,29 +105,38 @@ class Footage:
             name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
             yield _image(number, name, pixels, number - 1, None), pixels
 
-    def _of_video(self, first: int) -> Iterator[tuple[Image, Pixels]]:
-        assert self.video is not None
-        with _opened(self.video) as capture:
-            fps = _rate(capture)
-            begin = math.floor(self.cut.start_s * fps) + first * self.cut.every
-            at = 0
-            if begin and not self.stream and capture.set(cv2.CAP_PROP_POS_FRAMES, begin):
-                at = begin
+    def _of_video(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
+        with _opened(clip.address) as capture:
+            begin = math.floor(self.cut.start_s * clip.rate) + first * self.cut.every
+            at = begin if begin and capture.set(cv2.CAP_PROP_POS_FRAMES, begin) else 0
             number = first
-            while at / fps < self.cut.end_s:
+            while at / clip.rate < self.cut.end_s:
                 wanted = at >= begin and (at - begin) % self.cut.every == 0
                 good, bgr = capture.read() if wanted else (capture.grab(), None)
                 if not good:
                     break
                 if bgr is not None:
                     number += 1
-                    pixels = np.asarray(cv2.cvtColor(_three(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
-                    yield _image(number, f"{self.name}/{at:06d}", pixels, at, at / fps), pixels
+                    yield self._frame(number, at, at / clip.rate, bgr)
                 at += 1
-            expected = capture.get(cv2.CAP_PROP_FRAME_COUNT)
             # Containers round their counts; half a second less is a file that ends early.
-            if not self.stream and at < min(expected, self.cut.end_s * fps) - max(2.0, fps / 2):
-                self._skip(f"{self.video}: frame {at} of {expected:.0f} cannot be decoded")
+            if at < min(clip.count, self.cut.end_s * clip.rate) - max(2.0, clip.rate / 2):
+                self._skip(f"{clip.address}: frame {at} of {clip.count:.0f} cannot be decoded")
+
+    def _of_stream(self, clip: Clip) -> Iterator[tuple[Image, Pixels]]:
+        frames = live.frames(
+            lambda: _opened(clip.address), self.cut.every, camera_clock=clip.address.startswith("rtsp")
+        )
+        with contextlib.closing(frames):
+            wanted = (f for f in frames if f.time_s >= self.cut.start_s)
+            for number, (at, time_s, bgr) in enumerate(wanted, start=1):
+                if time_s >= self.cut.end_s:
+                    return
+                yield self._frame(number, at, time_s, bgr)
+
+    def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
+        pixels = np.asarray(cv2.cvtColor(_three(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
     def _skip(self, reason: str) -> None:
         if reason not in self.skipped:  # a second pass meets the same
@@ -122,7 +149,7 @@ def open_footage(source: str, cut: Cut) -> Footage:
     Raises UserError for what is none of these.
     """
     if "://" in source:
-        return Footage("stream", cut, video=source)
+        return Footage("stream", cut, clip=_looked_at(source))
     path = Path(source)
     if path.is_dir():
         found = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
@@ -138,8 +165,12 @@ def open_footage(source: str, cut: Cut) -> Footage:
         raise UserError(f"{source}: no such file or folder")
     if path.suffix.lower() in IMAGES:
         return Footage(path.stem, cut, images=(path,))
-    with _opened(source):
-        return Footage(path.stem, cut, video=source)
+    return Footage(path.stem, cut, clip=_looked_at(source))
+
+
+def _looked_at(video: str) -> Clip:
+    with _opened(video) as capture:
+        return Clip(video, capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture))
 
 
 @contextlib.contextmanager

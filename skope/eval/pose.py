@@ -13,8 +13,8 @@ or ends of the vehicle exchanged, for vehicles that do not fit. What is not supp
 """
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -121,6 +121,12 @@ class Poses:
     def __len__(self) -> int:
         return len(self.types)
 
+    def moved(self, T: Array) -> Self:
+        """The same vehicles in another world, `T` (4, 4) from this one to it; headings turn about the upright axes."""
+        turn = np.eye(4)
+        turn[:3, :3] = T[:3, :3]
+        return replace(self, T_world_vehicle=T @ self.T_world_vehicle, covariance=turn @ self.covariance @ turn.T)
+
     @property
     def yaw(self) -> Array:
         """(N,) heading, counter-clockwise from world x, radians."""
@@ -150,12 +156,21 @@ def locate(
     found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
     space = shapes or fleet_shapes()
+    if ground and not ground.level:
+        camera, flat = levelled(camera, ground)
+        return locate(camera, found, sigma_px=sigma, ground=flat, shapes=space).moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
     chunks = [
         _locate(camera, found[i : i + _CHUNK], sigma[i : i + _CHUNK], ground, space, rng)
         for i in range(0, len(found), _CHUNK)
     ]
     return _joined(chunks)
+
+
+def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
+    """Camera and ground in the frame in which the ground is the level z = 0 (`Ground.T_world_level`)."""
+    flat = replace(ground, height=0.0, slope=(0.0, 0.0), about=(0.0, 0.0))
+    return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
 
 
 def _locate(

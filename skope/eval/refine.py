@@ -34,13 +34,31 @@ _SETTLED: Final = 1e-5
 
 @dataclass(frozen=True)
 class Ground:
-    """The road near the vehicles: a level plane of the world, known so well."""
+    """The road near the vehicles: a plane of the world, known so well."""
 
     height: float = 0.0
-    """Its z, metres."""
+    """Its z where it is said to be `about`, metres."""
     height_sigma: float = 0.04
     tilt_sigma: float = math.radians(1.0)
-    """How far a vehicle's upright axis leans, radians: the road's slope and the suspension."""
+    """How far a vehicle's upright axis leans from the plane's normal, radians: bumps and the suspension."""
+    slope: tuple[float, float] = (0.0, 0.0)
+    """Metres that it rises per metre along world x and y."""
+    about: tuple[float, float] = (0.0, 0.0)
+    """World x and y, metres."""
+
+    @property
+    def level(self) -> bool:
+        return self.slope == (0.0, 0.0)
+
+    @property
+    def T_world_level(self) -> Array:  # noqa: N802 (poses are called so)
+        """(4, 4) from a frame in which the plane is z = 0 and `about` the origin; its x is world x along the plane."""
+        along = np.array([1.0, 0.0, self.slope[0]]) / math.hypot(1.0, self.slope[0])
+        up = np.array([-self.slope[0], -self.slope[1], 1.0]) / math.hypot(*self.slope, 1.0)
+        T = np.eye(4)
+        T[:3, :3] = np.stack([along, np.cross(up, along), up], axis=1)
+        T[:3, 3] = [*self.about, self.height]
+        return T
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError
 
 RUN = Path("runs/skope")
+_FITTED = ("auto", "fit")
 PREDICTED = Path("runs/predict")
 
 FolderArgument = Annotated[Path | None, typer.Argument(help="Folder that `skope eval predict` wrote.")]
@@ -29,7 +30,11 @@ CameraOption = Annotated[
     ),
 ]
 GroundOption = Annotated[
-    str, typer.Option(help="Height of the road in the camera's world, metres; none: unknown, size tells distance.")
+    str,
+    typer.Option(
+        help="Height of the level road in the camera's world, metres; fit: the plane that the vehicles show; auto: 0 "
+        "unless they clearly show another; none: unknown, size tells distance."
+    ),
 ]
 ScoreOption = Annotated[float, typer.Option(help="Take detections above this.")]
 SigmaOption = Annotated[
@@ -66,8 +71,8 @@ def predict(
     footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))
     if blur and not overlay:
         raise UserError("--blur is for the overlay: give --overlay too")
-    if overlay and footage.stream:
-        raise UserError("--overlay: a stream cannot be read again; record it to a file first")
+    if overlay and footage.live:
+        raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = Settings(device=device, precision=precision, batch_size=batch_size, min_score=score)
     fixed = read_camera(camera)[0] if camera else None
 
@@ -99,7 +104,7 @@ def pose(
     annotations: AnnotationsOption = None,
     predictions: PredictionsOption = None,
     camera: CameraOption = None,
-    ground: GroundOption = "0",
+    ground: GroundOption = "auto",
     noise: Annotated[
         str, typer.Option(help="Pixels of noise added to ground-truth keypoints; several: measure each.")
     ] = "0",
@@ -110,6 +115,7 @@ def pose(
     version: VersionOption = False,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
+    from skope.eval.ground_fit import settled
     from skope.eval.located import locate_view, records, write_poses
     from skope.eval.pose_errors import measure, summary, table
     from skope.eval.scene import read_scene
@@ -117,8 +123,14 @@ def pose(
 
     _probability("--score", score)
     levels = _numbers("--noise", noise)
+    _pixels("--noise", *levels)
+    _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
     console = Console(quiet)
+    if ground in _FITTED:
+        scene, words = settled(scene, ground, score=score, noise=levels[0], sigma_px=sigma)
+        if words:
+            console.result(words)
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
@@ -145,7 +157,7 @@ def track(
     annotations: AnnotationsOption = None,
     predictions: PredictionsOption = None,
     camera: CameraOption = None,
-    ground: GroundOption = "0",
+    ground: GroundOption = "auto",
     fps: Annotated[
         float | None, typer.Option(help="Frames a second.", show_default="the times that the frames carry")
     ] = None,
@@ -158,13 +170,20 @@ def track(
     version: VersionOption = False,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
+    from skope.eval.ground_fit import settled
     from skope.eval.scene import read_scene
     from skope.eval.tracks import Job, run
 
     _probability("--score", score)
+    _pixels("--noise", noise)
+    _pixels("--sigma", sigma)
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
-    job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     console = Console(quiet)
+    if ground in _FITTED:
+        scene, words = settled(scene, ground, score=score, noise=noise, sigma_px=sigma)
+        if words:
+            console.result(words)
+    job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     for line in run(job, console):
         console.result(line)
 
@@ -193,6 +212,8 @@ def camera(
     from skope.eval.camera_file import from_points, from_vehicles
 
     _probability("--score", score)
+    _pixels("--noise", noise)
+    _pixels("--sigma", sigma)
     console = Console(quiet)
     if points is not None:
         if folder or annotations or predictions:
@@ -209,6 +230,9 @@ def camera(
 
 
 def _ground(text: str) -> float | None:
+    """Height of the plane to begin with; None: no plane."""
+    if text in _FITTED:
+        return 0.0
     return None if text == "none" else _numbers("--ground", text)[0]
 
 
@@ -220,6 +244,12 @@ def _numbers(flag: str, text: str) -> list[float]:
     if not all(math.isfinite(value) for value in values):
         raise UserError(f"{flag}: expected numbers, got {text!r}")
     return values
+
+
+def _pixels(flag: str, *values: float | None) -> None:
+    for value in values:
+        if value is not None and not 0 <= value < math.inf:
+            raise UserError(f"{flag}: expected pixels from 0, got {value:g}")
 
 
 def _probability(flag: str, value: float) -> None:

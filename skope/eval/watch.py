@@ -69,15 +69,16 @@ def predict(job: Job, console: Console) -> list[Path]:
                     _note(done, log, with_camera(image, job.camera), found)
                     bar.update(image.id - bar.n)
             except KeyboardInterrupt:
-                if not job.footage.stream:
+                if not job.footage.live:
                     raise
                 console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
     if not done.images:
         done.path.unlink()
-        raise UserError(f"{job.footage.name}: none of its images can be read: {'; '.join(job.footage.skipped)}")
+        why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
+        raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     coco.write_results(written[0], done.results)
-    info = {"source": job.footage.name, "fps": job.footage.fps()}
+    info = {"source": job.footage.name, "fps": job.footage.fps}
     frames_file = AnnotationFile(
         images=tuple(done.images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
@@ -100,13 +101,13 @@ def _resumed(job: Job, weights: Path, console: Console) -> _Done:
     """What an interrupted run of the same footage, weights and settings left behind; else a fresh start."""
     path = job.out / _PROGRESS
     told = [
-        job.footage.video or [str(p) for p in job.footage.images],
+        job.footage.clip.address if job.footage.clip else [str(p) for p in job.footage.images],
         [job.footage.cut.every, job.footage.cut.start_s, job.footage.cut.end_s, job.score],
         [str(job.settings), str(weights), weights.stat().st_mtime_ns, job.camera.to_dict() if job.camera else None],
     ]
     head = {"run": hashlib.sha256(json.dumps(told).encode()).hexdigest()}
     done = _Done(path)
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() and not job.footage.stream else []
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() and not job.footage.live else []
     whole = [json.dumps(head)]
     if lines[:1] == whole:
         for line in lines[1:]:
@@ -132,14 +133,14 @@ def _overlay(job: Job, done: _Done, scheme: Scheme, console: Console) -> Path:
     for result in done.results:
         by_image[result.image_id].append(result)
     drawn = _drawn(job, by_image, scheme, console)
-    if job.footage.video is None:
+    if job.footage.clip is None:
         folder = job.out / OVERLAYS
         for image, pixels in drawn:
             draw.write(folder / f"{Path(image.file_name).stem}.jpg", pixels)
         return folder
     path = job.out / OVERLAY
     with replacing(path) as temporary:
-        write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps() or 25.0)
+        write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps or 25.0)
     return path
 
 

@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+import threading
+import time
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +20,11 @@ from skope.camera import Camera
 from skope.eval import camera_fit, pose_errors
 from skope.eval.blur import blurred
 from skope.eval.footage import Cut, open_footage
-from skope.eval.scene import read_camera
+from skope.eval.refine import Ground
+from skope.eval.scene import Scene, read_camera
 from skope.files import write_json
-from skope.schema import Box3D, Result
+from skope.schema import Annotation, AnnotationFile, Box3D, Result
+from tests.eval import streams
 from tests.eval.seen import CAMERA, drive, scene
 from tests.eval.test_pose import drawn
 
@@ -50,6 +54,42 @@ def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
     assert [image.time_s for image, _ in frames] == pytest.approx([0.5, 0.9, 1.3, 1.7, 2.1, 2.5])
     later = list(footage.frames(first=2))
     assert [(i.id, i.frame_index) for i, _ in later] == [(i.id, i.frame_index) for i, _ in frames[2:]]
+
+
+def test_a_camera_on_the_network_is_read_until_it_hangs_up(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    with streams.rtsp(numbered_video(tmp_path / "v.ts", 30)) as address:
+        code, _, err = skope("eval", "predict", address, "--checkpoint", random_run, "--every", 3, "--out", "p")
+        assert code == 0, err
+        assert skope("eval", "predict", address, "--checkpoint", random_run, "--overlay", "--out", "o")[0] == 2
+    images = coco.read(Path("p/frames.json")).images
+    assert images
+    for image in images:
+        assert image.frame_index is not None
+        assert image.frame_index % 3 == 0
+        assert image.time_s == pytest.approx(image.frame_index / 10)
+
+
+def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames() -> None:
+    with streams.mjpeg(24, 20) as address:
+        footage = open_footage(address, Cut())
+        assert footage.live
+        taken = []
+        for image, pixels in footage.frames():
+            taken.append((image, pixels.mean() / 8))
+            time.sleep(0.25)
+    indices = [image.frame_index for image, _ in taken]
+    assert 3 <= len(taken) <= 12
+    assert indices == [round(brightness) for _, brightness in taken]
+    assert indices[-1] == 23
+    times = [image.time_s or 0.0 for image, _ in taken]
+    assert times == sorted(set(times))
+
+
+def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
+    with streams.mjpeg(1000, 50) as address:
+        frames = open_footage(address, Cut(end_s=0.3)).frames()
+        assert 1 <= len(list(frames)) < 30
+    assert threading.active_count() < 8
 
 
 def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, random_run: Path, tmp_path: Path) -> None:
@@ -116,6 +156,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
         (".", (), "no images in it"),
         ("*.png", (), "matches no file"),
         ("text.txt", (), "text.txt: neither an image nor a video"),
+        ("rtsp://127.0.0.1:9/no", (), "neither an image nor a video"),
         ("text.txt", ("--every", 0), "--every: expected a whole number from 1"),
         ("text.txt", ("--start", 5, "--end", 2), "--start, --end"),
     ],
@@ -173,6 +214,59 @@ def test_pose_writes_what_it_measures(skope: Any) -> None:
         < told["labels with 2 px of noise"]["all"]["position"]["50"]
     )
     assert told["labels with 0 px of noise"]["all"]["iou"] > 0.85
+
+
+def tilted(file: AnnotationFile, T: Any) -> AnnotationFile:
+    """The same scene in a world that `T` (4, 4) brings it to."""
+
+    def turned(a: Annotation) -> Annotation:
+        assert a.box_3d is not None
+        R = T[:3, :3] @ a.box_3d.R
+        center = T[:3, :3] @ a.box_3d.center + T[:3, 3]
+        return replace(a, box_3d=replace(a.box_3d, center=center, R=R, yaw=math.atan2(R[1, 0], R[0, 0])))
+
+    camera = replace(CAMERA, T_camera_world=CAMERA.T_camera_world @ np.linalg.inv(T))
+    images = tuple(replace(image, camera=camera) for image in file.images)
+    return replace(file, images=images, annotations=tuple(turned(a) for a in file.annotations))
+
+
+def test_a_sloping_road_that_is_known_costs_nothing() -> None:
+    ground = Ground(height=3.0, slope=(0.05, -0.03), about=(12.0, 4.0))
+    T = ground.T_world_level
+    assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3))
+    for x, y in ((0, 0), (7, -2)):
+        point = T[:3, :3] @ [x, y, 0] + T[:3, 3]
+        assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
+    a, b = pose_errors.measure(level, noise=1), pose_errors.measure(sloping, noise=1)
+    assert b.position == pytest.approx(a.position, abs=2e-3)
+    assert b.heading == pytest.approx(a.heading, abs=0.1)
+
+
+@pytest.mark.parametrize(("asked", "height", "slope"), [("auto", -5.0, (0.0, 0.0)), ("fit", 2.0, (0.04, -0.03))])
+def test_a_road_elsewhere_is_found_from_its_vehicles(
+    skope: Any, asked: str, height: float, slope: tuple[float, float]
+) -> None:
+    T = Ground(height=height, slope=slope).T_world_level
+    coco.write(Path("slope.json"), tilted(drive(2, 4, speeds=(9.0, 3.0, -6.0)), T))
+    told = {}
+    for ground in ("0", asked):
+        call = ("eval", "pose", "--annotations", "slope.json", "--noise", 1, "--ground", ground, "--out", ground, "-q")
+        code, out, err = skope(*call)
+        assert code == 0, err
+        assert ("contradict a level road" in out) == (ground == "auto")
+        told[ground] = json.loads(Path(ground, "pose_errors.json").read_text())["labels with 1 px of noise"]["all"]
+    assert told[asked]["position"]["90"] < 0.8
+    assert told["0"]["refused"] > 10 or told["0"]["position"]["50"] > 2.0
+
+
+def test_a_level_road_stays_where_it_is_said_to_be(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
+    call = ("eval", "pose", "--annotations", "road.json", "--noise", 2, "-q")
+    for ground in ("0", "auto"):
+        assert skope(*call, "--ground", ground, "--out", ground)[0] == 0
+    assert Path("0/poses.jsonl").read_bytes() == Path("auto/poses.jsonl").read_bytes()
 
 
 def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
