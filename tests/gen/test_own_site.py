@@ -93,7 +93,7 @@ def test_the_example_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     for split in dataset.splits:
         file = dataset.read(split)
         assert len(file.images) == 2
-        assert sum(not a.iscrowd for a in file.annotations) > 2
+        assert sum(not a.iscrowd for a in file.annotations) >= len(file.images)
         for image in file.images:
             difference = np.abs(dataset.image(image) - photograph).max(axis=-1)
             assert np.median(difference) < 6  # noise and JPEG
