@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from skope import keypoints
 from skope.camera import Camera
 from skope.eval import start
+from skope.eval.hidden import facing
 from skope.eval.observe import Mask, Observed, observe
 from skope.eval.refine import Fits, Ground, refine
 from skope.eval.shapes import Shapes, fleet_shapes
@@ -57,6 +58,10 @@ _BETTER: Final = 12.0
 """How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
 _LEVEL: Final = 6.0
 """Difference of cost within which another heading is as good."""
+_HIDDEN: Final = 9.0
+"""What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+_LOOKS: Final = 2
+"""How often it is looked again what a pose hides."""
 _HOPELESS: Final = 1e5
 _BESIDE: Final = 6.0
 """Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
@@ -183,7 +188,9 @@ def _locate(
     poor = np.flatnonzero(doubtful & (seen.count >= _FEWEST[ground is not None]))
     if poor.size:
         _retry_from_subsets(seen, fits, poor, shapes, ground, rng)
-        seen = _retry_exchanged(seen, fits, poor, shapes, ground, exchanged)
+        whole = seen.take(poor)
+        seen = _without_hidden(camera, seen, fits, poor, shapes, ground)
+        seen = _retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
     return _judged(camera, seen, fits, shapes, ground, exchanged)
 
 
@@ -219,15 +226,61 @@ def _retry_from_subsets(
     fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
 
 
-def _retry_exchanged(
-    seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, exchanged: dict[int, str]
+def _without_hidden(
+    camera: Camera, seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None
 ) -> Observed:
-    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better."""
-    original = seen.take(poor)
+    """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
+
+    Detectors give those high scores too. Returns `seen` without what was left out where that explains more: a keypoint
+    that is hidden may lie anywhere, at the cost `_HIDDEN`.
+    """
+    some = seen.take(poor)
+    best = fits.take(poor)
+    cost = best.cost[:, 0].copy()
+    for turned in (False, True):
+        tried = some
+        for _ in range(_LOOKS):
+            shown = _shown(camera, best, shapes, ground, turned=turned)
+            tried = replace(some, counted=some.counted & shown)
+            other = best_types(tried, shapes, ground)
+            turned = False
+            left_out = (some.counted & ~tried.counted).sum(axis=1)
+            whole = other.cost[:, 0] + _HIDDEN * left_out
+            wins = (whole < cost) & (tried.count >= _FEWEST[ground is not None])
+            fits.replace_where(poor, other, wins)
+            best.replace_where(np.arange(len(poor)), other, wins)
+            cost = np.where(wins, whole, cost)
+            seen = seen.with_rows(poor[wins], tried.take(np.flatnonzero(wins)))
+    return seen
+
+
+def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
+    """(N, 33) the keypoints that the best fit's own body does not hide; `turned`: were front and rear exchanged."""
+    R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
+    if turned:
+        R = R * np.array([-1.0, -1.0, 1.0])
+    eye = (np.zeros(3) if ground is None else camera.position) - p
+    return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
+
+
+def _retry_exchanged(
+    seen: Observed,
+    whole: Observed,
+    fits: Fits,
+    poor: Rows,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+) -> Observed:
+    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better.
+
+    `whole` are these vehicles with the keypoints that `seen` has without those that are hidden.
+    """
     for name, order in _EXCHANGED:
-        some = original.relabelled(order)
+        some = whole.relabelled(order)
         other = best_types(some, shapes, ground)
-        wins = other.cost[:, 0] < fits.cost[poor, 0] - _BETTER
+        left_out = whole.count - seen.count[poor]
+        wins = other.cost[:, 0] < fits.cost[poor, 0] + _HIDDEN * left_out - _BETTER
         fits.replace_where(poor, other, wins)
         seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
         exchanged |= dict.fromkeys(poor[wins].tolist(), name)
