@@ -60,6 +60,8 @@ _LEVEL: Final = 6.0
 """Difference of cost within which another heading is as good."""
 _HIDDEN: Final = 9.0
 """What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+_RIVAL: Final = 30.0
+"""Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
 _LOOKS: Final = 2
 """How often it is looked again what a pose hides."""
 _HOPELESS: Final = 1e5
@@ -184,14 +186,16 @@ def _locate(
     seen = observe(camera, found, sigma)
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
+    doubted: set[int] = set()
     doubtful = (_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
     poor = np.flatnonzero(doubtful & (seen.count >= _FEWEST[ground is not None]))
     if poor.size:
         _retry_from_subsets(seen, fits, poor, shapes, ground, rng)
         whole = seen.take(poor)
-        seen = _without_hidden(camera, seen, fits, poor, shapes, ground)
+        seen, margin = _without_hidden(camera, seen, fits, poor, shapes, ground)
+        doubted.update(poor[margin < _RIVAL].tolist())
         seen = _retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
-    return _judged(camera, seen, fits, shapes, ground, exchanged)
+    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted)
 
 
 def _starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
@@ -228,30 +232,37 @@ def _retry_from_subsets(
 
 def _without_hidden(
     camera: Camera, seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None
-) -> Observed:
+) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
 
-    Detectors give those high scores too. Returns `seen` without what was left out where that explains more: a keypoint
-    that is hidden may lie anywhere, at the cost `_HIDDEN`.
+    Detectors give those high scores too. Returns `seen` without what was left out where that explains more (a keypoint
+    that is hidden may lie anywhere, at the cost `_HIDDEN`), and by how much the opposite heading costs more.
     """
-    some = seen.take(poor)
-    best = fits.take(poor)
-    cost = best.cost[:, 0].copy()
+    some, every = seen.take(poor), np.arange(len(poor))
+    best, cost = fits.take(poor), fits.cost[poor, 0].copy()
+    rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
     for turned in (False, True):
-        tried = some
-        for _ in range(_LOOKS):
-            shown = _shown(camera, best, shapes, ground, turned=turned)
-            tried = replace(some, counted=some.counted & shown)
-            other = best_types(tried, shapes, ground)
-            turned = False
-            left_out = (some.counted & ~tried.counted).sum(axis=1)
-            whole = other.cost[:, 0] + _HIDDEN * left_out
-            wins = (whole < cost) & (tried.count >= _FEWEST[ground is not None])
-            fits.replace_where(poor, other, wins)
-            best.replace_where(np.arange(len(poor)), other, wins)
+        guess, reached = best.take(every), np.full(len(poor), np.inf)
+        for look in range(_LOOKS):
+            shown = _shown(camera, guess, shapes, ground, turned=turned and not look)
+            enough = (some.counted & shown).sum(axis=1) >= _FEWEST[ground is not None]
+            tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
+            guess = best_types(tried, shapes, ground)
+            whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)
+            reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
+            wins = whole < cost
+            rival = np.where(wins & _opposite(guess, best), cost, rival)
+            best.replace_where(every, guess, wins)
             cost = np.where(wins, whole, cost)
             seen = seen.with_rows(poor[wins], tried.take(np.flatnonzero(wins)))
-    return seen
+        rival = np.minimum(rival, reached)
+    fits.replace_where(poor, best, np.ones(len(poor), dtype=bool))
+    return seen, rival - cost
+
+
+def _opposite(one: Fits, other: Fits) -> Mask:
+    """(N,) whether the best fits head opposite ways."""
+    return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
 
 
 def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
@@ -288,7 +299,13 @@ def _retry_exchanged(
 
 
 def _judged(
-    camera: Camera, seen: Observed, fits: Fits, shapes: Shapes, ground: Ground | None, exchanged: dict[int, str]
+    camera: Camera,
+    seen: Observed,
+    fits: Fits,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+    doubted: set[int],
 ) -> Poses:
     squared = fits.squared[:, 0]
     used = (squared <= _INLIER) & seen.counted
@@ -317,7 +334,7 @@ def _judged(
         used=used,
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
         refusal=_refusals(camera, seen, fits, T, covariance, agreeing, _FEWEST[ground is not None]),
-        flags=tuple(_doubts(camera, seen, fits, T[i], i, exchanged.get(i)) for i in range(len(T))),
+        flags=tuple(_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted) for i in range(len(T))),
     )
 
 
@@ -338,7 +355,9 @@ def _refusals(
     return tuple((*REFUSALS, None)[i] for i in found.argmax(axis=0))
 
 
-def _doubts(camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None) -> tuple[str, ...]:
+def _doubts(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
+) -> tuple[str, ...]:
     agree = (fits.squared[i, 0] <= _INLIER) & seen.counted[i]
     forward = fits.R[i, :, :, 0]
     elsewhere = forward @ forward[0] < math.cos(0.5)
@@ -346,7 +365,7 @@ def _doubts(camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchan
     shown = float(seen.probability[i, _FRONT].mean() - seen.probability[i, _REAR].mean())
     doubts = {
         "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
-        "heading_in_doubt": (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
+        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
         "end_in_doubt": abs(ahead) > _BESIDE and abs(shown) > _SHOWN and ahead * shown < 0,
     }
     return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))
