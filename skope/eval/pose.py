@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from skope import keypoints
 from skope.camera import Camera
 from skope.eval import start
+from skope.eval.hidden import facing
 from skope.eval.observe import Mask, Observed, observe
 from skope.eval.refine import Fits, Ground, refine
 from skope.eval.shapes import Shapes, fleet_shapes
@@ -57,6 +58,12 @@ _BETTER: Final = 12.0
 """How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
 _LEVEL: Final = 6.0
 """Difference of cost within which another heading is as good."""
+_HIDDEN: Final = 9.0
+"""What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+_RIVAL: Final = 30.0
+"""Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
+_LOOKS: Final = 2
+"""How often it is looked again what a pose hides."""
 _HOPELESS: Final = 1e5
 _BESIDE: Final = 6.0
 """Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
@@ -179,12 +186,16 @@ def _locate(
     seen = observe(camera, found, sigma)
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
+    doubted: set[int] = set()
     doubtful = (_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
     poor = np.flatnonzero(doubtful & (seen.count >= _FEWEST[ground is not None]))
     if poor.size:
         _retry_from_subsets(seen, fits, poor, shapes, ground, rng)
-        seen = _retry_exchanged(seen, fits, poor, shapes, ground, exchanged)
-    return _judged(camera, seen, fits, shapes, ground, exchanged)
+        whole = seen.take(poor)
+        seen, margin = _without_hidden(camera, seen, fits, poor, shapes, ground)
+        doubted.update(poor[margin < _RIVAL].tolist())
+        seen = _retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
+    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted)
 
 
 def _starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
@@ -219,15 +230,68 @@ def _retry_from_subsets(
     fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
 
 
+def _without_hidden(
+    camera: Camera, seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None
+) -> tuple[Observed, Array]:
+    """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
+
+    Detectors give those high scores too. Returns `seen` without what was left out where that explains more (a keypoint
+    that is hidden may lie anywhere, at the cost `_HIDDEN`), and by how much the opposite heading costs more.
+    """
+    some, every = seen.take(poor), np.arange(len(poor))
+    best, cost = fits.take(poor), fits.cost[poor, 0].copy()
+    rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
+    for turned in (False, True):
+        guess, reached = best.take(every), np.full(len(poor), np.inf)
+        for look in range(_LOOKS):
+            shown = _shown(camera, guess, shapes, ground, turned=turned and not look)
+            enough = (some.counted & shown).sum(axis=1) >= _FEWEST[ground is not None]
+            tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
+            guess = best_types(tried, shapes, ground)
+            whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)
+            reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
+            wins = whole < cost
+            rival = np.where(wins & _opposite(guess, best), cost, rival)
+            best.replace_where(every, guess, wins)
+            cost = np.where(wins, whole, cost)
+            seen = seen.with_rows(poor[wins], tried.take(np.flatnonzero(wins)))
+        rival = np.minimum(rival, reached)
+    fits.replace_where(poor, best, np.ones(len(poor), dtype=bool))
+    return seen, rival - cost
+
+
+def _opposite(one: Fits, other: Fits) -> Mask:
+    """(N,) whether the best fits head opposite ways."""
+    return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
+
+
+def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
+    """(N, 33) the keypoints that the best fit's own body does not hide; `turned`: were front and rear exchanged."""
+    R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
+    if turned:
+        R = R * np.array([-1.0, -1.0, 1.0])
+    eye = (np.zeros(3) if ground is None else camera.position) - p
+    return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
+
+
 def _retry_exchanged(
-    seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, exchanged: dict[int, str]
+    seen: Observed,
+    whole: Observed,
+    fits: Fits,
+    poor: Rows,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
 ) -> Observed:
-    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better."""
-    original = seen.take(poor)
+    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better.
+
+    `whole` are these vehicles with the keypoints that `seen` has without those that are hidden.
+    """
     for name, order in _EXCHANGED:
-        some = original.relabelled(order)
+        some = whole.relabelled(order)
         other = best_types(some, shapes, ground)
-        wins = other.cost[:, 0] < fits.cost[poor, 0] - _BETTER
+        left_out = whole.count - seen.count[poor]
+        wins = other.cost[:, 0] < fits.cost[poor, 0] + _HIDDEN * left_out - _BETTER
         fits.replace_where(poor, other, wins)
         seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
         exchanged |= dict.fromkeys(poor[wins].tolist(), name)
@@ -235,7 +299,13 @@ def _retry_exchanged(
 
 
 def _judged(
-    camera: Camera, seen: Observed, fits: Fits, shapes: Shapes, ground: Ground | None, exchanged: dict[int, str]
+    camera: Camera,
+    seen: Observed,
+    fits: Fits,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+    doubted: set[int],
 ) -> Poses:
     squared = fits.squared[:, 0]
     used = (squared <= _INLIER) & seen.counted
@@ -264,7 +334,7 @@ def _judged(
         used=used,
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
         refusal=_refusals(camera, seen, fits, T, covariance, agreeing, _FEWEST[ground is not None]),
-        flags=tuple(_doubts(camera, seen, fits, T[i], i, exchanged.get(i)) for i in range(len(T))),
+        flags=tuple(_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted) for i in range(len(T))),
     )
 
 
@@ -285,7 +355,9 @@ def _refusals(
     return tuple((*REFUSALS, None)[i] for i in found.argmax(axis=0))
 
 
-def _doubts(camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None) -> tuple[str, ...]:
+def _doubts(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
+) -> tuple[str, ...]:
     agree = (fits.squared[i, 0] <= _INLIER) & seen.counted[i]
     forward = fits.R[i, :, :, 0]
     elsewhere = forward @ forward[0] < math.cos(0.5)
@@ -293,7 +365,7 @@ def _doubts(camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchan
     shown = float(seen.probability[i, _FRONT].mean() - seen.probability[i, _REAR].mean())
     doubts = {
         "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
-        "heading_in_doubt": (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
+        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
         "end_in_doubt": abs(ahead) > _BESIDE and abs(shown) > _SHOWN and ahead * shown < 0,
     }
     return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))

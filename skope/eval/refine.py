@@ -86,6 +86,10 @@ class Fits:
         """Those of (N * J,) fits in a row as (N, J)."""
         return Fits(*(value.reshape(n, j, *value.shape[1:]) for value in (getattr(self, f.name) for f in fields(self))))
 
+    def take(self, rows: NDArray[np.intp]) -> "Fits":
+        """A copy of some of the vehicles'."""
+        return Fits(*(getattr(self, f.name)[rows] for f in fields(self)))
+
     def ordered(self) -> "Fits":
         """The best of each vehicle first."""
         order, row = np.argsort(self.cost, axis=1, kind="stable"), np.arange(len(self.cost))[:, None]

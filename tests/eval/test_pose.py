@@ -189,3 +189,22 @@ def test_half_a_vehicle_outside_the_image_is_placed() -> None:
 
 def test_no_vehicles_are_no_poses() -> None:
     assert len(pose.locate(CAMERA, np.zeros((0, keypoints.K, 3)))) == 0
+
+
+def test_keypoints_that_the_body_hides_may_lie_anywhere() -> None:
+    """As detectors have it that learn from visible keypoints alone: all 33 with high scores."""
+    rng = np.random.default_rng(3)
+    shapes = [SPACE.mean[i % len(SPACE.types), :-1] for i in range(60)]
+    road = scene(shapes, rng, noise=1.5)
+    found = road.found.copy()
+    seen = found[..., 2] > 0
+    for row, own in zip(found, seen, strict=True):
+        low, high = row[own, :2].min(axis=0), row[own, :2].max(axis=0)
+        row[~own] = np.column_stack([rng.uniform(low, high, ((~own).sum(), 2)), np.ones((~own).sum())])
+    poses = pose.locate(CAMERA, found, sigma_px=1.5)
+    metres, degrees = road.errors(poses)
+    assert sum(reason is None for reason in poses.refusal) >= 54
+    assert np.median(metres) < 0.25
+    assert np.percentile(degrees, 80) < 5
+    kept = poses.used[np.array([reason is None for reason in poses.refusal])]
+    assert 0.3 < kept.mean() < 0.7
