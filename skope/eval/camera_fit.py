@@ -18,8 +18,8 @@ from scipy.optimize import minimize
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.eval import start
+from skope.eval.candidates import best_types
 from skope.eval.observe import LEAST_PROBABILITY, observe
-from skope.eval.pose import best_types
 from skope.eval.refine import Ground
 from skope.eval.scene import Scene
 from skope.eval.shapes import fleet_shapes

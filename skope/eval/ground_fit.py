@@ -15,8 +15,9 @@ from scipy.optimize import minimize
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.eval.camera_fit import Sample, capped, sample
+from skope.eval.candidates import best_types
 from skope.eval.observe import observe
-from skope.eval.pose import best_types, levelled, locate
+from skope.eval.pose import levelled, locate
 from skope.eval.refine import Ground
 from skope.eval.scene import Scene
 from skope.eval.shapes import fleet_shapes

@@ -48,20 +48,22 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
     write_text(path, text.getvalue())
 
 
-def mot_row(frame: int, number: int, bbox: ArrayLike, score: float, world: ArrayLike = (-1, -1, -1)) -> str:
-    """A line of MOTChallenge: frame from 1, id, left, top, width, height, confidence, x, y, z."""
+def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
+    """A line of MOTChallenge: frame from 1, id, left, top, width, height, and what follows."""
     x, y, w, h = np.asarray(bbox, dtype=np.float64)
-    a, b, c = np.asarray(world, dtype=np.float64)
-    return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},{a:.3f},{b:.3f},{c:.3f}\n"
+    return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
 
 
 def write_mot(path: Path, tracks: Sequence[Track]) -> None:
-    """The boxes of what was seen, as MOTChallenge and TrackEval read them."""
+    """The boxes of what was seen, as MOTChallenge and TrackEval read them: with confidence and no place in the world.
+
+    TrackEval takes the column of the place's x for a class.
+    """
     rows = []
     for track in tracks:
         for i, sight in enumerate(track.sights):
             if sight is not None:
-                row = mot_row(int(track.frames[i]) + 1, track.number, sight.bbox, sight.score, track.position[i])
+                row = mot_row(int(track.frames[i]) + 1, track.number, sight.bbox, f"{sight.score:.4f},-1,-1,-1")
                 rows.append((int(track.frames[i]), row))
     write_text(path, "".join(row for _, row in sorted(rows, key=lambda pair: pair[0])))
 

@@ -78,10 +78,10 @@ def _times(scene: Scene, fps: float | None) -> list[float]:
 
 
 def _write_truth(path: Path, scene: Scene) -> None:
-    """The annotations' own tracks in MOTChallenge's form, for trackers' metrics."""
+    """The annotations' own tracks as MOTChallenge has ground truth: to count, of class 1, visible."""
     labelled = scene.file.by_image()
     rows = [
-        track_files.mot_row(frame, a.track_id, a.bbox, 1.0)
+        track_files.mot_row(frame, a.track_id, a.bbox, "1,1,1")
         for frame, image in enumerate(scene.file.images, start=1)
         for a in labelled[image.id]
         if not a.ignored and a.track_id is not None

@@ -11,7 +11,8 @@ import pytest
 from skope import keypoints
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-from skope.eval import pose
+from skope.eval import pose, second
+from skope.eval.hidden import facing
 from skope.eval.refine import Ground
 from skope.eval.shapes import Shapes, fleet_shapes, read_shapes
 from skope.gen.vehicles import fleet
@@ -143,7 +144,7 @@ def nonsense() -> dict[str, Any]:
     one_place[..., :2] = 700
     return {
         "sides": found[:, list(keypoints.FLIP)],
-        "ends": found[:, list(pose.ENDS)],
+        "ends": found[:, list(second.ENDS)],
         "line": line,
         "zero": zero,
         "scattered": scattered,
@@ -189,6 +190,28 @@ def test_half_a_vehicle_outside_the_image_is_placed() -> None:
 
 def test_no_vehicles_are_no_poses() -> None:
     assert len(pose.locate(CAMERA, np.zeros((0, keypoints.K, 3)))) == 0
+
+
+@pytest.mark.parametrize("kind", ["sedan", "suv", "van", "box_truck", "bus"])
+def test_an_eye_sees_the_end_and_the_side_that_face_it(kind: str) -> None:
+    index = SPACE.types.index(kind)
+    points = SPACE.mean[index, :-1]
+
+    def seen(*eye: float) -> Any:
+        return facing(SPACE, np.array([index]), points[None], np.array([eye]))[0]
+
+    ends = [
+        [i for i, name in enumerate(keypoints.NAMES) if name.startswith(word)] for word in ("headlight", "taillight")
+    ]
+    for front, rear, x in ((True, False, 30.0), (False, True, -30.0)):
+        shown = seen(x, 0, 6)
+        assert (shown[ends[0]] == front).all()
+        assert (shown[ends[1]] == rear).all()
+    left = seen(2, 25, 6)
+    assert left[keypoints.INDEX["wheel_front_left"]]
+    assert not left[keypoints.INDEX["wheel_front_right"]]
+    mirrored = seen(2, -25, 6)[list(keypoints.FLIP)]
+    assert (mirrored != left).sum() <= 2
 
 
 def test_keypoints_that_the_body_hides_may_lie_anywhere() -> None:
