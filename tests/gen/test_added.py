@@ -40,7 +40,7 @@ def test_an_added_model_drives(tmp_path: Path, own_folder: Path) -> None:
     assert vehicle.mass == 1500
 
     out = tmp_path / "data"
-    flags = ["--sites", "t01_main_west", "--frames", "4", "--size", "320x180", "--workers", "1", "--seed", "1"]
+    flags = ["--sites", "t01_main_west", "--frames", "4", "--size", "320x180", "--workers", "1", "--seed", "2"]
     code, text = run("--out", str(out), "--vehicles", "my_car", *flags)
     assert code == 0, text
     dataset = open_dataset(out)
