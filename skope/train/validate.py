@@ -20,9 +20,9 @@ _IOU = "0.6"
 """The paper's laxest threshold: early epochs find boxes roughly."""
 
 
-def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device) -> list[Result]:
-    """Detections in one (H, W, 3) image as results."""
-    (answer,) = detector.detect(model, [pixels], device)
+def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device, score: float) -> list[Result]:
+    """Detections above `score` in one (H, W, 3) image as results; only those go through the keypoint head."""
+    (answer,) = detector.detect(model, [pixels], device, min_score=score)
     return detector.results(image_id, answer.boxes_xyxy, answer.scores, answer.keypoints)
 
 
@@ -47,7 +47,7 @@ def answers(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], de
     given: list[Result] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        detected += found(model, pixels, image.id, device)
+        detected += found(model, pixels, image.id, device, metrics.Options().score)
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
         points = detector.detect_on_boxes(model, pixels, corners, device)

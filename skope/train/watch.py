@@ -11,7 +11,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import draw
 from skope.dataset import read_image
 from skope.files import replacing
-from skope.schema import Annotation, AnnotationFile, Result
+from skope.schema import Annotation, AnnotationFile
 from skope.train import validate
 
 OVERLAYS: Final = 4
@@ -71,7 +71,7 @@ def overlays(
         if all(vehicle.ignored for vehicle in truth):
             continue
         pixels = read_image(place, size=(image.width, image.height))
-        found: list[Result] = [r for r in validate.found(model, pixels, image.id, device) if r.score > _SURE]
+        found = validate.found(model, pixels, image.id, device, _SURE)
         pairs.append(
             draw.caption(draw.annotations(pixels, truth, scheme=file.scheme), f"{image.file_name}: ground truth")
         )
