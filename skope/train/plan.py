@@ -46,7 +46,7 @@ def _layer_s(dtype: torch.dtype) -> float:
 def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool) -> RunConfig:
     """Configuration of a new run; a flag that is None or empty leaves the recipe's value."""
     recipe = recipes.choose(flags["recipe"] or "auto", gpu=gpu, bfloat16=bfloat16)
-    given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name]}
+    given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
     try:
         recipe = replace(recipe, **given)
     except UserError as error:

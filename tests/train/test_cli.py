@@ -30,6 +30,11 @@ def new(**flags: Any) -> RunConfig:
     return plan.new((Path("data/skope"),), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
 
 
+def test_a_flag_of_zero_is_a_value() -> None:
+    assert new().recipe.val_fraction > 0
+    assert new(val_fraction=0.0).recipe.val_fraction == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
