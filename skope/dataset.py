@@ -118,17 +118,12 @@ def _place(image: Image) -> tuple[bool, int]:
     return image.frame_index is None, image.frame_index or 0
 
 
-def end_of(images: Sequence[Image], share: float) -> int:
-    """Where the last `share` of a recording's frames begins; after the last one of a recording too short for it."""
-    return len(images) - round(share * len(images))
-
-
 def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
     """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
     learnt: list[Image] = []
     validated: list[Image] = []
     for ordered in recordings(file):
-        first = end_of(ordered, fraction)
+        first = len(ordered) - round(fraction * len(ordered))  # after the last one of a recording too short for it
         learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
         validated += ordered[first:]
     return part(file, learnt), part(file, validated)

@@ -1,6 +1,5 @@
 """`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its keypoint scores to the truth."""
 
-import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -93,5 +92,4 @@ def _share(job: Job, metadata: dict[str, Any]) -> float:
 
 def last_part(file: AnnotationFile, share: float) -> AnnotationFile:
     """The last `share` of the frames of each recording, rounded."""
-    ends = (images[dataset.end_of(images, share) :] for images in dataset.recordings(file))
-    return dataset.part(file, itertools.chain.from_iterable(ends))
+    return dataset.held_back(file, share)[1]

@@ -74,7 +74,7 @@ def settled(
     gain = _cost(vehicles, camera, scene.ground) - _cost(vehicles, camera, begun)
     if asked == "auto" and gain < _CLEAR * len(vehicles.found):
         return scene, None
-    fit = fit_ground(vehicles, camera)
+    fit = fit_ground(vehicles, camera, begun)
     return replace(scene, ground=fit.ground), _words(fit, asked)
 
 
@@ -88,9 +88,8 @@ def _words(fit: GroundFit, asked: str) -> str:
     )
 
 
-def fit_ground(vehicles: Sample, camera: Camera) -> GroundFit:
-    """The plane under `vehicles`, which `camera` sees; how far they lie off it becomes its `height_sigma`."""
-    begun = _through_free_fits(vehicles, camera)
+def fit_ground(vehicles: Sample, camera: Camera, begun: Ground) -> GroundFit:
+    """The plane under `vehicles`, which `camera` sees, near `begun`; how far they lie off it is its `height_sigma`."""
     at = np.array([begun.height, *begun.slope])
     for size in (_STEPS, _STEPS / 4):  # a simplex that has gone flat starts again
         found = minimize(
@@ -124,10 +123,10 @@ def _through_free_fits(vehicles: Sample, camera: Camera) -> Ground:
     """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
     poses = locate(camera, vehicles.found, sigma_px=vehicles.sigma_px, ground=None)
     good = np.array([reason is None for reason in poses.refusal])
-    points = poses.position[good] if good.sum() >= len(_STEPS) else poses.position
-    sigma = (
-        np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01)) if good.sum() >= len(_STEPS) else np.ones(len(points))
-    )
+    if good.sum() >= len(_STEPS):
+        points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))
+    else:
+        points, sigma = poses.position, np.ones(len(poses.position))
     middle = np.median(points[:, :2], axis=0)
     A = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
     prior = np.diag([0.0, 1.0, 1.0]) / _SLOPE**2
