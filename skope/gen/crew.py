@@ -58,7 +58,11 @@ class Crew(Protocol):
 
 
 class Backlog:
-    """Frames to do. A hand goes on with its take, then takes one that nobody has, then helps with the longest."""
+    """Frames to do. A hand goes on with its take, then takes one that nobody has had, then helps with the longest.
+
+    Takes of a town stand together and a worker keeps the towns that it has met, so hands spread over the takes: each
+    goes on from its last take, or from the middle of the longest stretch that is untouched.
+    """
 
     def __init__(self, missing: Mapping[Take, list[int]], chunk: int = CHUNK) -> None:
         self._left = {
@@ -66,7 +70,10 @@ class Backlog:
             for take, frames in missing.items()
             if frames
         }
-        self._untouched = deque(self._left)
+        self._order = list(self._left)
+        self._place = {take: place for place, take in enumerate(self._order)}
+        self._untouched = {0: len(self._order)} if self._order else {}
+        """Ends of the stretches of takes that no hand has had, by their beginnings."""
 
     def __bool__(self) -> bool:
         return bool(self._left)
@@ -75,14 +82,27 @@ class Backlog:
         """The next job of a hand that has last worked on a take."""
         take = holding
         if take not in self._left:
-            while self._untouched and self._untouched[0] not in self._left:
-                self._untouched.popleft()
-            take = self._untouched.popleft() if self._untouched else max(self._left, key=lambda t: len(self._left[t]))
+            if self._untouched:
+                take = self._order[self._begun(0 if take is None else self._place[take] + 1)]
+            else:
+                take = max(self._left, key=lambda t: len(self._left[t]))
         assert take is not None
         job = self._left[take].popleft()
         if not self._left[take]:
             del self._left[take]
         return job
+
+    def _begun(self, wanted: int) -> int:
+        """A place in the order, the wanted one if it is the first of a stretch; it is untouched no more."""
+        at = begin = wanted
+        if wanted not in self._untouched:
+            begin = max(self._untouched, key=lambda begin: self._untouched[begin] - begin)
+            at = (begin + self._untouched[begin]) // 2
+        end = self._untouched.pop(begin)
+        for first, last in ((begin, at), (at + 1, end)):
+            if first < last:
+                self._untouched[first] = last
+        return at
 
     def put_back(self, job: Job) -> None:
         """A job whose hand was lost."""

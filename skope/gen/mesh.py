@@ -1,8 +1,8 @@
 """Triangle meshes with a material per triangle, and the few shapes that everything here is made of."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,25 @@ class Mesh:
     def taken(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "Mesh":
         """The mesh with some of its triangles, by index, in that order, or by a mask."""
         return Mesh(self.vertices, self.normals, self.triangles[chosen], self.materials, self.material[chosen])
+
+    def to_arrays(self, name: str) -> dict[str, NDArray[Any]]:
+        """For a file: an array for each field, under `name` and the field's."""
+        fields = {
+            "vertices": self.vertices,
+            "normals": self.normals,
+            "triangles": self.triangles,
+            "material": self.material,
+            "materials": np.array(self.materials, dtype=str),
+        }
+        return {f"{name}_{field}": values for field, values in fields.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], name: str) -> "Mesh":
+        """The mesh that `to_arrays` wrote under `name`."""
+        vertices, normals, triangles, material, materials = (
+            arrays[f"{name}_{field}"] for field in ("vertices", "normals", "triangles", "material", "materials")
+        )
+        return cls(vertices, normals, triangles, tuple(materials.tolist()), material)
 
     def by_material(self) -> dict[str, "Mesh"]:
         """One mesh per material, in the order of `materials`, with unused vertices left out."""

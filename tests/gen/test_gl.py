@@ -13,7 +13,6 @@ from skope.camera import Camera
 from skope.depth import encode_depth
 from skope.gen.mesh import flat
 from skope.gen.render import choose_renderer, make_renderer
-from skope.gen.render.gl import cache
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import device
 from skope.gen.render.windows import TILE, runs, tiles
@@ -87,19 +86,6 @@ def test_the_scenery_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
     file.write_bytes(b"damaged")
     np.testing.assert_array_equal(make_renderer("gl", recording).render(0).rgb, first.rgb)
     assert file.stat().st_size > 1000
-
-
-def test_the_cache_is_bounded_and_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "LIMIT_BYTES", 30_000)
-    monkeypatch.setenv("SKOPE_CACHE", str(tmp_path))
-    for i in range(6):
-        cache.cached(f"{i}", lambda: {"ambient": np.zeros(4000, np.float16)})
-        os.utime(tmp_path / f"light_{i}.npz", (i, i))
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["light_3.npz", "light_4.npz", "light_5.npz"]
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("SKOPE_CACHE", str(tmp_path / "file" / "below"))
-    made = cache.cached("x", lambda: {"ambient": np.ones(3, np.float16)})
-    np.testing.assert_array_equal(made["ambient"], [1, 1, 1])
 
 
 def test_tiles_cover_polygons() -> None:

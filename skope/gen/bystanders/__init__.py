@@ -6,7 +6,7 @@ them for one.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from skope.gen.bystanders.people import Look, pedestrian, strides
 from skope.gen.bystanders.riders import cyclist, motorcyclist, pedalled, rolled
 from skope.gen.mesh import Mesh
+from skope.gen.vehicles.model import simplified_parts
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,11 @@ class Bystander:
     @property
     def interior(self) -> None:
         return None
+
+    @cached_property
+    def coarse(self) -> tuple[Mesh, ...]:
+        """The parts for pictures from afar."""
+        return simplified_parts(self.parts)
 
     def pose(self, travelled: float) -> Array:
         """(4, 4, 4) poses of the moving parts in the body's frame, `travelled` metres on."""

@@ -1,9 +1,10 @@
 """Scenery grown from a SUMO network, the same for the same network: roads, houses, trees, street furniture, signals."""
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 import shapely
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.ops import unary_union
 
+from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.towns.backdrop import backdrop
 from skope.gen.towns.furniture import furniture, lamp_positions
@@ -59,6 +61,35 @@ class Scenery:
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) where street lights shine down from."""
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """For a file."""
+        signals = self.signals
+        return {
+            **self.mesh.to_arrays("mesh"),
+            "signal_programs": np.array([signal.program for signal in signals], dtype=str),
+            "signal_links": np.array([signal.link for signal in signals], dtype=np.int64),
+            "signal_lamps": np.array([signal.lamps for signal in signals]).reshape(-1, 3, 3),
+            "signal_facing": np.array([signal.facing for signal in signals]).reshape(-1, 3),
+            "buildings": np.frombuffer(shapely.to_wkb(shapely.MultiPolygon(self.buildings)), dtype=np.uint8),
+            "trees": np.array(self.trees).reshape(-1, 3),
+            "bays": np.array([(*bay.place, bay.heading) for bay in self.bays]).reshape(-1, 3),
+            "lamps": self.lamps,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """The scenery that `to_arrays` wrote."""
+        programs, links = arrays["signal_programs"].tolist(), arrays["signal_links"].tolist()
+        signals = zip(programs, links, arrays["signal_lamps"], arrays["signal_facing"], strict=True)
+        return cls(
+            Mesh.from_arrays(arrays, "mesh"),
+            tuple(Signal(*values) for values in signals),
+            tuple(shapely.from_wkb(arrays["buildings"].tobytes()).geoms),
+            tuple((x, y, reach) for x, y, reach in arrays["trees"].tolist()),
+            tuple(Bay((x, y), heading) for x, y, heading in arrays["bays"].tolist()),
+            arrays["lamps"],
+        )
+
 
 @cache
 def scenery(town: str) -> Scenery:
@@ -66,9 +97,14 @@ def scenery(town: str) -> Scenery:
     if town == STUDIO:
         r = STUDIO_RADIUS
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
-    layout, own = Layout.of(town), known(town)
+    own = known(town)
     if own and own.photograph:
-        return Scenery(backdrop(layout, own), ())
+        return Scenery(backdrop(Layout.of(town), own), ())
+    return Scenery.from_arrays(cached("town", digest_of(town), lambda: _grown(town).to_arrays()))
+
+
+def _grown(town: str) -> Scenery:
+    layout = Layout.of(town)
     # A generator of its own for each part, so that a change of one leaves the others as they are.
     rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.encode())).spawn(len(_PARTS)), strict=True))
     houses = plots(layout, rng["plots"])

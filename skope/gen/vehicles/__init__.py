@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError, one_of
+from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.added import load
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
-from skope.gen.vehicles.model import Derived, Vehicle
+from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
 from skope.gen.vehicles.shape import Shape, Style
 from skope.gen.vehicles.truck import TruckBody
@@ -136,14 +137,23 @@ class ParametricVehicle(Derived):
         return s.length, s.width, s.height + (SIGN_HEIGHT if self.style.sign else 0.0)
 
     @cached_property
-    def _body(self) -> CarBody | TruckBody | BusBody:
-        body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
-        return body
+    def _body(self) -> Arrays:
+        """Surfaces and the left keypoints, by stem."""
+
+        def build() -> Arrays:
+            body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
+            return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
+
+        return cached("vehicle", self._digest, build)
+
+    @cached_property
+    def _digest(self) -> str:
+        return digest_of(repr(self.shape), repr(self.style))
 
     @cached_property
     def mesh(self) -> Mesh:
         """The body without wheels, closed, with its glass opaque."""
-        mesh = self._body.mesh
+        mesh = Mesh.from_arrays(self._body, "mesh")
         # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
         name = "indicator_left"
         if name not in mesh.materials:
@@ -156,7 +166,19 @@ class ParametricVehicle(Derived):
     @cached_property
     def interior(self) -> Mesh:
         """What is seen through the windows; it lies inside `mesh`."""
-        return self._body.interior
+        return Mesh.from_arrays(self._body, "interior")
+
+    @cached_property
+    def coarse(self) -> tuple[Mesh, ...]:
+        """The parts for pictures from afar."""
+        names = [f"part{i}" for i in range(len(self.parts))]
+
+        def build() -> Arrays:
+            parts = zip(names, simplified_parts(self.parts), strict=True)
+            return {key: array for name, part in parts for key, array in part.to_arrays(name).items()}
+
+        arrays = cached("coarse", self._digest, build)
+        return tuple(Mesh.from_arrays(arrays, name) for name in names)
 
     @cached_property
     def wheel(self) -> Mesh:
@@ -169,7 +191,7 @@ class ParametricVehicle(Derived):
     @cached_property
     def points(self) -> Array:
         """(33, 3) keypoints at rest, metres."""
-        left = self._body.points
+        left = self._body
         wheels = self.shape.wheel_centers()
         out = np.empty((keypoints.K, 3))
         for i, name in enumerate(keypoints.NAMES):

@@ -1,16 +1,20 @@
 """What every vehicle model has, wherever its surfaces come from."""
 
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.mesh import Mesh
+from skope.gen.mesh import Mesh, simplified
 from skope.gen.vehicles.shape import Dimensions
 from skope.gen.vehicles.sidecar import Sidecar
 
 Array = NDArray[np.float64]
+
+COARSE: Final = 0.25
+"""About the share of its triangles that a body far away is drawn with."""
 
 
 class Body(Protocol):
@@ -30,6 +34,10 @@ class Body(Protocol):
     def parts(self) -> tuple[Mesh, ...]:
         """Body, then four parts, each about its own origin: of vehicles the wheels front right, front left, rear right,
         rear left."""
+
+    @property
+    def coarse(self) -> tuple[Mesh, ...]:
+        """The same with about `COARSE` of their triangles, for pictures from afar."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -78,8 +86,14 @@ class Vehicle(Body, Protocol):
         """(4, 3) from each wheel's centre to the middle of its outer face, in the wheel's own frame."""
 
 
+def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
+    """Parts of a body for pictures from afar; those that are the same stay so."""
+    coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(parts)}
+    return tuple(coarse[part] for part in parts)
+
+
 class Derived:
-    """What follows from a vehicle's dimensions and keypoints."""
+    """What follows from a vehicle's dimensions, surfaces and keypoints."""
 
     @property
     def size_lwh(self: Vehicle) -> tuple[float, float, float]:
@@ -94,6 +108,10 @@ class Derived:
     def parts(self: Vehicle) -> tuple[Mesh, ...]:
         right = self.wheel.mirrored()
         return self.mesh, right, self.wheel, right, self.wheel
+
+    @cached_property
+    def coarse(self: Vehicle) -> tuple[Mesh, ...]:
+        return simplified_parts(self.parts)
 
     @cached_property
     def sidecar(self: Vehicle) -> Sidecar:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skope
+from skope.gen.cache import Arrays, cached
 from skope.gen.recording import Recording
 from skope.gen.render import SKY, STATIC
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl import photograph
-from skope.gen.render.gl.cache import cached
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
 from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
@@ -86,7 +86,9 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
-        light = cached(_digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {}))
+        light = cached(
+            "light", _digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {})
+        )
         shown = _develop(stage, light, geometry.color_attachments[0], road)
     else:
         photograph.draw_shadows(stage, sun_map, clip, recording, stage.daylight)
@@ -119,7 +121,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     )
 
 
-def _develop(stage: Stage, light: dict[str, NDArray[np.float16]], geometry: Any, road: Plane) -> dict[str, Any]:
+def _develop(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:
     """Textures of the scenery's light from sky and sun, and of what wet ground mirrors, as the camera exposes it."""
     device = stage.device
     wet = "mirrored" in light

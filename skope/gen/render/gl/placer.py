@@ -1,7 +1,6 @@
 """The vehicles of a moment, ready to draw."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.bodies import body_of
-from skope.gen.mesh import Mesh, merged, simplified
+from skope.gen.mesh import merged
 from skope.gen.recording import Moment, RecordedVehicle
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, window_of
@@ -20,8 +19,6 @@ Array = NDArray[np.float64]
 
 PARTS: Final = "PARTS 5"
 """Of a vehicle: its body and four wheels."""
-COARSE: Final = 0.25
-"""About the share of its triangles that a vehicle far away is drawn with."""
 PANES: Final = ("glass", "glass_tinted")
 """Materials that one can look through."""
 
@@ -40,7 +37,7 @@ class Placed:
     """Everything but the panes, with what is inside."""
     panes: DeviceMesh | None
     coarse: DeviceMesh
-    """All of it with a quarter of the triangles, for its picture from afar."""
+    """All of it with fewer triangles, for its picture from afar."""
     matrices: dict[str, bytes]
     """Of its parts: to the camera frame, and to world axes relative to the camera."""
     distance: float
@@ -101,17 +98,10 @@ class Placer:
             self._meshes[key] = {
                 "mesh": self._device.upload(body, *wheels),
                 "solid": self._device.upload(solid, *wheels),
-                "coarse": self._device.upload(*_coarse(vehicle)),
+                "coarse": self._device.upload(*vehicle.coarse),
                 "panes": self._device.upload(body.taken(glass)) if glass.any() else None,
             }
         return self._meshes[key]
-
-
-@lru_cache(maxsize=256)
-def _coarse(vehicle: Body) -> tuple[Mesh, ...]:
-    """A vehicle's body and wheels for its picture from afar; kept, as each recording uploads them anew."""
-    coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(vehicle.parts)}
-    return tuple(coarse[part] for part in vehicle.parts)
 
 
 def _linear(rgb: tuple[int, int, int]) -> Array:

@@ -1,0 +1,107 @@
+"""What takes long to work out, on disk, so that processes and later runs need not do it again.
+
+Files are named by a digest of everything that they depend on, written beside their place and renamed into it, and the
+longest unused ones of a kind go when there are too many.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.files import replacing
+
+Arrays = Mapping[str, NDArray[Any]]
+
+LIMIT_BYTES: Final = 2 * 1024**3
+"""Of each kind."""
+_SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
+_LIBRARIES: Final = ("numpy", "shapely", "fast-simplification")
+"""What meshes are built with."""
+
+
+def folder() -> Path:
+    """$SKOPE_CACHE, or skope's folder in the user's cache."""
+    own = os.environ.get("SKOPE_CACHE")
+    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "skope"
+
+
+def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
+    """The arrays of a kind stored under `digest`, or those of `make`, stored for the next time where that is possible.
+
+    Of processes that want the same at once, one makes it and the others wait.
+    """
+    path = folder() / f"{kind}_{digest}.npz"
+    stored = _load(path)
+    if stored is None:
+        with _alone(path):
+            stored = _load(path)
+            if stored is None:
+                # In the order in memory that a file gives, or what is computed with it may differ in the last digit.
+                stored = {name: np.ascontiguousarray(array) for name, array in make().items()}
+                _store(path, stored)
+    return stored
+
+
+def digest_of(*parts: str) -> str:
+    """Names what the generator makes of some parts, and nothing else."""
+    return hashlib.sha256("\n".join([_program_digest(), *parts]).encode()).hexdigest()[:24]
+
+
+@cache
+def _program_digest() -> str:
+    """Of the generator's own sources and of the libraries that meshes are built with."""
+    digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
+    root = Path(__file__).parent
+    for path in sorted(path for path in root.rglob("*") if path.suffix in _SOURCES):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\n" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _load(path: Path) -> Arrays | None:
+    # Absent, or damaged in one of numpy's and zip's many ways.
+    with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+        path.touch()
+        return arrays
+    return None
+
+
+def _store(path: Path, arrays: Arrays) -> None:
+    with contextlib.suppress(UserError, OSError):  # a cache that cannot be written is no cache
+        with replacing(path) as temporary, temporary.open("wb") as out:
+            np.savez(out, **arrays)  # type: ignore[arg-type]
+        _shrink(path)
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep other processes from making the same, where the file system has locks."""
+    lock = path.with_suffix(".lock")
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(lock.open("w"))
+            stack.callback(lock.unlink, missing_ok=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _shrink(newest: Path) -> None:
+    """Remove the longest unused files of the newest one's kind."""
+    kind = newest.name.split("_")[0]
+    files = sorted(newest.parent.glob(f"{kind}_*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+    total = 0
+    for path in files:
+        total += path.stat().st_size
+        if total > LIMIT_BYTES and path != files[0]:
+            path.unlink(missing_ok=True)
