@@ -1,16 +1,24 @@
 """The camera's own rays to points, against the triangles of a moment's vehicles. Pure numpy."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment
 from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
+
+_PATCH: Final = 32
+"""Triangles that are looked at together."""
+_SLACK: Final = 1e-6
+"""More than rounding takes from a sphere, metres."""
 
 
 class Sight:
@@ -18,15 +26,12 @@ class Sight:
 
     def __init__(self, moment: Moment, vehicles: Sequence[Body], camera: Camera) -> None:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
-        self._placed: dict[int, Array] = {}
 
     def first_hits(self, points: Array) -> Array:
         """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing."""
         ahead = self._camera.to_camera(points)
         rays = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
-        along = rays @ self._centers.T
-        across = np.linalg.norm(self._centers - along[..., None] * rays[:, None], axis=-1)
-        near = (along > -self._radii) & (across < self._radii)
+        near = _near(rays, self._centers, self._radii)
         hits = np.full(len(points), np.inf)
         for i in np.flatnonzero(near.any(axis=0)):
             chosen = near[:, i]
@@ -46,64 +51,113 @@ class Sight:
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
     def _hits(self, i: int, rays: Array) -> Array:
-        triangles = _triangles(self._vehicles[i])
-        if i not in self._placed:
-            self._placed[i] = self._place(i)
-        vertices = self._placed[i]
-        if vertices[:, 2].min() > 1e-3:
-            triangles = triangles[_around(vertices, triangles, rays)]
-        return Fan(vertices[triangles]).first_hits(rays)[0] if len(triangles) else np.full(len(rays), np.inf)
+        """(R,) metres that unit rays (R, 3) in the camera frame go to the i-th vehicle."""
+        moment, vehicle = self._moment, self._vehicles[i]
+        hits = np.full(len(rays), np.inf)
+        poses = np.concatenate([moment.T_world_chassis[i][None], moment.T_world_wheels[i]])
+        for part, T in zip(_parts(vehicle), self._camera.T_camera_world @ poses, strict=True):
+            # Rays are turned into the part's frame: they are fewer than its corners.
+            own, eye = rays @ T[:3, :3], -T[:3, 3] @ T[:3, :3]
+            ray, patch = _near(own, part.centers - eye, part.radii).nonzero()
+            if len(ray):
+                met, index = np.unique(patch, return_inverse=True)
+                edges, volume = _planes((part.corners[met] - eye).transpose(3, 2, 0, 1))
+                sides = [np.einsum("ic,cit->it", own[ray], edge[:, index]) for edge in edges]
+                pair, triangle, facing = _crossings(sides)
+                reach = volume[index[pair], triangle] / facing
+                np.minimum.at(hits, ray[pair], np.where(reach > 0, reach, np.inf))
+        return hits
 
-    def _place(self, i: int) -> Array:
-        """(V, 3) a vehicle's vertices in the camera frame, body first."""
-        vehicle, moment, camera = self._vehicles[i], self._moment, self._camera
-        poses = camera.T_camera_world @ np.concatenate([moment.T_world_chassis[i][None], moment.T_world_wheels[i]])
-        parts = zip(vehicle.parts, poses, strict=True)
-        return np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in parts])
+
+def _near(rays: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
+    """(R, N) whether unit rays (R, 3) from the origin may meet what is in spheres."""
+    along = rays @ centers.T
+    across = (centers**2).sum(axis=-1) - along**2
+    return np.asarray((along > -radii) & (across < radii**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """Triangles of one part in P patches of `_PATCH` that lie close together, and spheres around them."""
+
+    corners: Array
+    """(P, _PATCH, 3, 3) metres; where there are fewer triangles they repeat."""
+    centers: Array
+    """(P, 3)"""
+    radii: Array
+    """(P,)"""
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Self:
+        triangles = mesh.vertices[mesh.triangles]
+        chosen = _halved(triangles.mean(axis=1), np.arange(len(triangles)))
+        corners = np.array([triangles[np.resize(some, _PATCH)] for some in chosen]).reshape(-1, _PATCH, 3, 3)
+        centers = (corners.min(axis=(1, 2)) + corners.max(axis=(1, 2))) / 2
+        radii = np.linalg.norm(corners - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
+        return cls(corners, centers, radii)
 
 
 @lru_cache(maxsize=256)
-def _triangles(vehicle: Body) -> NDArray[np.int64]:
-    """(T, 3) of a vehicle's parts, into the vertices of all of them."""
-    starts = np.cumsum([0, *(len(part.vertices) for part in vehicle.parts)])
-    return np.concatenate([part.triangles + start for part, start in zip(vehicle.parts, starts, strict=False)])
+def _parts(vehicle: Body) -> tuple[_Patches, ...]:
+    patches = {part: _Patches.of(part) for part in dict.fromkeys(vehicle.parts)}
+    return tuple(patches[part] for part in vehicle.parts)
 
 
-def _around(vertices: Array, triangles: NDArray[np.int64], rays: Array) -> NDArray[np.bool_]:
-    """(T,) which triangles, all before the camera, have any of the rays (R, 3) in the box around them."""
-    places = (vertices[:, :2] / vertices[:, 2:]).astype(np.float32)
-    a, b, c = (places[triangles[:, k]] for k in range(3))
-    # Single precision is enough for boxes that are a little too large.
-    low, high = np.minimum(np.minimum(a, b), c) - 1e-6, np.maximum(np.maximum(a, b), c) + 1e-6
-    out = np.zeros(len(triangles), dtype=bool)
-    for u, v in (rays[:, :2] / rays[:, 2:]).astype(np.float32):
-        out |= (low[:, 0] <= u) & (high[:, 0] >= u) & (low[:, 1] <= v) & (high[:, 1] >= v)
-    return out
+def _halved(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Halves of the chosen places (N, 3), halved across their longest side until none has more than `_PATCH`."""
+    if len(chosen) <= _PATCH:
+        return [chosen] if len(chosen) else []
+    there = places[chosen]
+    order = chosen[there[:, np.ptp(there, axis=0).argmax()].argsort(kind="stable")]
+    middle = len(order) // 2
+    return _halved(places, order[:middle]) + _halved(places, order[middle:])
 
 
 class Fan:
     """Triangles (T, 3, 3) as seen from the origin."""
 
     def __init__(self, triangles: Array) -> None:
-        a, b, c = triangles.swapaxes(0, 1)
-        self._edges = np.cross(a, b), np.cross(b, c), np.cross(c, a)
-        """Normals of the planes through the origin and each edge, (T, 3) each; their sum is the triangle's own."""
-        self._volume = (a * sum(self._edges)).sum(axis=-1)
+        self._edges, self._volume = _planes(np.ascontiguousarray(triangles.transpose(2, 1, 0)))
 
     def first_hits(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Rays (R, 3) from the origin -> how far they get, in their own lengths, and whether they meet a front there.
 
         inf and False where they meet nothing. Fronts are counter-clockwise.
         """
-        # A ray passes inside a triangle when it is on the same side of all three planes.
-        sides = [rays @ edge.T for edge in self._edges]
-        inside = ((sides[0] >= 0) & (sides[1] >= 0) & (sides[2] >= 0)) | (
-            (sides[0] <= 0) & (sides[1] <= 0) & (sides[2] <= 0)
-        )
-        facing = sides[0] + sides[1] + sides[2]
-        crosses = inside & (np.abs(facing) > 1e-12)
-        reach = np.divide(self._volume, facing, out=np.full(facing.shape, np.inf), where=crosses)
-        reach[reach <= 0] = np.inf
-        first = reach.argmin(axis=1)
-        row = np.arange(len(rays))
-        return reach[row, first], np.isfinite(reach[row, first]) & (facing[row, first] < 0)
+        ray, triangle, facing = _crossings([rays @ edge for edge in self._edges])
+        reach = self._volume[triangle] / facing
+        order = np.lexsort([reach, ray])[::-1]
+        order = order[reach[order] > 0]
+        hits, front = np.full(len(rays), np.inf), np.zeros(len(rays), dtype=bool)
+        # Of what a ray meets, the nearest comes last and stays.
+        hits[ray[order]], front[ray[order]] = reach[order], facing[order] < 0
+        return hits, front
+
+
+def _planes(corners: Array) -> tuple[tuple[Array, Array, Array], Array]:
+    """Corners (3 axes, 3, ...) of triangles -> normals (3, ...) of the planes through the origin and each edge.
+
+    Their sum is the triangle's own normal; with it comes (...,) the volume of six tetrahedra from the origin.
+    """
+    a, b, c = corners.swapaxes(0, 1)
+    edges = _cross(a, b), _cross(b, c), _cross(c, a)
+    return edges, (a * sum(edges)).sum(axis=0)
+
+
+def _crossings(sides: Sequence[Array]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """On which side rays pass of the planes of triangles, (R, T) for each edge -> rays and triangles that cross.
+
+    With them comes how much the ray goes along the triangle's normal.
+    """
+    # A ray passes inside a triangle when it is on the same side of all three planes.
+    u, v, w = sides
+    low, high = np.minimum(np.minimum(u, v), w), np.maximum(np.maximum(u, v), w)
+    ray, triangle = ((low >= 0) | (high <= 0)).nonzero()
+    facing = u[ray, triangle] + v[ray, triangle] + w[ray, triangle]
+    crosses = np.abs(facing) > 1e-12
+    return ray[crosses], triangle[crosses], facing[crosses]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Of vectors (3, ...), whose axes are apart: many times faster than numpy's."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
