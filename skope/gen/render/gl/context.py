@@ -1,6 +1,7 @@
 """The OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
 
 import atexit
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -59,6 +60,8 @@ def _defines() -> str:
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
 
 
+_READBACK: Final = 1 << 24
+"""Bytes of pixels that are fetched together to begin with."""
 WORKER: Final = "SKOPE_WORKER"
 """Environment variable with the number of a worker process."""
 _INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
@@ -206,6 +209,42 @@ class Device:
         texture.filter = (self.gl.LINEAR, self.gl.LINEAR)
         texture.repeat_x = texture.repeat_y = False
         return target
+
+
+class Readback:
+    """Pixels that are asked for one by one, as they are drawn, and fetched together.
+
+    Waiting for the device is what costs: where many processes share a GPU each wait is as long as the others' turns.
+    """
+
+    def __init__(self, context: Any) -> None:
+        self._context, self._buffer = context, context.buffer(reserve=_READBACK)
+        self._asked: list[tuple[int, tuple[int, int, int], np.dtype[Any]]] = []
+        self._end = 0
+
+    def ask(self, target: Any, window: Window, kind: str, components: int = 4) -> None:
+        """Have a window of a target brought as "f1" (bytes) or "f4"."""
+        x0, y0, x1, y1 = window
+        shape, dtype = (y1 - y0, x1 - x0, components), np.dtype({"f1": "u1"}.get(kind, kind))
+        begin, self._end = self._end, self._end + -(-math.prod(shape) * dtype.itemsize // 16) * 16
+        if self._end > self._buffer.size:
+            larger = self._context.buffer(reserve=2 * self._end)
+            self._context.copy_buffer(larger, self._buffer, begin)
+            self._buffer = larger
+        viewport = (x0, y0, x1 - x0, y1 - y0)
+        target.read_into(
+            self._buffer, viewport=viewport, components=components, dtype=kind, alignment=1, write_offset=begin
+        )
+        self._asked.append((begin, shape, dtype))
+
+    def fetch(self) -> list[NDArray[Any]]:
+        """The pixels (h, w, components) of all that was asked for since the last time, in that order."""
+        data = self._buffer.read(self._end) if self._end else b""
+        out = [
+            np.frombuffer(data, dtype, math.prod(shape), begin).reshape(shape) for begin, shape, dtype in self._asked
+        ]
+        self._asked, self._end = [], 0
+        return out
 
 
 def put(program: Any, values: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from skope.gen.recording import Recording
 from skope.gen.render import Silhouette, View
 from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.beams import Beams
-from skope.gen.render.gl.context import Device, DeviceMesh, light_projection, projection, put
+from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
 from skope.gen.render.gl.lamps import MAP_RADIUS
 from skope.gen.render.gl.motion import Moving, moving
 from skope.gen.render.gl.placer import PARTS, Placed, Placer
@@ -60,6 +60,7 @@ class GLRenderer:
         camera = recording.camera
         self._recording, self._camera = recording, camera
         self._device = device()
+        self._pixels = Readback(self._device.context)
         self._background = light_the_scenery(self._device, recording)
         self._placer = Placer(self._device, camera)
         size = (camera.width, camera.height)
@@ -114,33 +115,52 @@ class GLRenderer:
     def render(self, frame: int) -> View:
         """Draw a frame."""
         camera, moment, empty = self._camera, self._recording.moment(frame), self._background
+        shutter_s = self._recording.conditions.shutter_s
         placed = self._placer.place(moment)
         depth, slope, ids = empty.depth.copy(), empty.slope.copy(), empty.ids.copy()
         silhouettes = [Silhouette(0, 0, np.zeros((0, 0), dtype=bool))] * len(moment.vehicles)
         contrast = np.zeros(len(moment.vehicles))
         rgb = self._plain.copy()
         if placed:
-            blurred = moving(reversed(placed), moment.velocity, self._recording.conditions.shutter_s, camera)
-            self._draw_geometry(placed, whole=bool(blurred))
-            shown = []
-            for vehicle in placed:
-                layer = _read(self._geometry, inside(vehicle.window, camera), np.float32)
-                shown.append(self._put(layer, vehicle, depth, slope, ids))
-                alone = not any(crossing(vehicle.window, other.window) for other in placed if other is not vehicle)
-                silhouettes[vehicle.index] = self._silhouette(vehicle, layer if alone else None)
-            self._draw_color(placed, blurred, rgb)
-            others = self._draw_behind(placed)
-            for vehicle, own, other in zip(placed, shown, others, strict=True):
-                x0, y0, x1, y1 = inside(vehicle.window, camera)
-                difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], other), own.view(np.uint8))
-                contrast[vehicle.index] = sum(difference) / 3
+            drawn = self._draw(placed, moving(reversed(placed), moment.velocity, shutter_s, camera))
+            for x0, y0, x1, y1 in drawn.changed:
+                rgb[y0:y1, x0:x1] = drawn.picture.crop((x0, y0, x1, y1))[..., :3]
+            for vehicle, layer in zip(placed, drawn.layers, strict=True):
+                own = _put(layer, vehicle.number, depth, slope, ids)
+                silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
+                contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
         rgb = self._glare.spread(rgb, depth, ids, moment)
         return View(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
+    def _draw(self, placed: Sequence[Placed], blurred: Sequence[Moving]) -> "_Drawn":
+        """Draw all of a frame, and wait for it once."""
+        camera, pixels = self._camera, self._pixels
+        windows = [inside(vehicle.window, camera) for vehicle in placed]
+        self._draw_geometry(placed, windows, whole=bool(blurred))
+        for window in windows:
+            pixels.ask(self._geometry, window, "f4")
+        apart = [v for v, window in zip(placed, windows, strict=True) if v.window != window or _crossed(v, placed)]
+        for vehicle in apart:
+            self._draw_silhouette(vehicle)
+        changed = self._draw_color(placed, blurred)
+        pixels.ask(self._display, union(changed), "f1")
+        crowd = [vehicle for vehicle in placed if _crossed(vehicle, placed)]
+        if crowd:
+            self._draw_behind(crowd)
+            around = union([inside(vehicle.window, camera) for vehicle in crowd])
+            pixels.ask(self._behind, around, "f1")
+        fetched = iter(pixels.fetch())
+        layers = [_Layer(window, next(fetched)) for window in windows]
+        masks = {vehicle.index: next(fetched)[..., 0] > 0 for vehicle in apart}
+        for vehicle, layer in zip(placed, layers, strict=True):
+            masks.setdefault(vehicle.index, layer.pixels[..., 3] == vehicle.number)
+        picture = _Layer(union(changed), next(fetched))
+        return _Drawn(layers, masks, changed, picture, _Layer(around, next(fetched)) if crowd else None, crowd)
+
     # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
-    def _draw_geometry(self, placed: Sequence[Placed], *, whole: bool) -> None:
+    def _draw_geometry(self, placed: Sequence[Placed], windows: Sequence[Window], *, whole: bool) -> None:
         """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it.
 
         With `whole` the rest of the target is empty.
@@ -148,7 +168,6 @@ class GLRenderer:
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
         if whole:
             self._geometry.clear(0, 0, 0, 0)
-        windows = [inside(vehicle.window, self._camera) for vehicle in placed]
         self._device.prepare(self._geometry, windows, self._uniforms)
         self._device.context.enable_only(self._device.gl.DEPTH_TEST | self._device.gl.CULL_FACE)
         put(program, {"u_project": self._project})
@@ -156,44 +175,24 @@ class GLRenderer:
             put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
             vehicle.mesh.draw(program)
 
-    def _put(
-        self,
-        layer: NDArray[np.float32],
-        placed: Placed,
-        depth: NDArray[np.float32],
-        slope: NDArray[np.float32],
-        ids: NDArray[np.int32],
-    ) -> NDArray[np.bool_]:
-        """Put a vehicle into the frame where it is nearer than the scenery; returns where, in its window."""
-        x0, y0, x1, y1 = inside(placed.window, self._camera)
-        there = slice(y0, y1), slice(x0, x1)
-        own = (layer[..., 3] == placed.number) & (layer[..., 0] < depth[there])
-        np.copyto(depth[there], layer[..., 0], where=own)
-        np.copyto(slope[there], layer[..., 1:3], where=own[..., None])
-        ids[there][own] = placed.number
-        return np.asarray(own)
-
-    def _silhouette(self, placed: Placed, layer: NDArray[np.float32] | None) -> Silhouette:
-        """A vehicle's silhouette, from what was drawn of its window if nothing else was drawn there."""
-        device, (x0, y0, x1, y1) = self._device, placed.window
-        if layer is not None and placed.window == inside(placed.window, self._camera):
-            return Silhouette(x0, y0, layer[..., 3] == placed.number)
-        size = (x1 - x0, y1 - y0)
+    def _draw_silhouette(self, placed: Placed) -> None:
+        """A vehicle as if nothing stood before it, in its own window; ask for it."""
+        device, window = self._device, placed.window
+        size = (window[2] - window[0], window[3] - window[1])
         target = _mask_target(device, _rounded(size))
         program = device.program("geometry.vert.glsl", "mask.frag.glsl", PARTS)
         target.viewport = (0, 0, *size)
         target.use()
         target.clear(0, 0, 0, 0, viewport=(0, 0, *size))
         device.context.enable_only(device.gl.CULL_FACE)
-        put(program, {**placed.matrices, "u_project": projection(self._camera.K, placed.window)})
+        put(program, {**placed.matrices, "u_project": projection(self._camera.K, window)})
         placed.mesh.draw(program)
-        data = target.read(viewport=(0, 0, *size), components=1, dtype="f1", alignment=1)
-        return Silhouette(x0, y0, np.frombuffer(data, dtype=np.uint8).reshape(size[1], size[0]) > 0)
+        self._pixels.ask(target, (0, 0, *size), "f1", components=1)
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_color(self, placed: Sequence[Placed], blurred: Sequence[Moving], rgb: NDArray[np.uint8]) -> None:
-        """Draw the vehicles, their shadows, their lamps' light and their mirror images into the picture."""
+    def _draw_color(self, placed: Sequence[Placed], blurred: Sequence[Moving]) -> list[Window]:
+        """Draw the vehicles, their shadows, their lamps' light and their mirror images; returns where."""
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
         covered = tiles([hull_of(v.vehicle, v.T_world_chassis, camera) for v in placed], size)
@@ -217,11 +216,7 @@ class GLRenderer:
         for one, places in zip(blurred, swept, strict=True):
             way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
             self._compose(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
-        changed = runs(covered | shaded | mirrored, size)
-        window = union(changed)
-        picture = _read(self._display, window, np.uint8)
-        for x0, y0, x1, y1 in changed:
-            rgb[y0:y1, x0:x1] = picture[y0 - window[1] : y1 - window[1], x0 - window[0] : x1 - window[0], :3]
+        return runs(covered | shaded | mirrored, size)
 
     def _draw_shadows(self, placed: Sequence[Placed]) -> None:
         """The vehicles' shadow map, and the map of the sky that they leave the road."""
@@ -318,26 +313,25 @@ class GLRenderer:
         return {name: unit for unit, name in enumerate(textures, start=first)}
 
     def _read_display(self) -> NDArray[np.uint8]:
-        return np.ascontiguousarray(_read(self._display, self._image, np.uint8)[..., :3])
+        self._pixels.ask(self._display, self._image, "f1")
+        (picture,) = self._pixels.fetch()
+        return np.ascontiguousarray(picture[..., :3])
 
-    def _draw_behind(self, placed: Sequence[Placed]) -> list[NDArray[np.uint8]]:
-        """For each vehicle, what its window of the image would show without it and its shadow."""
-        crowd = [v for v in placed if any(crossing(v.window, w.window) for w in placed if w is not v)]
-        if crowd:
-            hulls = [hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in crowd]
-            size = (self._camera.width, self._camera.height)
-            self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), peel=True)
-            window = union([inside(v.window, self._camera) for v in crowd])
-            layer = _Layer(window, _read(self._behind, window, np.uint8))
-        out = []
-        for vehicle in placed:
-            x0, y0, x1, y1 = inside(vehicle.window, self._camera)
-            picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
-            if vehicle in crowd:
-                behind = layer.crop((x0, y0, x1, y1))
-                picture = cv2.copyTo(behind[..., :3], behind[..., 3], picture.copy())
-            out.append(picture)
-        return out
+    def _draw_behind(self, crowd: Sequence[Placed]) -> None:
+        """What the image would show behind vehicles that stand before others."""
+        hulls = [hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in crowd]
+        size = (self._camera.width, self._camera.height)
+        self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), peel=True)
+
+    def _contrast(self, placed: Placed, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn") -> float:
+        """Mean difference, where a vehicle shows, between the picture and the one without it and its shadow."""
+        window = x0, y0, x1, y1 = inside(placed.window, self._camera)
+        picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
+        if drawn.behind and placed in drawn.crowd:
+            behind = drawn.behind.crop(window)
+            picture = cv2.copyTo(behind[..., :3], behind[..., 3], picture.copy())
+        difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], picture), own.view(np.uint8))
+        return sum(difference) / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,17 +349,39 @@ class _Layer:
         return self.pixels[y0 - y : y1 - y, x0 - x : x1 - x]
 
 
-def _viewport(window: Window) -> tuple[int, int, int, int]:
-    x0, y0, x1, y1 = window
-    return x0, y0, x1 - x0, y1 - y0
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What the device has drawn of a frame."""
+
+    layers: list[_Layer]
+    """Depth, slope and number in the window of each vehicle."""
+    masks: dict[int, NDArray[np.bool_]]
+    """Whole vehicles by their index, in their own windows."""
+    changed: list[Window]
+    """Where the picture is not that of the empty road."""
+    picture: _Layer
+    behind: _Layer | None
+    """What is behind the crowd."""
+    crowd: list[Placed]
+    """Vehicles whose windows cross others'."""
 
 
-def _read(target: Any, window: Window, kind: type[np.generic]) -> NDArray[Any]:
-    """(h, w, 4) pixels of a window of a target."""
-    viewport = _viewport(window)
-    name = {np.float32: "f4", np.uint8: "f1"}[kind]  # type: ignore[index]
-    data = target.read(viewport=viewport, components=4, dtype=name, alignment=1)
-    return np.frombuffer(data, dtype=kind).reshape(viewport[3], viewport[2], 4)
+def _put(
+    layer: _Layer, number: int, depth: NDArray[np.float32], slope: NDArray[np.float32], ids: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Put a vehicle into the frame where it is nearer than the scenery; returns where, in its window."""
+    x0, y0, x1, y1 = layer.window
+    there = slice(y0, y1), slice(x0, x1)
+    own = (layer.pixels[..., 3] == number) & (layer.pixels[..., 0] < depth[there])
+    np.copyto(depth[there], layer.pixels[..., 0], where=own)
+    np.copyto(slope[there], layer.pixels[..., 1:3], where=own[..., None])
+    ids[there][own] = number
+    return np.asarray(own)
+
+
+def _crossed(vehicle: Placed, others: Iterable[Placed]) -> bool:
+    """Whether a vehicle's window crosses that of another."""
+    return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
 
 
 def _footprint(vehicle: Body, T_world_chassis: Array, middle: Array) -> Array:
