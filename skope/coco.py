@@ -1,7 +1,7 @@
 """The only reader and writer of COCO JSON: annotation files and results files, both directions."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ import numpy as np
 from skope import __version__, keypoints, schema
 from skope.camera import Camera
 from skope.errors import UserError, one_of
-from skope.files import read_json, write_text
+from skope.files import read_json, replacing, write_text
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 
@@ -236,16 +236,26 @@ def write_rows(
 ) -> None:
     """Write already serialised records (see `image_to_dict`, `annotation_to_dict`) as an annotation file."""
 
-    def lines(rows: Iterable[Mapping[str, Any]]) -> str:
-        return ",\n".join(json.dumps(row, allow_nan=False, separators=(",", ":")) for row in rows)
+    def lines(rows: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
+        return (json.dumps(row, allow_nan=False, separators=(",", ":")).encode() for row in rows)
 
+    write_lines(path, info, lines(images), lines(annotations), scheme)
+
+
+def write_lines(
+    path: Path,
+    info: Mapping[str, Any],
+    images: Iterable[bytes],
+    annotations: Iterable[bytes],
+    scheme: Scheme = SKOPE33,
+) -> None:
+    """Write records that are JSON already as an annotation file, a line each."""
     head = {"keypoint_scheme": scheme.name, "schema_version": schema.VERSION, "skope": __version__}
     head |= {**info, "keypoint_scheme": scheme.name}
-    write_text(
-        path,
-        f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n'
-        f'"images":[\n{lines(images)}\n],\n"annotations":[\n{lines(annotations)}\n]}}\n',
-    )
+    begin = f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n"images":[\n'
+    parts = (begin.encode(), b",\n".join(images), b'\n],\n"annotations":[\n', b",\n".join(annotations), b"\n]}\n")
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.writelines(parts)
 
 
 def result_to_dict(result: Result) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import orjson
+
 from skope.errors import UserError
 
 
@@ -79,17 +81,21 @@ def write_json(path: Path, value: Any) -> None:
 def read_json(path: Path) -> Any:
     """Parse a JSON file; a missing or malformed one is a UserError that names it."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        data = path.read_bytes()
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise UserError(f"{path}: is a folder, expected a JSON file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+    with contextlib.suppress(orjson.JSONDecodeError):
+        return orjson.loads(data)
+    try:  # NaN, which Python writes, is for those to refuse who know the field's name
+        return json.loads(data.decode("utf-8"))
     except json.JSONDecodeError as error:
         raise UserError(f"{path}: not valid JSON: {error.msg} at line {error.lineno}") from None
     except UnicodeDecodeError:
         raise UserError(f"{path}: not valid JSON: not UTF-8 text") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def read_bytes(path: Path) -> bytes:

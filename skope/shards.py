@@ -6,12 +6,13 @@ A member is named like a file: `shards/train-000000.tar/t01_mill_corner/00_00000
 """
 
 import io
-import json
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
+
+import orjson
 
 from skope.errors import UserError
 from skope.files import read_bytes, read_json, replacing, write_json
@@ -110,6 +111,6 @@ def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
     for name, _ in names:
         if name.endswith(".json"):
             try:
-                yield json.loads(read_member(shard, name))
-            except ValueError as error:
+                yield orjson.loads(read_member(shard, name))
+            except orjson.JSONDecodeError as error:
                 raise UserError(f"{shard}/{name}: not valid JSON: {error}") from None

@@ -1,6 +1,5 @@
 """What a dataset's labels are kept in: one annotation file a split beside the images, or shards of tar; both ways."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -8,17 +7,19 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import orjson
+
 from skope import coco, shards
 from skope.dataset import MANIFEST, Dataset
 from skope.errors import UserError
-from skope.files import read_bytes, read_json, write_bytes, write_json
+from skope.files import read_bytes, read_json, write_bytes
 
 FORMATS: Final = ("folder", "shards")
 
 
 @dataclass(frozen=True)
 class Labels:
-    """A frame's rows of the annotation file, with its files."""
+    """A frame's rows of the annotation file, as they were read, with its files."""
 
     name: str
     """<site>/<recording>_<frame>."""
@@ -54,7 +55,8 @@ class _Manifest:
         self.sums[str(path)] = checksum_of(self.root / path)
 
     def finish(self) -> None:
-        write_json(self.root / MANIFEST, {"sha256": dict(sorted(self.sums.items())), "tallies": self.tallies})
+        content = {"sha256": dict(sorted(self.sums.items())), "tallies": self.tallies}
+        write_bytes(self.root / MANIFEST, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
 
 
 class Folder(_Manifest):
@@ -62,7 +64,7 @@ class Folder(_Manifest):
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
-        self._splits: dict[str, tuple[list[Any], list[Any]]] = {}
+        self._splits: dict[str, tuple[list[bytes], list[bytes]]] = {}
 
     def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
         images, annotations = self._splits.setdefault(split, ([], []))
@@ -75,14 +77,15 @@ class Folder(_Manifest):
                     self.sums[image[key]] = frame.sha256[there]
                     if source != self.root:
                         write_bytes(self.root / image[key], shards.read(source / there))
-            images.append(image)
-            annotations += frame.annotations
+            # As text they take a fraction of the memory.
+            images.append(orjson.dumps(image))
+            annotations += map(orjson.dumps, frame.annotations)
             self.tallies[image["file_name"]] = frame.tally
 
     def finish(self) -> None:
         for split, (images, annotations) in self._splits.items():
             path = Path("annotations") / f"{split}.json"
-            coco.write_rows(self.root / path, {"split": split}, images, annotations)
+            coco.write_lines(self.root / path, {"split": split}, images, annotations)
             self.add_file(path)
         super().finish()
 
@@ -130,7 +133,7 @@ class Shards(_Manifest):
                     yield member, source / there
             self.tallies[image["file_name"]] = frame.tally
             labels = {"image": image, "annotations": frame.annotations}
-            yield f"{frame.name}.json", json.dumps(labels, allow_nan=False, separators=(",", ":")).encode()
+            yield f"{frame.name}.json", orjson.dumps(labels)
 
 
 def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:
