@@ -85,6 +85,13 @@ def runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
     return [(x0, y0, x1, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), np.minimum(high, size).tolist(), strict=True)]
 
 
+def mask_of(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
+    """(h, w) 1 where the pixels of a window, which begins with a tile, are in one of the tiles, else 0."""
+    x0, y0, x1, y1 = window
+    there = touched[y0 // TILE : -(-y1 // TILE), x0 // TILE : -(-x1 // TILE)].view(np.uint8)
+    return np.asarray(there.repeat(TILE, axis=0).repeat(TILE, axis=1)[: y1 - y0, : x1 - x0])
+
+
 def crossing(a: Window, b: Window) -> bool:
     """Whether two windows share pixels."""
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

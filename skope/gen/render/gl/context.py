@@ -250,16 +250,17 @@ class Readback:
 def put(program: Any, values: Mapping[str, Any]) -> None:
     """Set a program's uniforms, those that it has: numbers, vectors, row-major matrices, lists of matrices, bytes."""
     for name, value in values.items():
-        if name not in program:
+        uniform = program.get(name, None)
+        if uniform is None:
             continue
         if isinstance(value, int | float):
-            program[name] = value
+            uniform.value = value
         elif isinstance(value, bytes):
-            program[name].write(value)
+            uniform.write(value)
         else:
             array = np.asarray(value, dtype=np.float32)
             square = array.ndim >= 2 and array.shape[-1] == array.shape[-2]
-            program[name].write(np.ascontiguousarray(array.swapaxes(-1, -2) if square else array).tobytes())
+            uniform.write(np.ascontiguousarray(array.swapaxes(-1, -2) if square else array).tobytes())
 
 
 @cache
