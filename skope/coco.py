@@ -212,7 +212,8 @@ def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
                 "R": value.R.tolist(),
             }
         elif name == "keypoints":
-            value = [x for point in value for x in (*_rounded(point[:2], 2), int(point[2]))]
+            places = _rounded(value[:, :2], 2)
+            value = [x for place, v in zip(places, value[:, 2].tolist(), strict=True) for x in (*place, int(v))]
         elif name in _DIGITS:
             value = _rounded(value, _DIGITS[name])
         row[name] = value

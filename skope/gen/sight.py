@@ -3,19 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.mesh import Mesh
 from skope.gen.recording import Moment
 from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 
-_PATCH: Final = 32
+_PATCH: Final = 16
 """Triangles that are looked at together."""
 _SLACK: Final = 1e-6
 """More than rounding takes from a sphere, metres."""
@@ -28,14 +27,31 @@ class Sight:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
 
     def first_hits(self, points: Array) -> Array:
-        """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing."""
+        """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing.
+
+        What begins behind a point need not be found.
+        """
         ahead = self._camera.to_camera(points)
-        rays = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
-        near = _near(rays, self._centers, self._radii)
+        away = np.linalg.norm(ahead, axis=-1)
+        rays = ahead / away[:, None]
         hits = np.full(len(points), np.inf)
-        for i in np.flatnonzero(near.any(axis=0)):
-            chosen = near[:, i]
-            hits[chosen] = np.minimum(hits[chosen], self._hits(int(i), rays[chosen]))
+        passing = _near(rays, away, self._centers, self._radii)
+        found = [self._met(i, rays, away, passing[:, i]) for i in np.flatnonzero(passing.any(axis=0)).tolist()]
+        if not found:
+            return hits
+        # All vehicles' patches go through the arithmetic together: numpy's calls are what would cost.
+        starts = np.cumsum([0, *(len(one.T_camera_part) for one in found)])
+        ray = np.concatenate([one.ray for one in found])
+        patch = np.concatenate([one.patch + start for one, start in zip(found, starts, strict=False)])
+        T = np.concatenate([one.T_camera_part for one in found])
+        # Rays are turned into the part's frame: they are fewer than its corners.
+        eyes = -np.einsum("pji,pj->ip", T[:, :3, :3], T[:, :3, 3])
+        own = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
+        edges, volume = _planes(np.concatenate([one.corners for one in found], axis=2) - eyes[:, None, :, None])
+        sides = [np.einsum("pc,cpt->pt", own, edge[:, patch]) for edge in edges]
+        pair, triangle, facing = _crossings(sides)
+        reach = volume[patch[pair], triangle] / facing
+        np.minimum.at(hits, ray[pair], np.where(reach > 0, reach, np.inf))
         return hits
 
     @cached_property
@@ -50,57 +66,65 @@ class Sight:
         T = self._moment.T_world_chassis
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
-    def _hits(self, i: int, rays: Array) -> Array:
-        """(R,) metres that unit rays (R, 3) in the camera frame go to the i-th vehicle."""
-        moment, vehicle = self._moment, self._vehicles[i]
-        hits = np.full(len(rays), np.inf)
-        poses = np.concatenate([moment.T_world_chassis[i][None], moment.T_world_wheels[i]])
-        for part, T in zip(_parts(vehicle), self._camera.T_camera_world @ poses, strict=True):
-            # Rays are turned into the part's frame: they are fewer than its corners.
-            own, eye = rays @ T[:3, :3], -T[:3, 3] @ T[:3, :3]
-            ray, patch = _near(own, part.centers - eye, part.radii).nonzero()
-            if len(ray):
-                met, index = np.unique(patch, return_inverse=True)
-                edges, volume = _planes((part.corners[met] - eye).transpose(3, 2, 0, 1))
-                sides = [np.einsum("ic,cit->it", own[ray], edge[:, index]) for edge in edges]
-                pair, triangle, facing = _crossings(sides)
-                reach = volume[index[pair], triangle] / facing
-                np.minimum.at(hits, ray[pair], np.where(reach > 0, reach, np.inf))
-        return hits
+    def _met(self, i: int, rays: Array, away: Array, chosen: NDArray[np.bool_]) -> "_Met":
+        """The i-th vehicle's patches that chosen ones of the rays may meet."""
+        moment, patches = self._moment, _patches(self._vehicles[i])
+        poses = self._camera.T_camera_world @ np.concatenate(
+            [moment.T_world_chassis[i][None], moment.T_world_wheels[i]]
+        )
+        T = poses[patches.part]
+        centers = np.einsum("pij,pj->pi", T[:, :3, :3], patches.centers) + T[:, :3, 3]
+        ray, patch = _near(rays[chosen], away[chosen], centers, patches.radii).nonzero()
+        used, index = np.unique(patch, return_inverse=True)
+        return _Met(np.flatnonzero(chosen)[ray], index, T[used], patches.corners[:, :, used])
 
 
-def _near(rays: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
-    """(R, N) whether unit rays (R, 3) from the origin may meet what is in spheres."""
+def _near(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
+    """(R, N) whether unit rays (R, 3) from the origin, `away` long, may meet what is in spheres."""
     along = rays @ centers.T
     across = (centers**2).sum(axis=-1) - along**2
-    return np.asarray((along > -radii) & (across < radii**2))
+    return np.asarray((along > -radii) & (along - radii < away[:, None]) & (across < radii**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """Pairs of rays and patches, and U patches."""
+
+    ray: NDArray[np.intp]
+    patch: NDArray[np.intp]
+    """Of the U."""
+    T_camera_part: Array
+    """(U, 4, 4)"""
+    corners: Array
+    """(3 axes, 3 corners, U, _PATCH) metres, in the frame of their part."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Triangles of one part in P patches of `_PATCH` that lie close together, and spheres around them."""
+    """A vehicle's triangles in P patches of `_PATCH` that lie close together, and spheres around them."""
 
     corners: Array
-    """(P, _PATCH, 3, 3) metres; where there are fewer triangles they repeat."""
+    """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; where there are fewer they repeat."""
+    part: NDArray[np.int64]
+    """(P,) 0 for the body, then its moving parts."""
     centers: Array
     """(P, 3)"""
     radii: Array
     """(P,)"""
 
-    @classmethod
-    def of(cls, mesh: Mesh) -> Self:
-        triangles = mesh.vertices[mesh.triangles]
-        chosen = _halved(triangles.mean(axis=1), np.arange(len(triangles)))
-        corners = np.array([triangles[np.resize(some, _PATCH)] for some in chosen]).reshape(-1, _PATCH, 3, 3)
-        centers = (corners.min(axis=(1, 2)) + corners.max(axis=(1, 2))) / 2
-        radii = np.linalg.norm(corners - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
-        return cls(corners, centers, radii)
-
 
 @lru_cache(maxsize=256)
-def _parts(vehicle: Body) -> tuple[_Patches, ...]:
-    patches = {part: _Patches.of(part) for part in dict.fromkeys(vehicle.parts)}
-    return tuple(patches[part] for part in vehicle.parts)
+def _patches(vehicle: Body) -> _Patches:
+    corners, part = list[Array](), list[int]()
+    for number, mesh in enumerate(vehicle.parts):
+        triangles = mesh.vertices[mesh.triangles]
+        for chosen in _halved(triangles.mean(axis=1), np.arange(len(triangles))):
+            corners.append(triangles[np.resize(chosen, _PATCH)])
+            part.append(number)
+    points = np.array(corners)
+    centers = (points.min(axis=(1, 2)) + points.max(axis=(1, 2))) / 2
+    radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
+    return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), np.array(part), centers, radii)
 
 
 def _halved(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:

@@ -82,25 +82,28 @@ class Glare:
         self, light: NDArray[np.float32], lit: Iterable[Lit], depth: NDArray[np.float32], ids: NDArray[np.int32] | None
     ) -> None:
         """Add lamps that the camera sees to the grid."""
-        camera = self._camera
-        for lamp in lit:
-            toward = camera.position - lamp.center
-            away = float(np.linalg.norm(toward))
-            cosine = float(toward @ lamp.facing) / away
-            if lamp.index >= 0 and cosine <= 0.05:
+        camera, lamps = self._camera, list(lit)
+        if not lamps:
+            return
+        centers = np.stack([lamp.center for lamp in lamps])
+        toward = camera.position - centers
+        distances = np.linalg.norm(toward, axis=1)
+        cosines = (toward * np.stack([lamp.facing for lamp in lamps])).sum(axis=1) / distances
+        turned_away = (cosines <= 0.05) & np.array([lamp.index >= 0 for lamp in lamps])
+        pixels, z, valid = camera.project(centers)
+        for i in np.flatnonzero(valid & camera.inside(pixels) & ~turned_away).tolist():
+            lamp, away = lamps[i], float(distances[i])
+            if self._hidden(lamp, pixels[i], float(z[i]), depth, ids):
                 continue
-            pixel, z, valid = camera.project(lamp.center[None])
-            if not valid[0] or not camera.inside(pixel)[0] or self._hidden(lamp, pixel[0], float(z[0]), depth, ids):
-                continue
-            aimed = 0.35 + 0.65 * max(cosine, 0.0) ** 2
+            aimed = 0.35 + 0.65 * max(float(cosines[i]), 0.0) ** 2
             strength = self._strength * lamp.intensity * aimed * min(1.0, _FULL / away) ** 1.1
             color = np.array(lamp.color, dtype=np.float32)
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
-            _sprite(light, pixel[0] / COARSE, 2.2 * scale, strength * through * color)
+            _sprite(light, pixels[i] / COARSE, 2.2 * scale, strength * through * color)
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
-            _sprite(light, pixel[0] / COARSE, 11.0 * scale, halo * color)
+            _sprite(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
 
     @staticmethod
     def _hidden(lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None) -> bool:

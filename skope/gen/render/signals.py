@@ -42,12 +42,13 @@ def light_signals(
     """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
     for signal in signals:
         lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
-        pixels, z, valid = camera.project(signal.lamps)
-        away = camera.position - signal.lamps[0]
-        if lamp is None or not valid[lamp] or not camera.inside(pixels[lamp]) or away @ signal.facing <= 0:
+        if lamp is None or (camera.position - signal.lamps[0]) @ signal.facing <= 0:
             continue
-        at = pixels[lamp] * fine
-        if z[lamp] < depth[int(at[1]), int(at[0])] + 0.3:
-            radius = max(0.7, _RADIUS * camera.K[0, 0] / z[lamp] * fine)
+        pixel, z, valid = camera.project(signal.lamps[lamp])
+        if not valid or not camera.inside(pixel):
+            continue
+        at = pixel * fine
+        if z < depth[int(at[1]), int(at[0])] + 0.3:
+            radius = max(0.7, _RADIUS * camera.K[0, 0] / z * fine)
             center = np.rint((at - 0.5) * 2**_SHIFT).astype(int).tolist()
             cv2.circle(rgb, center, round(radius * 2**_SHIFT), _COLORS[lamp], -1, cv2.LINE_AA, _SHIFT)

@@ -23,7 +23,7 @@ from skope.gen.render import SKY, STATIC, Silhouette, View
 from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.signals import light_signals
-from skope.gen.render.windows import NEAR, Window, window_of
+from skope.gen.render.windows import NEAR, Window, hull_of, window_of
 from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import LAMPS
 from skope.gen.vehicles import PAINTS
@@ -201,7 +201,7 @@ class TinyRenderer:
     def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
         """A vehicle by itself; None when it lies outside the image."""
         T_camera_chassis = self._camera.T_camera_world @ chassis
-        window = window_of(body_of(recorded), chassis, self._camera)
+        window = window_of(hull_of(body_of(recorded), chassis, self._camera), self._camera)
         if window is None:
             return None
         stage, body, wheel_parts = self._model(recorded)

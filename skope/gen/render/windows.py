@@ -24,9 +24,15 @@ CONTACT: Final = 1.8
 """How far around itself a vehicle takes sky from the road, metres."""
 
 
-def window_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Window | None:
-    """Pixels that a vehicle may cover, within the canvas; None when none of them is in the image."""
-    return _bounds(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera, canvas=1)
+def window_of(hull: Array, camera: Camera) -> Window | None:
+    """Pixels that a vehicle of a hull may cover, within the canvas; None when none of them is in the image."""
+    size = np.array([camera.width, camera.height])
+    low, high = hull.min(axis=0, initial=np.inf), hull.max(axis=0, initial=-np.inf)
+    if (low >= size).any() or (high <= 0).any():
+        return None
+    x0, y0 = np.maximum(np.floor(low) - 1, -size).astype(int).tolist()
+    x1, y1 = np.minimum(np.ceil(high) + 1, 2 * size).astype(int).tolist()
+    return x0, y0, x1, y1
 
 
 def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
@@ -107,18 +113,6 @@ def union(windows: Sequence[Window]) -> Window:
     """The smallest window around windows, of which there is at least one."""
     x0, y0, x1, y1 = zip(*windows, strict=True)
     return min(x0), min(y0), max(x1), max(y1)
-
-
-def _bounds(points_world: Array, camera: Camera, canvas: int) -> Window | None:
-    """Pixels around what of the points' hull lies before the camera; `canvas` image sizes are added on each side."""
-    pixels = _project(points_world, camera)
-    size = np.array([camera.width, camera.height])
-    low, high = pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)
-    if (low >= size).any() or (high <= 0).any():
-        return None
-    x0, y0 = np.maximum(np.floor(low) - 1, -canvas * size).astype(int).tolist()
-    x1, y1 = np.minimum(np.ceil(high) + 1, (1 + canvas) * size).astype(int).tolist()
-    return x0, y0, x1, y1
 
 
 def _hull(points_world: Array, camera: Camera) -> Array:

@@ -4,8 +4,9 @@ An average of many samples, each with its own shift of the pixels, its own point
 direction of the sky: anti-aliasing, soft shadows and sky occlusion come out of the same average.
 """
 
-from dataclasses import replace
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
 
 Array = NDArray[np.float64]
+Parts = list[tuple[DeviceMesh, tuple[str, ...]]]
+"""Meshes with the options of the programs that draw them."""
 
 SAMPLES: Final = 24
 STANDING: Final = 64
@@ -64,9 +67,7 @@ class Stage:
         """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None."""
         self.device, self._camera, self._mesh = device, camera, mesh
         self._size = (camera.width, camera.height)
-        forward = camera.T_camera_world[2, :3]
-        level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
-        self.focus = np.asarray(40.0 * level - [0, 0, camera.position[2]])
+        self.focus = _focus(camera)
         """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
         self.view = np.eye(4)
         self.view[:3, :3] = camera.T_camera_world[:3, :3]
@@ -78,8 +79,7 @@ class Stage:
         self.daylight = replace(daylight, lamplight=self.street_lights.mean(self.lamp_vectors))
         daylight = self.daylight
         self.options = (*(lamps.OPTIONS if daylight.dark else ()), *(("WET",) if conditions.wetness > 0 else ()))
-        self._seen = _parts(device, mesh.taken(self._in_view(mesh, np.eye(4))), camera)
-        self._casting = _parts(device, mesh.taken(self._within_reach(mesh)), camera)
+        self._seen, self._casting = _scenery_parts(device, mesh, _Eye.of(camera))
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
         self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
@@ -111,32 +111,6 @@ class Stage:
             "u_camera_from_pixel": np.linalg.inv(camera.K),
             "u_world_from_camera": camera.T_camera_world[:3, :3].T,
         }
-
-    def _in_view(self, mesh: Mesh, placed: Array) -> NDArray[np.int64]:
-        """Triangles that the image may show, when `placed` has moved them (in world axes, relative to the camera).
-
-        They come from near to far, so that little is shaded in vain.
-        """
-        points = (mesh.vertices - self._camera.position) @ placed[:3, :3].T + placed[:3, 3]
-        frame = (points @ self.view[:3, :3].T)[mesh.triangles]
-        x, y, z = np.moveaxis(frame, -1, 0)
-        (fx, fy), (cx, cy) = self._camera.K[[0, 1], [0, 1]], self._camera.K[:2, 2]
-        width, height = self._size
-        # Outside when all three corners are beyond the same side of the view, which a pixel's jitter widens.
-        sides = (
-            x * fx + (cx + 1) * z,
-            (width + 1 - cx) * z - x * fx,
-            y * fy + (cy + 1) * z,
-            (height + 1 - cy) * z - y * fy,
-        )
-        seen = np.flatnonzero(~np.any([(side < 0).all(axis=-1) for side in (*sides, z)], axis=0))
-        away = np.linalg.norm(frame[seen], axis=-1).min(axis=-1)
-        return np.asarray(seen[away.argsort(kind="stable")])
-
-    def _within_reach(self, mesh: Mesh) -> NDArray[np.bool_]:
-        """Triangles that may throw shadows into the view."""
-        corners = (mesh.vertices - self._camera.position - self.focus)[mesh.triangles]
-        return np.asarray(np.linalg.norm(corners[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS)
 
     def draw_geometry(self, target: Any) -> None:
         """Depth, slopes and where there is something at all, at pixel centres."""
@@ -181,9 +155,9 @@ class Stage:
         ambient, sunlit = self._mean(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
         return {"mirrored": _halved(ambient + sunlit)}
 
-    def reflected_parts(self, plane: Plane) -> list[tuple[DeviceMesh, tuple[str, ...]]]:
+    def reflected_parts(self, plane: Plane) -> Parts:
         """What the mirrored view may show."""
-        return _parts(self.device, self._mesh.taken(self._in_view(self._mesh, plane.mirror)), self._camera)
+        return _parts(self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera)
 
     def draw_mirrored_depth(self, target: Any, plane: Plane) -> None:
         """The depth buffer of what the road mirrors."""
@@ -197,7 +171,7 @@ class Stage:
         size: tuple[int, int],
         samples: int,
         placed: Array,
-        parts: list[tuple[DeviceMesh, tuple[str, ...]]],
+        parts: Parts,
         *options: str,
     ) -> list[NDArray[np.float32]]:
         """The means of samples of an image of a size, with everything moved by `placed`."""
@@ -259,7 +233,7 @@ class Stage:
         shadows: dict[str, Any],
         jitter: tuple[float, float],
         placed: Array,
-        parts: list[tuple[DeviceMesh, tuple[str, ...]]],
+        parts: Parts,
         *options: str,
     ) -> None:
         device = self.device
@@ -304,7 +278,60 @@ def sun_map_size(camera: Camera) -> int:
     return 4096 if camera.width > 1280 else 2048
 
 
-def _parts(device: Device, mesh: Mesh, camera: Camera) -> list[tuple[DeviceMesh, tuple[str, ...]]]:
+@dataclass(frozen=True)
+class _Eye:
+    """A camera, equal to others that see the same."""
+
+    camera: Camera = field(compare=False)
+    key: tuple[int, int, bytes, bytes]
+
+    @classmethod
+    def of(cls, camera: Camera) -> Self:
+        return cls(camera, (camera.width, camera.height, camera.K.tobytes(), camera.T_camera_world.tobytes()))
+
+
+@lru_cache(maxsize=2)
+def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[Parts, Parts]:
+    """What a camera sees of a scenery, and what may throw shadows there; recordings of a camera often come in turn."""
+    camera = eye.camera
+    seen, casting = mesh.taken(_in_view(mesh, camera, np.eye(4))), mesh.taken(_within_reach(mesh, camera))
+    return _parts(device, seen, camera), _parts(device, casting, camera)
+
+
+def _focus(camera: Camera) -> Array:
+    forward = camera.T_camera_world[2, :3]
+    level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
+    return np.asarray(40.0 * level - [0, 0, camera.position[2]])
+
+
+def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
+    """Triangles that the image may show, when `placed` has moved them (in world axes, relative to the camera).
+
+    They come from near to far, so that little is shaded in vain.
+    """
+    points = (mesh.vertices - camera.position) @ placed[:3, :3].T + placed[:3, 3]
+    frame = (points @ camera.T_camera_world[:3, :3].T)[mesh.triangles]
+    x, y, z = np.moveaxis(frame, -1, 0)
+    (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
+    # Outside when all three corners are beyond the same side of the view, which a pixel's jitter widens.
+    sides = (
+        x * fx + (cx + 1) * z,
+        (camera.width + 1 - cx) * z - x * fx,
+        y * fy + (cy + 1) * z,
+        (camera.height + 1 - cy) * z - y * fy,
+    )
+    seen = np.flatnonzero(~np.any([(side < 0).all(axis=-1) for side in (*sides, z)], axis=0))
+    away = np.linalg.norm(frame[seen], axis=-1).min(axis=-1)
+    return np.asarray(seen[away.argsort(kind="stable")])
+
+
+def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
+    """Triangles that may throw shadows into the view."""
+    corners = (mesh.vertices - camera.position - _focus(camera))[mesh.triangles]
+    return np.asarray(np.linalg.norm(corners[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS)
+
+
+def _parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
     """A mesh by groups of materials, with the options of the programs that draw each.
 
     Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
@@ -312,7 +339,7 @@ def _parts(device: Device, mesh: Mesh, camera: Camera) -> list[tuple[DeviceMesh,
     order = list(MATERIALS)
     number = np.array([order.index(name) for name in mesh.materials])[mesh.material]
     left = np.ones(len(number), dtype=bool)
-    out: list[tuple[DeviceMesh, tuple[str, ...]]] = []
+    out: Parts = []
     for group, (first, last) in GROUPS.items():
         chosen = left & (number >= order.index(first)) & (number <= order.index(last))
         left &= ~chosen

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.render.gl.placer import Placed
-from skope.gen.render.windows import hull_of
 
 Array = NDArray[np.float64]
 
@@ -44,7 +43,6 @@ def moving(placed: Iterable[Placed], velocity: Array, shutter_s: float, camera: 
         pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
         way = pixels[1] - pixels[0]
         if valid.all() and depth.min() > length and way @ way > LEAST**2:
-            hull = hull_of(one.vehicle, T, camera)
-            swept = cv2.convexHull(np.concatenate([hull - 0.5 * way, hull + 0.5 * way]).astype(np.float32))
+            swept = cv2.convexHull(np.concatenate([one.hull - 0.5 * way, one.hull + 0.5 * way]).astype(np.float32))
             out.append(Moving(one, way, float(depth.min()) - 0.6 * length, swept[:, 0].astype(np.float64)))
     return out

@@ -1,6 +1,7 @@
 """The vehicles of a moment, ready to draw."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -9,9 +10,9 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.gen.bodies import body_of
 from skope.gen.mesh import merged
-from skope.gen.recording import Moment, RecordedVehicle
+from skope.gen.recording import Moment
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
-from skope.gen.render.windows import Window, window_of
+from skope.gen.render.windows import Window, hull_of, window_of
 from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
 
@@ -44,8 +45,10 @@ class Placed:
     """From the camera, metres."""
     look: dict[str, Any]
     """Paint and lamps."""
+    hull: Array
+    """(N, 2) convex polygon around the pixels that it may cover."""
     window: Window
-    """Pixels that it may cover, in the image and beyond."""
+    """Those pixels, in the image and beyond."""
 
     @property
     def number(self) -> int:
@@ -57,7 +60,6 @@ class Placer:
 
     def __init__(self, device: Device, camera: Camera) -> None:
         self._device, self._camera = device, camera
-        self._meshes: dict[tuple[Any, ...], dict[str, Any]] = {}
 
     def place(self, moment: Moment) -> list[Placed]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
@@ -66,7 +68,8 @@ class Placer:
         for i in away.argsort(kind="stable").tolist():
             recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
             vehicle = body_of(recorded)
-            window = window_of(vehicle, chassis, camera)
+            hull = hull_of(vehicle, chassis, camera)
+            window = window_of(hull, camera)
             if window is None:
                 continue
             parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
@@ -79,29 +82,30 @@ class Placer:
                     index=i,
                     vehicle=vehicle,
                     T_world_chassis=chassis,
-                    **self._upload(recorded, vehicle),
+                    **_uploaded(self._device, vehicle),
                     matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
                     distance=float(away[i]),
                     look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
+                    hull=hull,
                     window=window,
                 )
             )
         return out
 
-    def _upload(self, recorded: RecordedVehicle, vehicle: Body) -> dict[str, Any]:
-        key = (recorded.model, *sorted(recorded.shape.items()))
-        if key not in self._meshes:
-            body, *wheels = vehicle.parts
-            glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
-            inside = [vehicle.interior] if vehicle.interior else []
-            solid = merged([body.taken(~glass), *inside])
-            self._meshes[key] = {
-                "mesh": self._device.upload(body, *wheels),
-                "solid": self._device.upload(solid, *wheels),
-                "coarse": self._device.upload(*vehicle.coarse),
-                "panes": self._device.upload(body.taken(glass)) if glass.any() else None,
-            }
-        return self._meshes[key]
+
+@lru_cache(maxsize=64)
+def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
+    """A vehicle's meshes on the device, by field of `Placed`."""
+    body, *wheels = vehicle.parts
+    glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
+    inside = [vehicle.interior] if vehicle.interior else []
+    solid = merged([body.taken(~glass), *inside])
+    return {
+        "mesh": device.upload(body, *wheels),
+        "solid": device.upload(solid, *wheels),
+        "coarse": device.upload(*vehicle.coarse),
+        "panes": device.upload(body.taken(glass)) if glass.any() else None,
+    }
 
 
 def _linear(rgb: tuple[int, int, int]) -> Array:

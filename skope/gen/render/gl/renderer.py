@@ -30,7 +30,6 @@ from skope.gen.render.windows import (
     CONTACT,
     Window,
     crossing,
-    hull_of,
     inside,
     mask_of,
     runs,
@@ -198,7 +197,7 @@ class GLRenderer:
         """Draw the vehicles, their shadows, their lamps' light and their mirror images; returns in which tiles."""
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
-        covered = tiles([hull_of(v.vehicle, v.T_world_chassis, camera) for v in placed], size)
+        covered = tiles([vehicle.hull for vehicle in placed], size)
         shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, camera, sun) for v in placed], size)
         self._draw_shadows(placed)
         if self._beams:
@@ -322,9 +321,8 @@ class GLRenderer:
 
     def _draw_behind(self, crowd: Sequence[Placed]) -> None:
         """What the image would show behind vehicles that stand before others."""
-        hulls = [hull_of(v.vehicle, v.T_world_chassis, self._camera) for v in crowd]
         size = (self._camera.width, self._camera.height)
-        self._draw_vehicles(self._behind, crowd, runs(tiles(hulls, size), size), peel=True)
+        self._draw_vehicles(self._behind, crowd, runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
     def _contrast(self, placed: Placed, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn") -> float:
         """Mean difference, where a vehicle shows, between the picture and the one without it and its shadow."""
