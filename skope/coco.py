@@ -1,7 +1,7 @@
 """The only reader and writer of COCO JSON: annotation files and results files, both directions."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ import numpy as np
 from skope import __version__, keypoints, schema
 from skope.camera import Camera
 from skope.errors import UserError, one_of
-from skope.files import read_json, replacing, write_text
+from skope.files import json_bytes, read_json, replacing, write_bytes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 
@@ -236,11 +236,7 @@ def write_rows(
     scheme: Scheme = SKOPE33,
 ) -> None:
     """Write already serialised records (see `image_to_dict`, `annotation_to_dict`) as an annotation file."""
-
-    def lines(rows: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
-        return (json.dumps(row, allow_nan=False, separators=(",", ":")).encode() for row in rows)
-
-    write_lines(path, info, lines(images), lines(annotations), scheme)
+    write_lines(path, info, map(json_bytes, images), map(json_bytes, annotations), scheme)
 
 
 def write_lines(
@@ -273,5 +269,4 @@ def result_to_dict(result: Result) -> dict[str, Any]:
 
 def write_results(path: Path, results: Iterable[Result]) -> None:
     """Write a COCO results file, one result a line."""
-    rows = ",\n".join(json.dumps(result_to_dict(r), allow_nan=False, separators=(",", ":")) for r in results)
-    write_text(path, f"[\n{rows}\n]\n")
+    write_bytes(path, b"[\n" + b",\n".join(json_bytes(result_to_dict(result)) for result in results) + b"\n]\n")

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 
 from skope.errors import UserError
@@ -71,6 +72,14 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def json_bytes(value: Any) -> bytes:
+    """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
+    data = orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)
+    if b"null" in data:  # what orjson makes of them
+        json.dumps(value, allow_nan=False, default=np.generic.item)
+    return data
 
 
 def write_json(path: Path, value: Any) -> None:

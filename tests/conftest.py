@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+# Before OpenGL: Mesa's compiler and torch's end a process that meets Mesa's first.
+import torchvision  # noqa: F401
+
 from skope import cli
 from skope.gen.render.gl import light
 

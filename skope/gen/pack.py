@@ -12,7 +12,7 @@ import orjson
 from skope import coco, shards
 from skope.dataset import MANIFEST, Dataset
 from skope.errors import UserError
-from skope.files import read_bytes, read_json, write_bytes
+from skope.files import json_bytes, read_bytes, read_json, write_bytes
 
 FORMATS: Final = ("folder", "shards")
 
@@ -78,8 +78,8 @@ class Folder(_Manifest):
                     if source != self.root:
                         write_bytes(self.root / image[key], shards.read(source / there))
             # As text they take a fraction of the memory.
-            images.append(orjson.dumps(image))
-            annotations += map(orjson.dumps, frame.annotations)
+            images.append(json_bytes(image))
+            annotations += map(json_bytes, frame.annotations)
             self.tallies[image["file_name"]] = frame.tally
 
     def finish(self) -> None:
@@ -133,7 +133,7 @@ class Shards(_Manifest):
                     yield member, source / there
             self.tallies[image["file_name"]] = frame.tally
             labels = {"image": image, "annotations": frame.annotations}
-            yield f"{frame.name}.json", orjson.dumps(labels)
+            yield f"{frame.name}.json", json_bytes(labels)
 
 
 def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:

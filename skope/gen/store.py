@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from skope.dataset import CARD, Dataset
 from skope.errors import UserError
-from skope.files import read_json, replacing, write_bytes, write_json, write_text
+from skope.files import json_bytes, read_json, replacing, write_bytes, write_json
 from skope.gen import recording as recordings
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
@@ -141,7 +141,7 @@ class Store:
                     "tally": frame.tally,
                     "sha256": frame.sha256,
                 }
-                write_text(self._label_path(frame.name), json.dumps(labels, allow_nan=False))
+                write_bytes(self._label_path(frame.name), json_bytes(labels))
         # From here on the folder counts as begun.
         write_json(self._plan_path, {"parameters": card["parameters"], "takes": card["takes"]})
 
@@ -179,7 +179,7 @@ class Store:
         for path, data in frame.files.items():
             with replacing(self.root / path) as temporary:
                 temporary.write_bytes(data)
-        write_text(self._label_path(frame.name), json.dumps(frame.labels, allow_nan=False))
+        write_bytes(self._label_path(frame.name), json_bytes(frame.labels))
 
     # ------------------------------------------------------------------------------------------------------------ end
 
