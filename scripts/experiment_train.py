@@ -69,6 +69,7 @@ VARIANTS: Mapping[str, Variant] = {
     "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], SIGHT)),
     "bfloat16": Variant((FAST[0], *EXACT[1:], SIGHT)),
     "16 keypoint regions": Variant((EXACT[0], FAST[1], *EXACT[2:], SIGHT)),
+    "32 keypoint regions": Variant((EXACT[0], "keypoint_regions=32", *EXACT[2:], SIGHT)),
     "8 keypoint regions": Variant((EXACT[0], "keypoint_regions=8", *EXACT[2:], SIGHT)),
     "all shortcuts": Variant((*FAST, SIGHT)),
     "hidden points learnt": Variant((*FAST, "supervise=all")),
