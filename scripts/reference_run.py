@@ -24,9 +24,9 @@ from pathlib import Path
 import torch
 
 from skope.dataset import CARD
-from skope.detector import find_checkpoint, load_weights, save_weights
+from skope.detector import BEST, find_checkpoint, load_weights, save_weights
 from skope.files import read_bytes, write_bytes
-from skope.train.run import BEST, resumable
+from skope.train.run import resumable
 
 TESTS = ("easy", "medium", "hard")
 PIECES = 8

@@ -209,6 +209,10 @@ def _check_tensors(path: Path, expected: Mapping[str, torch.Tensor], got: Mappin
             raise UserError(f"{path}: tensor {name}: expected {tuple(tensor.shape)}, got {tuple(got[name].shape)}")
 
 
+BEST: Final = "best.safetensors"
+"""File name of the weights of a run's best epoch."""
+
+
 def checkpoint_name(epoch: int) -> str:
     """File name of the checkpoint after `epoch` epochs."""
     return f"epoch_{epoch:03d}.safetensors"
@@ -221,12 +225,14 @@ def checkpoints(run: Path) -> dict[int, Path]:
 
 
 def find_checkpoint(path: Path) -> Path:
-    """`path` itself if it is a file, or the newest checkpoint of the run folder `path`."""
+    """`path` itself if it is a file, or the newest checkpoint of the run folder `path`; or the best if alone."""
     if path.is_file():
         return path
     if not path.is_dir():
         raise UserError(f"{path}: no such checkpoint or run folder; `skope train` makes one")
     found = checkpoints(path)
+    if not found and (path / BEST).is_file():
+        return path / BEST
     if not found:
         raise UserError(f"{path}: no checkpoint in this folder (epoch_NNN.safetensors); `skope train` makes one")
     return found[max(found)]

@@ -143,6 +143,8 @@ def test_files_that_are_no_checkpoint_are_refused(checkpoint: Path, tmp_path: Pa
 def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no checkpoint"):
         detector.find_checkpoint(tmp_path)
+    (tmp_path / "best.safetensors").touch()
+    assert detector.find_checkpoint(tmp_path).name == "best.safetensors"
     for name in ("epoch_009.safetensors", "epoch_1000.safetensors", "epoch_010.safetensors", "epoch_x.safetensors"):
         (tmp_path / name).touch()
     assert detector.find_checkpoint(tmp_path).name == "epoch_1000.safetensors"

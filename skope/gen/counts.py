@@ -4,6 +4,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+Kind = tuple[str, str | None]
+"""What a vehicle counts as, "ground_truth" or "ignored", and its type."""
+
+
+def kind_of(row: Mapping[str, Any]) -> Kind:
+    """Of a row of an annotation file."""
+    return "ignored" if row["iscrowd"] else "ground_truth", row.get("vehicle_type")
+
 
 class Counts:
     """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason."""
@@ -14,19 +22,15 @@ class Counts:
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
 
-    def add(
-        self, places: Mapping[str, str | None], rows: Iterable[Mapping[str, Any]], tally: Mapping[str, Any]
-    ) -> None:
-        """Count an image with the rows of its vehicles; `places` name its split, site and weather.
+    def add(self, places: Mapping[str, str | None], vehicles: Iterable[Kind], tally: Mapping[str, Any]) -> None:
+        """Count an image with its vehicles; `places` name its split, site and weather.
 
         What is not known of an image or a vehicle is not counted.
         """
         known = [(group, name) for group, name in places.items() if name is not None]
         for group, name in known:
             self.by[group].setdefault(name, Counter())["images"] += 1
-        for row in rows:
-            kind = "ignored" if row["iscrowd"] else "ground_truth"
-            type_ = row.get("vehicle_type")
+        for kind, type_ in vehicles:
             for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
                 self.by[group].setdefault(name, Counter())[kind] += 1
         tally = dict(tally)

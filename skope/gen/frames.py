@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from skope import coco
 from skope.depth import depth_png
 from skope.errors import UserError, one_of
+from skope.files import json_bytes
 from skope.gen.annotate import Rules, annotate
+from skope.gen.counts import kind_of
+from skope.gen.pack import Labels
 from skope.gen.recording import Recording
 from skope.gen.render import Renderer
 from skope.schema import Image
@@ -50,12 +53,9 @@ class Encoding:
 
 @dataclass(frozen=True)
 class Frame:
-    name: str
-    """<site>/<recording>_<frame>."""
     files: dict[str, bytes]
     """Contents by path in the dataset."""
-    labels: dict[str, Any]
-    """Rows of the annotation file, what the card counts, and the files' checksums."""
+    labels: Labels
 
 
 def frames_of(
@@ -71,13 +71,16 @@ def frames_of(
         if depth_name:
             files[depth_name] = depth_png(view.depth)
         image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
-        labels = {
-            "image": coco.image_to_dict(image),
-            "annotations": [coco.annotation_to_dict(annotation) for annotation in annotations],
-            "tally": vars(tally),
-            "sha256": {path: checksum(data) for path, data in files.items()},
-        }
-        yield Frame(name, files, labels)
+        rows = [coco.annotation_to_dict(annotation) for annotation in annotations]
+        labels = Labels(
+            name=name,
+            image=coco.image_to_dict(image),
+            rows=[json_bytes(row) for row in rows],
+            kinds=[kind_of(row) for row in rows],
+            sha256={path: checksum(data) for path, data in files.items()},
+            tally=vars(tally),
+        )
+        yield Frame(files, labels)
 
 
 def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:

@@ -13,18 +13,22 @@ from skope import coco, shards
 from skope.dataset import MANIFEST, Dataset
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, read_json, write_bytes
+from skope.gen.counts import Kind, kind_of
 
 FORMATS: Final = ("folder", "shards")
 
 
 @dataclass(frozen=True)
 class Labels:
-    """A frame's rows of the annotation file, as they were read, with its files."""
+    """A frame's rows of the annotation file, with its files."""
 
     name: str
     """<site>/<recording>_<frame>."""
     image: Mapping[str, Any]
-    annotations: list[Any]
+    rows: list[bytes]
+    """Its annotations in JSON, which nothing here needs to look into; `id` and `image_id` come first."""
+    kinds: list[Kind]
+    """Of each of them."""
     sha256: Mapping[str, str]
     """Checksums of its files, by path in the dataset."""
     tally: Any
@@ -77,9 +81,8 @@ class Folder(_Manifest):
                     self.sums[image[key]] = frame.sha256[there]
                     if source != self.root:
                         write_bytes(self.root / image[key], shards.read(source / there))
-            # As text they take a fraction of the memory.
             images.append(json_bytes(image))
-            annotations += map(json_bytes, frame.annotations)
+            annotations += frame.rows
             self.tallies[image["file_name"]] = frame.tally
 
     def finish(self) -> None:
@@ -132,13 +135,19 @@ class Shards(_Manifest):
                     loose.append(source / there)
                     yield member, source / there
             self.tallies[image["file_name"]] = frame.tally
-            labels = {"image": image, "annotations": frame.annotations}
-            yield f"{frame.name}.json", json_bytes(labels)
+            rows = b",".join(frame.rows)
+            yield f"{frame.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
 
 
 def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:
     for name, content in members:
         yield name, content if isinstance(content, bytes) else read_bytes(content)
+
+
+def numbered(row: bytes, id_: int, image_id: int) -> bytes:
+    """A row of `Labels` under other ids."""
+    _, _, rest = row.split(b",", 2)
+    return b'{"id":%d,"image_id":%d,%b' % (id_, image_id, rest)
 
 
 def writer_of(form: str, root: Path) -> Writer:
@@ -167,7 +176,8 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
             sums, tally = {file: manifest["sha256"][file] for file in files}, manifest["tallies"][files[0]]
         except KeyError as error:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
-        yield Labels(name, image, annotations, sums, tally)
+        rows, kinds = [json_bytes(row) for row in annotations], [kind_of(row) for row in annotations]
+        yield Labels(name, image, rows, kinds, sums, tally)
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:

@@ -1,6 +1,6 @@
 """A dataset folder while it is being made: what is done, what is missing, and the merge at the end.
 
-`.work/` holds the parameters and one small JSON file per finished frame, written after the frame's image and depth:
+`.work/` holds the parameters and a small file of labels per finished frame, written after the frame's image and depth:
 whatever moment a run is killed at, the frames with such a file are whole. It is removed when the dataset is.
 """
 
@@ -13,14 +13,16 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final
 
+import orjson
+
 from skope.dataset import CARD, Dataset
 from skope.errors import UserError
-from skope.files import json_bytes, read_json, replacing, write_bytes, write_json
+from skope.files import json_bytes, read_bytes, read_json, replacing, write_bytes, write_json
 from skope.gen import recording as recordings
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
 from skope.gen.frames import Frame
-from skope.gen.pack import Labels, frames_of_split, writer_of
+from skope.gen.pack import Labels, frames_of_split, numbered, writer_of
 from skope.gen.recording import Recording, Take
 
 _GROWS: Final = ("frames", "sites", "recordings")
@@ -135,13 +137,7 @@ class Store:
             for frame in frames_of_split(sound, split):
                 if frame.image["file_name"] in broken:
                     continue
-                labels = {
-                    "image": {**frame.image, "id": 0},
-                    "annotations": [{**row, "id": 0, "image_id": 0} for row in frame.annotations],
-                    "tally": frame.tally,
-                    "sha256": frame.sha256,
-                }
-                write_bytes(self._label_path(frame.name), json_bytes(labels))
+                self._keep_labels(frame)
         # From here on the folder counts as begun.
         write_json(self._plan_path, {"parameters": card["parameters"], "takes": card["takes"]})
 
@@ -151,7 +147,7 @@ class Store:
         return self.root / "recordings" / f"{take.site}_{take.name}.npz"
 
     def _label_path(self, frame_name: str) -> Path:
-        return self._work / "frames" / f"{frame_name}.json"
+        return self._work / "frames" / f"{frame_name}.jsonl"
 
     def recorded(self, take: Take) -> bool:
         """Whether the recording is there with all its frames."""
@@ -179,7 +175,11 @@ class Store:
         for path, data in frame.files.items():
             with replacing(self.root / path) as temporary:
                 temporary.write_bytes(data)
-        write_bytes(self._label_path(frame.name), json_bytes(frame.labels))
+        self._keep_labels(frame.labels)
+
+    def _keep_labels(self, labels: Labels) -> None:
+        head = {"image": labels.image, "kinds": labels.kinds, "tally": labels.tally, "sha256": labels.sha256}
+        write_bytes(self._label_path(labels.name), b"\n".join([json_bytes(head), *labels.rows]))
 
     # ------------------------------------------------------------------------------------------------------------ end
 
@@ -197,16 +197,16 @@ class Store:
 
     def _numbered(self, take: Take, counts: Counts) -> Iterator[Labels]:
         for frame in range(take.frames):
-            labels = read_json(self._label_path(take.frame_name(frame)))
-            places = {"split": take.split, "site": take.site, "weather": labels["image"]["weather"]}
-            counts.add(places, labels["annotations"], labels["tally"])
+            name = take.frame_name(frame)
+            first, *rows = read_bytes(self._label_path(name)).split(b"\n")
+            head = orjson.loads(first)
+            places = {"split": take.split, "site": take.site, "weather": head["image"]["weather"]}
+            counts.add(places, head["kinds"], head["tally"])
             counts.images += 1
-            rows = []
-            for row in labels["annotations"]:
-                counts.vehicles += 1
-                rows.append({**row, "id": counts.vehicles, "image_id": counts.images})
-            image = {**labels["image"], "id": counts.images}
-            yield Labels(take.frame_name(frame), image, rows, labels["sha256"], labels["tally"])
+            rows = [numbered(row, counts.vehicles + k, counts.images) for k, row in enumerate(rows, start=1)]
+            counts.vehicles += len(rows)
+            image = {**head["image"], "id": counts.images}
+            yield Labels(name, image, rows, head["kinds"], head["sha256"], head["tally"])
 
     def finish(self, content: Mapping[str, Any]) -> None:
         """Write the card, and remove what was only needed on the way, which makes the dataset complete."""

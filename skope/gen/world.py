@@ -34,6 +34,8 @@ _ROLL_CENTER: Final = 0.12
 """Height of the axes of pitch and roll over the road, metres."""
 _DAMPING: Final = 0.35
 """Share of critical damping, as passenger cars have it."""
+_GRIP: Final = 8.0
+"""What tyres hold on dry asphalt, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,8 @@ class _Body:
         turn = _angle(target.yaw - before.yaw) / dt
         slope = _GRAVITY * math.sin(target.pitch)
         load = np.array([(target.speed - before.speed) / dt + slope, target.speed * turn])
+        # Where lanes meet a junction SUMO turns and shifts vehicles within a step as no tyre could.
+        load = np.clip(load, -_GRIP, _GRIP)
         # SUMO decides speeds anew at each step: 0.1 s is what tyres take to build up a force.
         self.load += (load - self.load) * (dt / (0.1 + dt))
         self.velocity = (np.array(target.position) - before.position) / dt

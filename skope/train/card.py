@@ -5,7 +5,8 @@ from typing import Any
 
 from skope import __version__, keypoints
 from skope.dataset import Dataset
-from skope.train.run import BEST, RunConfig, Training
+from skope.detector import BEST
+from skope.train.run import RunConfig, Training
 from skope.train.validate import rank
 
 _WEIGHTS = (

@@ -15,21 +15,19 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector, keypoints
 from skope.dataset import Dataset
-from skope.detector import DetectorConfig
+from skope.detector import BEST, DetectorConfig
 from skope.errors import UserError
 from skope.files import read_json, replacing, write_json, write_text
 from skope.keypoints import Scheme
 from skope.train import initial
 from skope.train.recipe import Recipe
-
-BEST: Final = "best.safetensors"
 
 _VERSION = 2
 _CONFIG = "recipe.json"

@@ -18,7 +18,7 @@ from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen import card, describe, licences
 from skope.gen.annotate import Rules
-from skope.gen.counts import Counts
+from skope.gen.counts import Counts, kind_of
 from skope.gen.croissant import croissant
 from skope.gen.plan import Parameters, from_preset
 from tests.samples import make_dataset
@@ -171,8 +171,8 @@ def test_what_is_known_of_an_image_is_counted(tmp_path: Path) -> None:
     file = coco.read(make_dataset(tmp_path) / "annotations/easy.json")
     counts = Counts()
     for image in file.images:
-        rows = [coco.annotation_to_dict(a) for a in file.by_image()[image.id]]
-        counts.add({"split": "easy", "site": None, "weather": image.weather}, rows, {"ignored": {}})
+        kinds = [kind_of(coco.annotation_to_dict(a)) for a in file.by_image()[image.id]]
+        counts.add({"split": "easy", "site": None, "weather": image.weather}, kinds, {"ignored": {}})
     said = counts.to_dict()
     assert said["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}
     assert said["by_site"] == {}

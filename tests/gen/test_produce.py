@@ -1,11 +1,13 @@
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import tarfile
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from skope import coco
 from skope.cli import main
 from skope.dataset import open_dataset
 from skope.gen.check import check
+from skope.gen.store import Store
 from tests.gen.small import SMALL, content, gen
 
 
@@ -212,19 +215,26 @@ def test_formats_without_depth(tmp_path: Path) -> None:
 
 def test_a_full_disk_counts_nothing_as_done(tmp_path: Path, whole: Path) -> None:
     out = tmp_path / "d"
-    largest = max(path.stat().st_size for path in (whole / "recordings").iterdir())
-    images = max(path.stat().st_size for path in (whole / "images").rglob("*.jpg"))
-    assert images < largest
+    taken_apart = tmp_path / "apart"
+    shutil.copytree(whole, taken_apart)
+    Store(taken_apart).reopen()
+    files = [path for kind in ("images", "depth", ".work/frames") for path in (taken_apart / kind).rglob("00_*")]
+    needed = Counter[str]()
+    for path in files:
+        needed[f"{path.parent.name}/{path.stem}"] = max(needed[f"{path.parent.name}/{path.stem}"], path.stat().st_size)
+    room = max(needed.values()) - 1
+    assert needed["t01_mill_corner/00_000000"] <= room
 
     def small_files() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (images - 1, images - 1))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     assert skope("gen", "simulate", "--out", str(out), *SMALL, "--workers", "1").returncode == 0
     result = skope("gen", "--out", str(out), *SMALL, "--workers", "1", preexec_fn=small_files)
     assert result.returncode == 2
     assert "cannot be written: File too large" in result.stderr
     assert result.stderr.count("\n") == 1
-    done = {path.stem for path in (out / ".work" / "frames").rglob("*.json")}
+    done = {path.stem for path in (out / ".work" / "frames").rglob("*.jsonl")}
+    assert done
     assert all((out / "images" / "t01_mill_corner" / f"{name}.jpg").is_file() for name in done)
     assert not list(out.rglob(".*.part*"))
     # There is room again.
@@ -314,7 +324,7 @@ def test_ray_makes_the_same_bytes_though_a_worker_is_lost(whole: Path, tmp_path:
     process = subprocess.Popen(gen(out, "--engine", "ray", "--workers", "2"), stderr=subprocess.PIPE, text=True)
     killed, deadline = False, time.monotonic() + 240
     while process.poll() is None and time.monotonic() < deadline:
-        if not killed and list((out / ".work").glob("frames/*/*.json")):
+        if not killed and list((out / ".work").glob("frames/*/*.jsonl")):
             workers = subprocess.run(["pgrep", "-f", "ray::Worker.render"], capture_output=True, text=True, check=False)
             for pid in workers.stdout.split()[:1]:
                 os.kill(int(pid), signal.SIGKILL)

@@ -73,6 +73,17 @@ def test_a_left_turn_leans_the_body_to_the_right_and_steers_left() -> None:
         assert steer == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize("kick", [0.02, 0.1, -0.3])
+def test_a_vehicle_that_is_turned_within_a_step_leans_no_further_than_tyres_hold(kick: float) -> None:
+    """As SUMO turns them where lanes meet a junction."""
+    path = straight(np.full(240, 14.0))
+    for i in range(100, 120):
+        yaw = kick * (i - 99) / 4 if i < 104 else kick
+        path[i] = Driven(path[i].position, yaw, 0.0, 14.0, 0)
+    leans = [math.degrees(math.asin(p.T_world_chassis[2, 1])) for p in drive(path)]
+    assert 0.1 < max(map(abs, leans)) < 6
+
+
 def test_the_body_follows_its_path() -> None:
     recording = driven()
     for frame in range(len(recording)):

@@ -49,9 +49,9 @@ class Gathered:
             own.append(replace(vehicle, id=self.counts.vehicles, image_id=number, category_id=schema.CATEGORY_ID))
         annotations += own
         ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
-        rows = [{"iscrowd": vehicle.iscrowd, "vehicle_type": vehicle.vehicle_type} for vehicle in own]
+        kinds = [("ignored" if vehicle.ignored else "ground_truth", vehicle.vehicle_type) for vehicle in own]
         places = {"split": split, "site": image.site, "weather": image.weather}
-        self.counts.add(places, rows, {"ignored": ignored})
+        self.counts.add(places, kinds, {"ignored": ignored})
 
     def finish(self, *, command: str, licence: str, label_rules: Sequence[str], **more: Any) -> None:
         """Write annotations and card; `more` are further fields of the card."""
