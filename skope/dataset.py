@@ -25,6 +25,13 @@ PREDICTIONS: Final = "predictions.json"
 GAP_S: Final = 1.0
 """Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
+_CARD_FIELDS: Final[dict[str, type]] = {
+    **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),
+    **dict.fromkeys(("label_rules", "sources", "takes"), list),
+    **dict.fromkeys(("command", "depth", "format", "licence", "renderer"), str),
+}
+_NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "text"}
+
 
 @dataclass(frozen=True)
 class Dataset:
@@ -90,10 +97,22 @@ def open_dataset(root: Path) -> Dataset:
         raise UserError(f"{root}: no such dataset folder; `skope gen --out {root}` makes one")
     if not (root / CARD).is_file():
         raise UserError(f"{root}: no {CARD} in it, so it is not a (finished) dataset; run `skope gen --out {root}`")
-    card = read_json(root / CARD)
+    return Dataset(root, read_card(root))
+
+
+def read_card(root: Path) -> dict[str, Any]:
+    """The card of a dataset folder; a UserError names a field that is of another kind than `skope gen` writes."""
+    path = root / CARD
+    card = read_json(path)
     scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
-    one_of(f"{root / CARD}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
-    return Dataset(root, card)
+    one_of(f"{path}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
+    for name, kind in _CARD_FIELDS.items():
+        if not isinstance(card.get(name, kind()), kind):
+            raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")
+    for i, row in enumerate(card.get("takes", ())):
+        if not (isinstance(row, list) and [type(value) for value in row] == [str, str, str, int]):
+            raise UserError(f"{path}: takes[{i}]: expected site, name, split and frames, got {row!r:.60}")
+    return dict(card)
 
 
 def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:

@@ -39,6 +39,25 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         data.image(image)
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("counts", 3, "counts: expected an object, got 3"),
+        ("takes", {}, "takes: expected a list, got {}"),
+        ("takes", [["t01_main_west", "00", "train"]], r"takes\[0\]: expected site, name, split and frames"),
+        ("takes", [["t01_main_west", "00", "train", True]], r"takes\[0\]: expected site, name, split and frames"),
+        ("licence", None, "licence: expected text, got None"),
+        ("parameters", "x" * 999, "parameters: expected an object, got 'xxx"),
+    ],
+)
+def test_a_broken_card_names_its_field(tmp_path: Path, field: str, value: object, words: str) -> None:
+    (tmp_path / "dataset.json").write_text(json.dumps({"keypoint_scheme": "skope33", field: value}))
+    with pytest.raises(UserError, match=words) as caught:
+        dataset.open_dataset(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path / 'dataset.json'}: ")
+    assert len(str(caught.value)) < 200
+
+
 @pytest.mark.parametrize("card", [{"keypoint_scheme": "apollo24"}, {}, []])
 def test_a_card_of_another_scheme_is_refused(tmp_path: Path, card: object) -> None:
     root = make_dataset(tmp_path / "data", images=1)

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import orjson
 
-from skope.dataset import CARD, Dataset
+from skope.dataset import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, read_json, replacing, write_bytes, write_json
 from skope.gen import recording as recordings
@@ -87,7 +87,7 @@ class Store:
             value: dict[str, Any] = read_json(self._plan_path)
             return value
         if (self.root / CARD).is_file():
-            card = read_json(self.root / CARD)
+            card = read_card(self.root)
             if "takes" not in card:
                 raise UserError(
                     f"{self.root / CARD}: was made by a skope that named no takes: it cannot be gone on with"
@@ -128,7 +128,8 @@ class Store:
 
         Left out, and so made again, are frames whose images are `broken` and all of splits that are `lost`.
         """
-        card, sound = read_json(self.root / CARD), Dataset(self.root, read_json(self.root / CARD))
+        card = read_card(self.root)
+        sound = Dataset(self.root, card)
         if sound.sharded:
             raise UserError(
                 f"{self.root}: is complete and in shards; `skope gen convert` it to a folder to go on with it"
