@@ -52,6 +52,13 @@ def skope(out: Path, size: str, frames: int, workers: int, *more: str) -> tuple[
     return time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 
 
+def recorded_vehicles(dataset: Path) -> float:
+    """Of a frame, on average: traffic builds up in a long recording."""
+    (path,) = (dataset / "recordings").iterdir()
+    recording = recordings.load(path)
+    return float(np.mean([len(recording.moment(frame).labelled().vehicles) for frame in range(len(recording))]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="1920x1080")
@@ -68,7 +75,11 @@ def main() -> None:
             skope(folder / "warm", "320x180", 2, options.processes)
             for count in map(int, options.flat.split(",")):
                 seconds, memory = skope(folder / str(count), "320x180", count, options.processes)
-                print(f"  {count:6} images {1e3 * seconds / count:7.1f} ms an image, {memory:6.0f} MB", flush=True)
+                vehicles = recorded_vehicles(folder / str(count))
+                print(
+                    f"  {count:6} images {1e3 * seconds / count:7.1f} ms an image of {vehicles:.1f} recorded", end=" "
+                )
+                print(f"vehicles, {1e3 * seconds / count / vehicles:.1f} a vehicle, {memory:6.0f} MB", flush=True)
             return
         halves = {}
         for half in ("simulate", "render"):
@@ -83,8 +94,7 @@ def main() -> None:
             halves[half] = time.perf_counter() - begun
         ours = options.images / sum(halves.values())
         (path,) = (folder / "d" / "recordings").iterdir()
-        recording = recordings.load(path)
-        vehicles = np.mean([len(recording.moment(frame).labelled().vehicles) for frame in range(len(recording))])
+        vehicles = recorded_vehicles(folder / "d")
         print(f"{SITE}, {options.size}, {options.images} images, {vehicles:.1f} recorded vehicles in each,", end=" ")
         print(f"{options.processes} processes; everything on disk, labels included")
         print(f"  skope: simulation {halves['simulate']:.1f} s, rendering {halves['render']:.1f} s (of which lighting")

@@ -1,7 +1,7 @@
 """The only reader and writer of COCO JSON: annotation files and results files, both directions."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -250,9 +250,17 @@ def write_lines(
     head = {"keypoint_scheme": scheme.name, "schema_version": schema.VERSION, "skope": __version__}
     head |= {**info, "keypoint_scheme": scheme.name}
     begin = f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n"images":[\n'
-    parts = (begin.encode(), b",\n".join(images), b'\n],\n"annotations":[\n', b",\n".join(annotations), b"\n]}\n")
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.writelines(parts)
+        file.write(begin.encode())
+        file.writelines(_separated(images))
+        file.write(b'\n],\n"annotations":[\n')
+        file.writelines(_separated(annotations))
+        file.write(b"\n]}\n")
+
+
+def _separated(rows: Iterable[bytes]) -> Iterator[bytes]:
+    for i, row in enumerate(rows):
+        yield b",\n" + row if i else row
 
 
 def result_to_dict(result: Result) -> dict[str, Any]:

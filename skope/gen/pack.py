@@ -1,11 +1,12 @@
 """What a dataset's labels are kept in: one annotation file a split beside the images, or shards of tar; both ways."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
-from typing import Any, Final, Protocol
+from tempfile import SpooledTemporaryFile
+from typing import IO, Any, Final, Protocol
 
 import orjson
 
@@ -16,6 +17,8 @@ from skope.files import json_bytes, read_bytes, read_json, write_bytes
 from skope.gen.counts import Kind, kind_of
 
 FORMATS: Final = ("folder", "shards")
+_IN_MEMORY: Final = 1 << 26
+"""Bytes of rows that are kept there."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +71,15 @@ class Folder(_Manifest):
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
-        self._splits: dict[str, tuple[list[bytes], list[bytes]]] = {}
+        self._files = ExitStack()
+        self._splits: dict[str, tuple[list[bytes], IO[bytes]]] = {}
+        """Rows of images, and those of vehicles a line each: in a file that nobody sees when they are many."""
 
     def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
-        images, annotations = self._splits.setdefault(split, ([], []))
+        if split not in self._splits:
+            rows = SpooledTemporaryFile(_IN_MEMORY, dir=str(self.root))  # noqa: SIM115 - the stack closes it
+            self._splits[split] = [], self._files.enter_context(rows)
+        images, annotations = self._splits[split]
         for frame in frames:
             image = {**frame.image}
             for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
@@ -82,14 +90,16 @@ class Folder(_Manifest):
                     if source != self.root:
                         write_bytes(self.root / image[key], shards.read(source / there))
             images.append(json_bytes(image))
-            annotations += frame.rows
+            annotations.writelines(row + b"\n" for row in frame.rows)
             self.tallies[image["file_name"]] = frame.tally
 
     def finish(self) -> None:
-        for split, (images, annotations) in self._splits.items():
-            path = Path("annotations") / f"{split}.json"
-            coco.write_lines(self.root / path, {"split": split}, images, annotations)
-            self.add_file(path)
+        with self._files:
+            for split, (images, annotations) in self._splits.items():
+                path = Path("annotations") / f"{split}.json"
+                annotations.seek(0)
+                coco.write_lines(self.root / path, {"split": split}, images, (row[:-1] for row in annotations))
+                self.add_file(path)
         super().finish()
 
 
