@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import orjson
 
 from skope.errors import UserError
@@ -76,10 +75,21 @@ def write_text(path: Path, text: str) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
-    data = orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)
-    if b"null" in data:  # what orjson makes of them
-        json.dumps(value, allow_nan=False, default=np.generic.item)
+    try:
+        data = orjson.dumps(value)
+    except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
+        data = b"null"
+    if b"null" in data:  # what orjson makes of NaN too
+        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
     return data
+
+
+def parse_json(data: bytes) -> Any:
+    """The value of JSON text; json.JSONDecodeError or UnicodeDecodeError where it is none."""
+    with contextlib.suppress(orjson.JSONDecodeError):
+        return orjson.loads(data)
+    # NaN, which Python writes, is for those to refuse who know the field's name.
+    return json.loads(data.decode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -97,10 +107,8 @@ def read_json(path: Path) -> Any:
         raise UserError(f"{path}: is a folder, expected a JSON file") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-    with contextlib.suppress(orjson.JSONDecodeError):
-        return orjson.loads(data)
-    try:  # NaN, which Python writes, is for those to refuse who know the field's name
-        return json.loads(data.decode("utf-8"))
+    try:
+        return parse_json(data)
     except json.JSONDecodeError as error:
         raise UserError(f"{path}: not valid JSON: {error.msg} at line {error.lineno}") from None
     except UnicodeDecodeError:

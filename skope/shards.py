@@ -12,10 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import orjson
-
 from skope.errors import UserError
-from skope.files import read_bytes, read_json, replacing, write_json
+from skope.files import parse_json, read_bytes, read_json, replacing, write_json
 
 FOLDER: Final = "shards"
 _INDEX: Final = 4096
@@ -111,6 +109,6 @@ def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
     for name, _ in names:
         if name.endswith(".json"):
             try:
-                yield orjson.loads(read_member(shard, name))
-            except orjson.JSONDecodeError as error:
+                yield parse_json(read_member(shard, name))
+            except ValueError as error:
                 raise UserError(f"{shard}/{name}: not valid JSON: {error}") from None

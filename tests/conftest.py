@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-# Before OpenGL: Mesa's compiler and torch's end a process that meets Mesa's first.
+# Before OpenGL: torch crashes where Mesa's compiler was loaded before it.
 import torchvision  # noqa: F401
 
 from skope import cli

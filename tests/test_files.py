@@ -1,11 +1,12 @@
-"""Folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from skope.errors import UserError
-from skope.files import link, replacing_folder
+from skope.files import json_bytes, link, replacing_folder
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -55,3 +56,11 @@ def test_links_become_copies_where_they_must(tmp_path: Path, monkeypatch: pytest
     link(tmp_path / "a", tmp_path / "d")
     assert (tmp_path / "d").read_text() == "x"
     assert not (tmp_path / "d").samefile(tmp_path / "a")
+
+
+def test_compact_json_is_strict() -> None:
+    assert json_bytes({"b": [0.1, None, "null"], "a": 2**70}) == b'{"b":[0.1,null,"null"],"a":1180591620717411303424}'
+    assert json.loads(json_bytes({"name": "x\udcff.jpg"})) == {"name": "x\udcff.jpg"}
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            json_bytes({"a": value})

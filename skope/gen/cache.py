@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
@@ -24,15 +25,16 @@ Arrays = Mapping[str, NDArray[Any]]
 
 LIMIT_BYTES: Final = 2 * 1024**3
 """Of each kind."""
+_DAY: Final = 86400.0
 _SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
-_LIBRARIES: Final = ("numpy", "shapely", "fast-simplification")
+_LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
 """What meshes are built with."""
 
 
 def folder() -> Path:
     """$SKOPE_CACHE, or skope's folder in the user's cache."""
-    own = os.environ.get("SKOPE_CACHE")
-    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "skope"
+    own, users = os.environ.get("SKOPE_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    return Path(own) if own else (Path(users) if users else Path.home() / ".cache") / "skope"
 
 
 def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
@@ -59,10 +61,11 @@ def digest_of(*parts: str) -> str:
 
 @cache
 def _program_digest() -> str:
-    """Of the generator's own sources and of the libraries that meshes are built with."""
+    """Of the sources that the generator consists of, and of the libraries that meshes are built with."""
     digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
-    root = Path(__file__).parent
-    for path in sorted(path for path in root.rglob("*") if path.suffix in _SOURCES):
+    root = Path(__file__).parents[1]
+    files = [*root.glob("*.py"), *(path for path in (root / "gen").rglob("*") if path.suffix in _SOURCES)]
+    for path in sorted(files):
         digest.update(path.relative_to(root).as_posix().encode() + b"\n" + path.read_bytes())
     return digest.hexdigest()
 
@@ -71,7 +74,8 @@ def _load(path: Path) -> Arrays | None:
     # Absent, or damaged in one of numpy's and zip's many ways.
     with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-        path.touch()
+        with contextlib.suppress(OSError):  # what others own can be read all the same
+            path.touch()
         return arrays
     return None
 
@@ -91,17 +95,25 @@ def _alone(path: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             lock.parent.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(lock.open("w"))
-            stack.callback(lock.unlink, missing_ok=True)
+            stack.callback(_removed, lock)
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
+def _removed(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
 def _shrink(newest: Path) -> None:
-    """Remove the longest unused files of the newest one's kind."""
+    """Remove the longest unused files of the newest one's kind, and what killed processes left of it."""
     kind = newest.name.split("_")[0]
+    for left in newest.parent.glob(f".{kind}_*.part*"):
+        if time.time() - left.stat().st_mtime > _DAY:
+            _removed(left)
     files = sorted(newest.parent.glob(f"{kind}_*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     total = 0
     for path in files:
         total += path.stat().st_size
         if total > LIMIT_BYTES and path != files[0]:
-            path.unlink(missing_ok=True)
+            _removed(path)

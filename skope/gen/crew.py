@@ -175,6 +175,8 @@ class Processes:
 
     def render(self, store: Store, missing: Mapping[Take, list[int]], style: Style) -> Iterator[int]:
         backlog = Backlog(missing)
+        for hand in self._hands:
+            hand.take = None
 
         def next_for(hand: _Hand) -> Callable[[], int]:
             job = backlog.next_for(hand.take)

@@ -17,7 +17,7 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 def parameters(
     preset: Annotated[str, typer.Option(help="Which dataset to make (see the README).")] = "demo",
-    seed: Annotated[int, typer.Option(help="Same seed, same dataset.")] = 0,
+    seed: Annotated[int, typer.Option(help="Same seed, same dataset.", max=2**63 - 1)] = 0,
     renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
     sites: Annotated[str | None, typer.Option(help="Comma-separated sites instead of the preset's.")] = None,
     own: Annotated[

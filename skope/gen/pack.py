@@ -156,6 +156,7 @@ def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, by
 
 def numbered(row: bytes, id_: int, image_id: int) -> bytes:
     """A row of `Labels` under other ids."""
+    assert row.startswith(b'{"id":')
     _, _, rest = row.split(b",", 2)
     return b'{"id":%d,"image_id":%d,%b' % (id_, image_id, rest)
 
@@ -186,7 +187,9 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
             sums, tally = {file: manifest["sha256"][file] for file in files}, manifest["tallies"][files[0]]
         except KeyError as error:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
-        rows, kinds = [json_bytes(row) for row in annotations], [kind_of(row) for row in annotations]
+        # Whoever has rewritten the file: ids come first, as `numbered` needs them.
+        rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
+        kinds = [kind_of(row) for row in annotations]
         yield Labels(name, image, rows, kinds, sums, tally)
 
 

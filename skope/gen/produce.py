@@ -91,7 +91,7 @@ def _settle_renderer(store: Store, renderer: str) -> None:
     assert begun is not None
     parameters = begun["parameters"]
     chosen, driver, _ = choose_renderer(parameters["renderer"] or renderer)
-    here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv")}
+    here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}
     if not parameters["renderer"]:
         store.settle({"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here})
         return

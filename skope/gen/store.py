@@ -9,15 +9,13 @@ import json
 import shutil
 from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any, Final
 
-import orjson
-
 from skope.dataset import CARD, Dataset, read_card
 from skope.errors import UserError
-from skope.files import json_bytes, read_bytes, read_json, replacing, write_bytes, write_json
+from skope.files import json_bytes, parse_json, read_bytes, read_json, replacing, write_bytes, write_json
 from skope.gen import recording as recordings
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
@@ -180,7 +178,21 @@ class Store:
 
     def _keep_labels(self, labels: Labels) -> None:
         head = {"image": labels.image, "kinds": labels.kinds, "tally": labels.tally, "sha256": labels.sha256}
+        head["bytes"] = sum(map(len, labels.rows))
         write_bytes(self._label_path(labels.name), b"\n".join([json_bytes(head), *labels.rows]))
+
+    def _labels(self, name: str) -> Labels:
+        """What `_keep_labels` wrote; a UserError where that is damaged."""
+        path = self._label_path(name)
+        first, *rows = read_bytes(path).split(b"\n")
+        try:
+            head = parse_json(first)
+            whole = head["bytes"] == sum(map(len, rows))
+        except (ValueError, KeyError, TypeError):
+            whole = False
+        if not whole:
+            raise UserError(f"{path}: is damaged; remove it, and its frame is made again")
+        return Labels(name, head["image"], rows, head["kinds"], head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 
@@ -198,16 +210,13 @@ class Store:
 
     def _numbered(self, take: Take, counts: Counts) -> Iterator[Labels]:
         for frame in range(take.frames):
-            name = take.frame_name(frame)
-            first, *rows = read_bytes(self._label_path(name)).split(b"\n")
-            head = orjson.loads(first)
-            places = {"split": take.split, "site": take.site, "weather": head["image"]["weather"]}
-            counts.add(places, head["kinds"], head["tally"])
+            labels = self._labels(take.frame_name(frame))
+            places = {"split": take.split, "site": take.site, "weather": labels.image["weather"]}
+            counts.add(places, labels.kinds, labels.tally)
             counts.images += 1
-            rows = [numbered(row, counts.vehicles + k, counts.images) for k, row in enumerate(rows, start=1)]
+            rows = [numbered(row, counts.vehicles + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
             counts.vehicles += len(rows)
-            image = {**head["image"], "id": counts.images}
-            yield Labels(name, image, rows, head["kinds"], head["sha256"], head["tally"])
+            yield replace(labels, image={**labels.image, "id": counts.images}, rows=rows)
 
     def finish(self, content: Mapping[str, Any]) -> None:
         """Write the card, and remove what was only needed on the way, which makes the dataset complete."""

@@ -223,10 +223,11 @@ def _memory_is_told(config: RunConfig) -> Iterator[None]:
             raise
         recipe = config.recipe
         regions = "all" if recipe.keypoint_regions is None else recipe.keypoint_regions
+        fewer = 32 if recipe.keypoint_regions is None or recipe.keypoint_regions > 32 else 16
         raise UserError(
             f"out of memory at {recipe.images_at_once or recipe.batch_size} images at once, short side "
             f"{recipe.min_size}, {regions} keypoint regions: lower one of them (--set images_at_once=1 changes the "
-            f"result least, then --set keypoint_regions=16, then --min-size {recipe.min_size * 3 // 4})"
+            f"result least, then --set keypoint_regions={fewer}, then --min-size {recipe.min_size * 3 // 4})"
         ) from None
 
 

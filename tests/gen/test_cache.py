@@ -1,5 +1,6 @@
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,23 @@ def test_a_cache_that_cannot_be_written_is_none(empty: Path, monkeypatch: pytest
     monkeypatch.setenv("SKOPE_CACHE", str(empty / "file" / "below"))
     made = cache.cached("light", "x", lambda: {"ambient": np.ones(3, np.float16)})
     np.testing.assert_array_equal(made["ambient"], [1, 1, 1])
+
+
+def test_what_can_only_be_read_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.cached("light", "x", lambda: {"ambient": np.ones(3)})
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    found = cache.cached("light", "x", lambda: {"ambient": np.zeros(3)})
+    np.testing.assert_array_equal(found["ambient"], np.ones(3))
+
+
+def test_shapes_that_are_seen_once_are_not_kept(empty: Path) -> None:
+    model = fleet()["sedan"].vehicle
+    replace(model, shape=replace(model.shape, length=model.shape.length * 1.01)).coarse  # type: ignore[type-var] # noqa: B018
+    assert not list(empty.iterdir())
 
 
 def test_what_two_want_at_once_is_made_once() -> None:
@@ -76,8 +94,6 @@ def test_a_town_is_found_as_it_was_built(empty: Path) -> None:
 
 @pytest.mark.parametrize("model", ["sedan", "box_truck", "bus"])
 def test_a_vehicle_is_found_as_it_was_built(model: str) -> None:
-    from dataclasses import replace
-
     built = replace(fleet()[model].vehicle)  # type: ignore[type-var]
     for mesh, simple in zip(built.coarse, simplified_parts(built.parts), strict=True):
         _assert_same(mesh, simple)

@@ -14,7 +14,7 @@ from skope.depth import encode_depth
 from skope.gen.mesh import flat
 from skope.gen.render import choose_renderer, make_renderer
 from skope.gen.render.gl.light import Stage
-from skope.gen.render.gl.renderer import device
+from skope.gen.render.gl.renderer import GLRenderer, device
 from skope.gen.render.windows import TILE, runs, tiles
 from tests.gen.scenes import conditions, driven, standing
 
@@ -73,6 +73,29 @@ def test_wheels_and_body_hide_what_is_behind_them_in_contrast_too() -> None:
     view = make_renderer("gl", recording).render(0)
     assert (view.contrast > 3).all()
     assert ((view.ids == 1).sum(), (view.ids == 2).sum()) > (1000, 1000)
+
+
+def test_a_vehicle_whose_window_only_touches_the_image_is_not_drawn() -> None:
+    camera = Camera.looking([0, -9, 6], yaw=np.pi / 2, pitch_down=0.35, size=(640, 360), fov=np.radians(110))
+    view = make_renderer("gl", standing(camera, [("bus", 4.6696, -9.695, 3.2985)])).render(0)
+    assert not (view.ids > 0).any()
+
+
+def test_an_interrupted_frame_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera.looking([0, -12, 3.0], yaw=np.pi / 2, pitch_down=0.15, size=SIZE, fov=np.radians(60))
+    renderer = make_renderer("gl", standing(camera, [("sedan", 0.0, 0.0, 0.0), ("van", 0.0, 5.0, 0.0)]))
+    whole = renderer.render(0)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(GLRenderer, "_draw_color", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            renderer.render(0)
+    again = renderer.render(0)
+    np.testing.assert_array_equal(again.rgb, whole.rgb)
+    np.testing.assert_array_equal(again.ids, whole.ids)
 
 
 def test_the_scenery_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

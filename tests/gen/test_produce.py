@@ -242,6 +242,35 @@ def test_a_full_disk_counts_nothing_as_done(tmp_path: Path, whole: Path) -> None
     assert content(out) == content(whole)
 
 
+def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> None:
+    out = tmp_path / "d"
+    shutil.copytree(whole, out)
+    Store(out).reopen()
+    path = out / ".work/frames/t01_main_west/00_000001.jsonl"
+    good = path.read_bytes()
+    for bad in (good[:-100], good.split(b"\n")[0], b"", b"{}", b"\n".join(good.split(b"\n")[:-1])):
+        path.write_bytes(bad)
+        result = skope("gen", "--out", str(out), *SMALL, "--workers", "1")
+        assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+        assert f"{path}: is damaged; remove it" in result.stderr
+    path.unlink()
+    assert skope("gen", "--out", str(out), *SMALL, "--workers", "1").returncode == 0
+    assert content(out) == content(whole)
+
+
+def test_a_dataset_that_somebody_wrote_anew_goes_on(tmp_path: Path, whole: Path) -> None:
+    """Other tools sort the fields of a row."""
+    out = tmp_path / "d"
+    shutil.copytree(whole, out)
+    for path in (out / "annotations").iterdir():
+        path.write_text(json.dumps(json.loads(path.read_text()), sort_keys=True))
+    Store(out).reopen()
+    assert skope("gen", "--out", str(out), *SMALL, "--workers", "1").returncode == 0
+    for path in (whole / "annotations").iterdir():
+        same = json.loads((out / "annotations" / path.name).read_text())
+        assert same == json.loads(path.read_text())
+
+
 # --------------------------------------------------------------------------------------------------------------- shards
 
 

@@ -1,7 +1,7 @@
 """Which pixels a vehicle may cover, on a canvas of three times the image's width and height."""
 
 from collections.abc import Iterable, Sequence
-from functools import cache
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -128,7 +128,7 @@ def _project(points_world: Array, camera: Camera) -> Array:
     return np.asarray(p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
 
 
-@cache
+@lru_cache(maxsize=256)
 def _corners(vehicle: Body) -> Array:
     """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
     low, high = vehicle.extent.copy()

@@ -1,7 +1,7 @@
 """The fleet: vehicle models by name, each a style and a point in its type's shape space."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, lru_cache
 from importlib import resources
@@ -144,11 +144,14 @@ class ParametricVehicle(Derived):
             body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
             return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
 
-        return cached("vehicle", self._digest, build)
+        return self._kept("vehicle", build)
 
-    @cached_property
-    def _digest(self) -> str:
-        return digest_of(repr(self.shape), repr(self.style))
+    def _kept(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
+        """What is built of a model, on disk; a shape of a vehicle's own passes by once."""
+        entry = fleet().get(self.model)
+        if entry is None or entry.vehicle.shape != self.shape:
+            return build()
+        return cached(kind, digest_of(repr(self.shape), repr(self.style)), build)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -177,7 +180,7 @@ class ParametricVehicle(Derived):
             parts = zip(names, simplified_parts(self.parts), strict=True)
             return {key: array for name, part in parts for key, array in part.to_arrays(name).items()}
 
-        arrays = cached("coarse", self._digest, build)
+        arrays = self._kept("coarse", build)
         return tuple(Mesh.from_arrays(arrays, name) for name in names)
 
     @cached_property

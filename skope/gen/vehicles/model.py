@@ -87,7 +87,7 @@ class Vehicle(Body, Protocol):
 
 
 def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
-    """Parts of a body for pictures from afar; those that are the same stay so."""
+    """Parts of a body for pictures from afar; those that are the same are simplified once."""
     coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(parts)}
     return tuple(coarse[part] for part in parts)
 

@@ -8,8 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import skope
-from skope.gen.cache import Arrays, cached
+from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.recording import Recording
 from skope.gen.render import SKY, STATIC
 from skope.gen.render.daylight import Daylight
@@ -180,7 +179,7 @@ def _digest(device: Device, recording: Recording) -> str:
     mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
     camera = recording.camera
     parts = (
-        *(skope.__version__, device.name, shader_sources(), str(lighting.SAMPLES)),
+        *(digest_of("light"), device.name, shader_sources(), str(lighting.SAMPLES)),
         *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
         *(str(getattr(recording.conditions, name)) for name in _LIGHT),
         str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),

@@ -237,13 +237,17 @@ class Readback:
         )
         self._asked.append((begin, shape, dtype))
 
+    def forget(self) -> None:
+        """Give up what was asked for and not fetched, by a frame that was interrupted."""
+        self._asked, self._end = [], 0
+
     def fetch(self) -> list[NDArray[Any]]:
         """The pixels (h, w, components) of all that was asked for since the last time, in that order."""
         data = self._buffer.read(self._end) if self._end else b""
         out = [
             np.frombuffer(data, dtype, math.prod(shape), begin).reshape(shape) for begin, shape, dtype in self._asked
         ]
-        self._asked, self._end = [], 0
+        self.forget()
         return out
 
 

@@ -137,17 +137,19 @@ class GLRenderer:
     def _draw(self, placed: Sequence[Placed], blurred: Sequence[Moving]) -> "_Drawn":
         """Draw all of a frame, and wait for it once."""
         camera, pixels = self._camera, self._pixels
+        pixels.forget()
         windows = [inside(vehicle.window, camera) for vehicle in placed]
         self._draw_geometry(placed, windows, whole=bool(blurred))
         for window in windows:
             pixels.ask(self._geometry, window, "f4")
-        apart = [v for v, window in zip(placed, windows, strict=True) if v.window != window or _crossed(v, placed)]
+        crowd = [vehicle for vehicle in placed if _crossed(vehicle, placed)]
+        apart = [v for v, window in zip(placed, windows, strict=True) if v.window != window or v in crowd]
         for vehicle in apart:
             self._draw_silhouette(vehicle)
         changed = self._draw_color(placed, blurred)
-        shown = union(runs(changed, (camera.width, camera.height)))
+        # A window may touch the image though its hull does not.
+        shown = union(runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
         pixels.ask(self._display, shown, "f1")
-        crowd = [vehicle for vehicle in placed if _crossed(vehicle, placed)]
         if crowd:
             self._draw_behind(crowd)
             around = union([inside(vehicle.window, camera) for vehicle in crowd])
@@ -156,7 +158,8 @@ class GLRenderer:
         layers = [_Layer(window, next(fetched)) for window in windows]
         masks = {vehicle.index: next(fetched)[..., 0] > 0 for vehicle in apart}
         for vehicle, layer in zip(placed, layers, strict=True):
-            masks.setdefault(vehicle.index, layer.pixels[..., 3] == vehicle.number)
+            if vehicle.index not in masks:
+                masks[vehicle.index] = layer.pixels[..., 3] == vehicle.number
         picture = _Layer(shown, next(fetched))
         return _Drawn(layers, masks, changed, picture, _Layer(around, next(fetched)) if crowd else None, crowd)
 
