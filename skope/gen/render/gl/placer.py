@@ -93,7 +93,7 @@ class Placer:
         return out
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
     """A vehicle's meshes on the device, by field of `Placed`."""
     body, *wheels = vehicle.parts
