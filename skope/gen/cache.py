@@ -95,12 +95,12 @@ def _alone(path: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             lock.parent.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(lock.open("w"))
-            stack.callback(_removed, lock)
+            stack.callback(_remove, lock)
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
-def _removed(path: Path) -> None:
+def _remove(path: Path) -> None:
     with contextlib.suppress(OSError):
         path.unlink()
 
@@ -110,10 +110,10 @@ def _shrink(newest: Path) -> None:
     kind = newest.name.split("_")[0]
     for left in newest.parent.glob(f".{kind}_*.part*"):
         if time.time() - left.stat().st_mtime > _DAY:
-            _removed(left)
+            _remove(left)
     files = sorted(newest.parent.glob(f"{kind}_*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     total = 0
     for path in files:
         total += path.stat().st_size
         if total > LIMIT_BYTES and path != files[0]:
-            _removed(path)
+            _remove(path)

@@ -8,9 +8,9 @@ Kind = tuple[str, str | None]
 """What a vehicle counts as, "ground_truth" or "ignored", and its type."""
 
 
-def kind_of(row: Mapping[str, Any]) -> Kind:
-    """Of a row of an annotation file."""
-    return "ignored" if row["iscrowd"] else "ground_truth", row.get("vehicle_type")
+def kind_of(iscrowd: int, vehicle_type: str | None) -> Kind:
+    """Of a vehicle, by two fields of its annotation."""
+    return "ignored" if iscrowd else "ground_truth", vehicle_type
 
 
 class Counts:

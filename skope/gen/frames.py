@@ -71,12 +71,11 @@ def frames_of(
         if depth_name:
             files[depth_name] = depth_png(view.depth)
         image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
-        rows = [coco.annotation_to_dict(annotation) for annotation in annotations]
         labels = Labels(
             name=name,
             image=coco.image_to_dict(image),
-            rows=[json_bytes(row) for row in rows],
-            kinds=[kind_of(row) for row in rows],
+            rows=[json_bytes(coco.annotation_to_dict(annotation)) for annotation in annotations],
+            kinds=[kind_of(annotation.iscrowd, annotation.vehicle_type) for annotation in annotations],
             sha256={path: checksum(data) for path, data in files.items()},
             tally=vars(tally),
         )

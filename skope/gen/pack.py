@@ -189,7 +189,7 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
         # Whoever has rewritten the file: ids come first, as `numbered` needs them.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
-        kinds = [kind_of(row) for row in annotations]
+        kinds = [kind_of(row["iscrowd"], row.get("vehicle_type")) for row in annotations]
         yield Labels(name, image, rows, kinds, sums, tally)
 
 

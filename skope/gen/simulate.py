@@ -58,8 +58,13 @@ TRACKS_PER_RECORDING: Final = 100_000
 
 def versions() -> dict[str, str]:
     """Versions of what decides a recording's and a dataset's content."""
-    packages = {"sumo": "libsumo", "pybullet": "pybullet", "numpy": "numpy", "opencv": "opencv-python-headless"}
-    packages["orjson"] = "orjson"  # how numbers are written
+    packages = {
+        "sumo": "libsumo",
+        "pybullet": "pybullet",
+        "numpy": "numpy",
+        "opencv": "opencv-python-headless",
+        "orjson": "orjson",  # how numbers are written
+    }
     found = {}
     for name, package in packages.items():
         with suppress(metadata.PackageNotFoundError):  # what renders needs no traffic

@@ -171,7 +171,7 @@ def test_what_is_known_of_an_image_is_counted(tmp_path: Path) -> None:
     file = coco.read(make_dataset(tmp_path) / "annotations/easy.json")
     counts = Counts()
     for image in file.images:
-        kinds = [kind_of(coco.annotation_to_dict(a)) for a in file.by_image()[image.id]]
+        kinds = [kind_of(a.iscrowd, a.vehicle_type) for a in file.by_image()[image.id]]
         counts.add({"split": "easy", "site": None, "weather": image.weather}, kinds, {"ignored": {}})
     said = counts.to_dict()
     assert said["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}

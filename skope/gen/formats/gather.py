@@ -14,7 +14,7 @@ from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import link, read_bytes, write_bytes, write_json, write_text
 from skope.gen import describe
-from skope.gen.counts import Counts
+from skope.gen.counts import Counts, kind_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 
@@ -49,7 +49,7 @@ class Gathered:
             own.append(replace(vehicle, id=self.counts.vehicles, image_id=number, category_id=schema.CATEGORY_ID))
         annotations += own
         ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
-        kinds = [("ignored" if vehicle.ignored else "ground_truth", vehicle.vehicle_type) for vehicle in own]
+        kinds = [kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
         places = {"split": split, "site": image.site, "weather": image.weather}
         self.counts.add(places, kinds, {"ignored": ignored})
 

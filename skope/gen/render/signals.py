@@ -24,11 +24,17 @@ def lit_signals(
     camera: Camera, moment: Moment, signals: tuple[Signal, ...]
 ) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
     """Place, direction and colour of the lamps that are lit and turned to the camera."""
+    for signal, lamp in _lit(camera, moment, signals):
+        red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
+        yield signal.lamps[lamp], signal.facing, (red, green, blue)
+
+
+def _lit(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
+    """The heads that are turned to the camera, with their lit lamp."""
     for signal in signals:
         lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
         if lamp is not None and (camera.position - signal.lamps[0]) @ signal.facing > 0:
-            red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
-            yield signal.lamps[lamp], signal.facing, (red, green, blue)
+            yield signal, lamp
 
 
 def light_signals(
@@ -40,10 +46,7 @@ def light_signals(
     fine: int = 1,
 ) -> None:
     """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
-    for signal in signals:
-        lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
-        if lamp is None or (camera.position - signal.lamps[0]) @ signal.facing <= 0:
-            continue
+    for signal, lamp in _lit(camera, moment, signals):
         pixel, z, valid = camera.project(signal.lamps[lamp])
         if not valid or not camera.inside(pixel):
             continue
