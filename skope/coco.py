@@ -176,8 +176,14 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
 
 
 def _rounded(values: Any, digits: int) -> Any:
-    # Adding 0.0 turns -0.0 into 0.0, so that equal labels have equal bytes.
-    return (np.round(np.asarray(values, dtype=np.float64), digits) + 0.0).tolist()
+    """Numbers as numpy rounds them, of any shape; never -0.0, so that equal labels have equal bytes."""
+    scale = 10.0**digits
+    if isinstance(values, float):
+        return round(values * scale) / scale
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim == 1:  # numpy takes longer to be called than to round a handful
+        return [round(value * scale) / scale for value in array.tolist()]
+    return (np.round(array, digits) + 0.0).tolist()
 
 
 _DIGITS = {

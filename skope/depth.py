@@ -39,13 +39,15 @@ def depth_png(depth_m: NDArray[np.float32]) -> bytes:
 
     Written here because Intel's ISA-L compresses it five times as fast as OpenCV's PNG encoder does, and smaller.
     """
-    values = encode_depth(depth_m)
-    height, width = values.shape
-    big_endian = values.byteswap().view(np.uint8)
+    height, width = depth_m.shape
     rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
     rows[:, 0] = _UP
-    rows[0, 1:] = big_endian[0]
-    np.subtract(big_endian[1:], big_endian[:-1], out=rows[1:, 1:])
+    above = np.zeros(2 * width, dtype=np.uint8)
+    for first in range(0, height, _BAND):
+        big_endian = encode_depth(depth_m[first : first + _BAND]).byteswap().view(np.uint8)
+        np.subtract(big_endian[0], above, out=rows[first, 1:])
+        np.subtract(big_endian[1:], big_endian[:-1], out=rows[first + 1 : first + len(big_endian), 1:])
+        above = big_endian[-1]
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(rows, 1)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)

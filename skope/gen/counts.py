@@ -1,6 +1,6 @@
 """What a card counts."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -18,7 +18,9 @@ class Counts:
 
     def __init__(self) -> None:
         self.images = self.vehicles = 0
-        self.by: dict[str, dict[str, Counter[str]]] = {"split": {}, "site": {}, "weather": {}, "vehicle_type": {}}
+        self.by: dict[str, defaultdict[str, Counter[str]]] = {
+            group: defaultdict(Counter) for group in ("split", "site", "weather", "vehicle_type")
+        }
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
 
@@ -29,10 +31,10 @@ class Counts:
         """
         known = [(group, name) for group, name in places.items() if name is not None]
         for group, name in known:
-            self.by[group].setdefault(name, Counter())["images"] += 1
-        for kind, type_ in vehicles:
+            self.by[group][name]["images"] += 1
+        for (kind, type_), number in Counter(vehicles).items():
             for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
-                self.by[group].setdefault(name, Counter())[kind] += 1
+                self.by[group][name][kind] += number
         tally = dict(tally)
         self.ignored.update(tally.pop("ignored"))
         self.tally.update(tally)

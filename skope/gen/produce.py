@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,8 +23,8 @@ from skope.gen.render import choose_renderer
 from skope.gen.simulate import versions
 from skope.gen.store import Store
 
-COMPARED = 1000
-"""About so many frames, evenly spread, or all when there are fewer."""
+COMPARED: Final = (50, 10)
+"""Recordings, and frames of each, that localizers are compared on: so many, evenly spread, or all."""
 Hire = Callable[[], AbstractContextManager[Crew]]
 
 
@@ -149,11 +149,12 @@ def _finish(store: Store, console: Console, begun: float) -> None:
 
 def _localizer_difference(store: Store, takes: list[Take]) -> dict[str, float | None]:
     """How far trilateration and the rigid transform are apart over all keypoints of `COMPARED` frames, metres."""
-    every = max(1, sum(take.frames for take in takes) // COMPARED)
+    recordings, frames = COMPARED
     parts = []
-    for take in takes:
+    for take in takes[:: -(-len(takes) // recordings)]:
         source = recording.load(store.recording_path(take))
-        parts += [locate(source.moment(frame), "rigid").difference.ravel() for frame in range(0, len(source), every)]
+        some = range(0, len(source), -(-len(source) // frames))
+        parts += [locate(source.moment(frame), "rigid").difference.ravel() for frame in some]
     values: Any = np.concatenate(parts)
     if not values.size:
         return {"median": None, "p99": None, "max": None}

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _PATCH: Final = 16
 """Triangles that are looked at together."""
 _SLACK: Final = 1e-6
-"""More than rounding takes from a sphere, metres."""
+"""More than rounding takes from a sphere or box, metres."""
 
 
 class Sight:
@@ -40,14 +40,12 @@ class Sight:
         if not found:
             return hits
         # All vehicles' patches go through the arithmetic together: numpy's calls are what would cost.
-        starts = np.cumsum([0, *(len(one.T_camera_part) for one in found)])
+        starts = np.cumsum([0, *(len(one.eyes) for one in found)])
         ray = np.concatenate([one.ray for one in found])
         patch = np.concatenate([one.patch + start for one, start in zip(found, starts, strict=False)])
-        T = np.concatenate([one.T_camera_part for one in found])
-        # Rays are turned into the part's frame: they are fewer than its corners.
-        eyes = -np.einsum("pji,pj->ip", T[:, :3, :3], T[:, :3, 3])
-        own = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
-        edges, volume = _planes(np.concatenate([one.corners for one in found], axis=2) - eyes[:, None, :, None])
+        own = np.concatenate([one.own for one in found])
+        eyes = np.concatenate([one.eyes for one in found])
+        edges, volume = _planes(np.concatenate([one.corners for one in found], axis=2) - eyes.T[:, None, :, None])
         sides = [np.einsum("pc,cpt->pt", own, edge[:, patch]) for edge in edges]
         pair, triangle, facing = _crossings(sides)
         reach = volume[patch[pair], triangle] / facing
@@ -75,8 +73,14 @@ class Sight:
         T = poses[patches.part]
         centers = np.einsum("pij,pj->pi", T[:, :3, :3], patches.centers) + T[:, :3, 3]
         ray, patch = _near(rays[chosen], away[chosen], centers, patches.radii).nonzero()
-        used, index = np.unique(patch, return_inverse=True)
-        return _Met(np.flatnonzero(chosen)[ray], index, T[used], patches.corners[:, :, used])
+        ray = np.flatnonzero(chosen)[ray]
+        # Rays are turned into the part's frame: they are fewer than its corners.
+        eyes = -np.einsum("pji,pj->pi", poses[:, :3, :3], poses[:, :3, 3])
+        own = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
+        part = patches.part[patch]
+        through = _through(own, away[ray], patches.boxes[:, patch] - eyes[part])
+        used, index = np.unique(patch[through], return_inverse=True)
+        return _Met(ray[through], index, own[through], eyes[patches.part[used]], patches.corners[:, :, used])
 
 
 def _near(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
@@ -86,22 +90,33 @@ def _near(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.
     return np.asarray((along > -radii) & (along - radii < away[:, None]) & (across < radii**2))
 
 
+def _through(rays: Array, away: Array, boxes: Array) -> NDArray[np.bool_]:
+    """(R,) whether unit rays (R, 3) from the origin, `away` long, may pass boxes (2, R, 3), one for each of them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = boxes / rays
+    begin, end = np.minimum(first, second).max(axis=-1), np.maximum(first, second).min(axis=-1)
+    # A ray along the very side of a box gives NaN, which nothing here is true for.
+    return np.asarray(~((begin > end) | (end < 0) | (begin > away)))
+
+
 @dataclass(frozen=True, eq=False)
 class _Met:
-    """Pairs of rays and patches, and U patches."""
+    """Pairs of rays and patches, and U patches, in the frames of their parts."""
 
     ray: NDArray[np.intp]
     patch: NDArray[np.intp]
     """Of the U."""
-    T_camera_part: Array
-    """(U, 4, 4)"""
+    own: Array
+    """(pairs, 3) the rays."""
+    eyes: Array
+    """(U, 3) the camera."""
     corners: Array
-    """(3 axes, 3 corners, U, _PATCH) metres, in the frame of their part."""
+    """(3 axes, 3 corners, U, _PATCH) metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """A vehicle's triangles in P patches of `_PATCH` that lie close together, and spheres around them."""
+    """A vehicle's triangles in P patches of `_PATCH` that lie close together, and spheres and boxes around them."""
 
     corners: Array
     """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; where there are fewer they repeat."""
@@ -111,6 +126,8 @@ class _Patches:
     """(P, 3)"""
     radii: Array
     """(P,)"""
+    boxes: Array
+    """(2, P, 3) their lowest and highest corners."""
 
 
 @lru_cache(maxsize=256)
@@ -122,9 +139,11 @@ def _patches(vehicle: Body) -> _Patches:
             corners.append(triangles[np.resize(chosen, _PATCH)])
             part.append(number)
     points = np.array(corners)
-    centers = (points.min(axis=(1, 2)) + points.max(axis=(1, 2))) / 2
+    low, high = points.min(axis=(1, 2)), points.max(axis=(1, 2))
+    centers = (low + high) / 2
     radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
-    return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), np.array(part), centers, radii)
+    boxes = np.stack([low - _SLACK, high + _SLACK])
+    return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), np.array(part), centers, radii, boxes)
 
 
 def _halved(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:

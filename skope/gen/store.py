@@ -192,7 +192,7 @@ class Store:
             whole = False
         if not whole:
             raise UserError(f"{path}: is damaged; remove it, and its frame is made again")
-        return Labels(name, head["image"], rows, head["kinds"], head["sha256"], head["tally"])
+        return Labels(name, head["image"], rows, [*map(tuple, head["kinds"])], head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 

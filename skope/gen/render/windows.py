@@ -1,5 +1,6 @@
 """Which pixels a vehicle may cover, on a canvas of three times the image's width and height."""
 
+import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
@@ -26,12 +27,14 @@ CONTACT: Final = 1.8
 
 def window_of(hull: Array, camera: Camera) -> Window | None:
     """Pixels that a vehicle of a hull may cover, within the canvas; None when none of them is in the image."""
-    size = np.array([camera.width, camera.height])
-    low, high = hull.min(axis=0, initial=np.inf), hull.max(axis=0, initial=-np.inf)
-    if (low >= size).any() or (high <= 0).any():
+    if not len(hull):
         return None
-    x0, y0 = np.maximum(np.floor(low) - 1, -size).astype(int).tolist()
-    x1, y1 = np.minimum(np.ceil(high) + 1, 2 * size).astype(int).tolist()
+    width, height = camera.width, camera.height
+    (left, top), (right, bottom) = hull.min(axis=0).tolist(), hull.max(axis=0).tolist()
+    if left >= width or top >= height or right <= 0 or bottom <= 0:
+        return None
+    x0, y0 = max(math.floor(left) - 1, -width), max(math.floor(top) - 1, -height)
+    x1, y1 = min(math.ceil(right) + 1, 2 * width), min(math.ceil(bottom) + 1, 2 * height)
     return x0, y0, x1, y1
 
 
@@ -139,6 +142,8 @@ def _corners(vehicle: Body) -> Array:
 def _in_front(corners: Array) -> Array:
     """Points (N, 3) in the camera frame -> points whose hull is the part of theirs that lies beyond the near plane."""
     before = corners[:, 2] >= NEAR
+    if before.all():
+        return corners
     a, b = corners[before][:, None], corners[~before][None]
     share = (NEAR - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
     return np.concatenate([corners[before], (a + share * (b - a)).reshape(-1, 3)])
