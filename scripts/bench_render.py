@@ -184,7 +184,7 @@ class Peer:
 
 def work(make: Callable[[Recording], Callable[[int], None]], path: Path, start: Any, frames: int, out: Any) -> None:
     """A process: gets ready, waits for the others, draws its frames."""
-    os.environ["LP_NUM_THREADS"] = "1"
+    os.environ["LP_NUM_THREADS"] = "1"  # of the peers, if they draw with llvmpipe
     import cv2
 
     cv2.setNumThreads(1)
@@ -257,7 +257,6 @@ def timed_stages() -> Iterator[dict[str, float]]:
 
 
 def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
-    os.environ["LP_NUM_THREADS"] = "1"
     recording = recordings.load(path)
     draw = Skope(recording, folder, "gl")
     for frame in range(len(recording)):

@@ -35,7 +35,7 @@ from skope.train.recipe import RECIPES, Recipe, adjusted
 from skope.train.run import RunConfig
 
 EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
-FAST = ("bfloat16=true", "keypoint_regions=32", "fold_norms=true", "channels_last=true")
+FAST = ("bfloat16=true", "keypoint_regions=48", "fold_norms=true", "channels_last=true")
 SIGHT = "supervise=visible"
 LIVELY = tuple(f"augment.{name}" for name in ("crop=0.5", "occluders=0.3", "brightness=0.3", "color=0.3", "jpeg=0.2"))
 
@@ -69,9 +69,9 @@ VARIANTS: Mapping[str, Variant] = {
     "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], SIGHT)),
     "bfloat16": Variant((FAST[0], *EXACT[1:], SIGHT)),
     "16 keypoint regions": Variant((EXACT[0], "keypoint_regions=16", *EXACT[2:], SIGHT)),
-    "32 keypoint regions": Variant((EXACT[0], FAST[1], *EXACT[2:], SIGHT)),
-    "8 keypoint regions": Variant((EXACT[0], "keypoint_regions=8", *EXACT[2:], SIGHT)),
+    "32 keypoint regions": Variant((EXACT[0], "keypoint_regions=32", *EXACT[2:], SIGHT)),
     "all shortcuts": Variant((*FAST, SIGHT)),
+    "all shortcuts, 32 keypoint regions": Variant((FAST[0], "keypoint_regions=32", *FAST[2:], SIGHT)),
     "hidden points learnt": Variant((*FAST, "supervise=all")),
     "augmented": Variant((*FAST, SIGHT, *LIVELY)),
     "visible boxes": Variant((*FAST, SIGHT), labels=visible_boxes, measured_so=True),

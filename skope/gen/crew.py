@@ -231,7 +231,6 @@ def one_thread() -> None:
     """Keep to one thread in this process; others work beside it."""
     import cv2
 
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # llvmpipe's own threads
     cv2.setNumThreads(1)
 
 

@@ -152,7 +152,7 @@ _PAPER: Final[dict[str, Any]] = {
 _SMALL: Final[dict[str, Any]] = {
     "min_size": 360,
     "max_size": 640,
-    "keypoint_regions": 32,
+    "keypoint_regions": 48,
     "val_fraction": 0.1,
     "val_images": 24,
 }

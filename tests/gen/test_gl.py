@@ -175,3 +175,11 @@ def test_memory_is_flat_over_2000_frames() -> None:
         make_renderer("gl", recording).render(0)
         sizes.append(resident_mb())
     assert sizes[-1] - sizes[-4] < 20
+
+
+def test_llvmpipe_has_no_threads_of_its_own() -> None:
+    # With them it damages the heap once in some ten thousand frames of a busy machine.
+    draw = "from skope.gen.render.gl.renderer import device; device().target((64, 64), ['4f1']).clear()"
+    names = "from pathlib import Path; print(*(p.read_text().strip() for p in Path('/proc/self/task').glob('*/comm')))"
+    said = subprocess.run([sys.executable, "-c", f"{draw}; {names}"], capture_output=True, text=True, check=True)
+    assert "llvmpipe" not in said.stdout

@@ -98,6 +98,9 @@ class Device:
     def __init__(self) -> None:
         import moderngl
 
+        # Mesa's llvmpipe, here 22.3, may free the fence of what its own threads have drawn while they still unlock it,
+        # which damages the heap. Workers share the cores anyway.
+        os.environ["LP_NUM_THREADS"] = "0"
         self.gl: Any = moderngl
         try:
             self.context: Any = self.gl.create_context(
