@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from skope.camera import Camera
+from skope.gen.bullet import engine
 from skope.gen.mesh import flat
 from skope.gen.recording import Recording
 from skope.gen.render import STATIC, View, make_renderer
@@ -17,10 +18,9 @@ CAMERA = Camera.looking([0, -9, 6.5], yaw=np.pi / 2, pitch_down=0.35, size=SIZE,
 def depth_of_plane(camera: Camera, corners: list[tuple[float, float, float]]) -> np.ndarray:
     """Depth at pixel centres of one large quadrilateral."""
     light = Light((0, 0, 1), 0.5, 0.5, (1, 1, 1), (1, 1, 1), (1, 1, 1))
-    stage = _Stage(light)
+    stage = _Stage()
     stage.add(flat([corners], "asphalt"), MATERIALS)
-    layer = stage.draw(camera, camera.T_camera_world, (0, 0, camera.width, camera.height))
-    stage.close()
+    layer = stage.draw(camera, camera.T_camera_world, (0, 0, camera.width, camera.height), light)
     return layer.depth[1::3, 1::3].astype(np.float64)
 
 
@@ -50,6 +50,16 @@ def test_depth_of_the_ground_seen_obliquely(pitch: float, roll: float) -> None:
     near = truth < 400
     assert near.sum() > 50_000
     assert_depth(found[near], truth[near])
+
+
+def test_recordings_share_pybullets_clients(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Each takes memory that pybullet never gives back, and there are no more than 1024.
+    recording = standing(CAMERA, [("sedan", -3.0, 4.0, 0.3)])
+    first = make_renderer("pybullet", recording).render(0)
+    monkeypatch.setattr(engine(), "connect", None)
+    second = make_renderer("pybullet", recording).render(0)
+    np.testing.assert_array_equal(second.rgb, first.rgb)
+    np.testing.assert_array_equal(second.depth, first.depth)
 
 
 @pytest.fixture(scope="module", params=["pybullet", "gl"])

@@ -6,8 +6,10 @@ the frame without it, at no further cost. Everything is drawn three times as fin
 3 x 3 samples is the pixel's centre (depth, ids), their mean is its colour.
 """
 
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Final
 
 import cv2
@@ -27,6 +29,7 @@ from skope.gen.render.windows import NEAR, Window, hull_of, window_of
 from skope.gen.towns.scenery import scenery
 from skope.gen.traffic import LAMPS
 from skope.gen.vehicles import PAINTS
+from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
 
@@ -73,14 +76,12 @@ class _Layer:
 class _Stage:
     """A pybullet client that holds the parts of one thing and draws windows of it."""
 
-    def __init__(self, light: Light) -> None:
-        self._engine, self._light = engine(), light
+    def __init__(self) -> None:
+        self._engine = engine()
         self._client = self._engine.connect(self._engine.DIRECT)
+        weakref.finalize(self, self._engine.disconnect, self._client)
         self.parts: list[str] = []
         self._bodies: list[int] = []
-
-    def close(self) -> None:
-        self._engine.disconnect(self._client)
 
     def add(self, mesh: Mesh, colors: Mapping[str, RGB]) -> list[int]:
         """Add a mesh, one body per material; returns the parts' indices."""
@@ -110,7 +111,7 @@ class _Stage:
             self._bodies[part], T[:3, 3], orientation, physicsClientId=self._client
         )
 
-    def draw(self, camera: Camera, T_camera_stage: Array, window: Window) -> _Layer:
+    def draw(self, camera: Camera, T_camera_stage: Array, window: Window, light: Light) -> _Layer:
         """Draw a window (x0, y0, x1, y1) of the image, in image pixels."""
         x0, y0, x1, y1 = window
         width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
@@ -124,13 +125,13 @@ class _Stage:
         projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
-        sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(self._light.direction)
+        sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(light.direction)
         _, _, rgba, buffer, segmentation = self._engine.getCameraImage(
             *(width, height, view.T.ravel().tolist(), projection.T.ravel().tolist()),
             lightDirection=(100 * sun).tolist(),
-            lightColor=self._light.tint,
-            lightAmbientCoeff=self._light.ambient,
-            lightDiffuseCoeff=self._light.sun,
+            lightColor=light.tint,
+            lightAmbientCoeff=light.ambient,
+            lightDiffuseCoeff=light.sun,
             lightSpecularCoeff=0.0,
             shadow=0,
             renderer=self._engine.ER_TINY_RENDERER,
@@ -140,9 +141,28 @@ class _Stage:
         depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
         z = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
-        through = np.exp(-self._light.haze_density * z).astype(np.float32)[..., None]
-        rgb = (rgb * through + 255 * np.array(self._light.horizon, np.float32) * (1 - through)).astype(np.uint8)
+        through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
+        rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)
         return _Layer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
+
+
+# pybullet gives back little of what a closed client had, 140 MB of a town's, so that recordings share them.
+
+
+@cache
+def _town_stage(town: str) -> _Stage:
+    stage = _Stage()
+    stage.add(scenery(town).mesh, MATERIALS)
+    return stage
+
+
+@lru_cache(maxsize=256)
+def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[int], list[list[int]]]:
+    """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
+    stage = _Stage()
+    colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
+    body = stage.add(vehicle.mesh, colors)
+    return stage, body, [stage.add(mesh, colors) for mesh in vehicle.parts[1:]]
 
 
 class TinyRenderer:
@@ -152,7 +172,6 @@ class TinyRenderer:
         self._recording, self._camera = recording, recording.camera
         self._light = Light.of(recording.conditions)
         self._image: Window = (0, 0, recording.camera.width, recording.camera.height)
-        self._models: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[_Stage, list[int], list[list[int]]]] = {}
         self._signals = scenery(recording.town).signals
         self._background, self._ground = self._draw_background()
         depth = self._background.depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
@@ -162,10 +181,8 @@ class TinyRenderer:
 
     def _draw_background(self) -> tuple[_Layer, NDArray[np.bool_]]:
         camera = self._camera
-        stage = _Stage(self._light)
-        stage.add(scenery(self._recording.town).mesh, MATERIALS)
-        layer = stage.draw(camera, camera.T_camera_world, self._image)
-        stage.close()
+        stage = _town_stage(self._recording.town)
+        layer = stage.draw(camera, camera.T_camera_world, self._image, self._light)
         is_ground = np.array([*(name in GROUND for name in stage.parts), False])  # part -1, the sky, is the last
         ground = is_ground[layer.part]
         if (photograph := self._recording.photograph) is not None:
@@ -187,24 +204,14 @@ class TinyRenderer:
 
     # ----------------------------------------------------------------------------------------------------- vehicles
 
-    def _model(self, recorded: RecordedVehicle) -> tuple[_Stage, list[int], list[list[int]]]:
-        """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
-        key = (recorded.model, tuple(sorted(recorded.shape.items())))
-        if key not in self._models:
-            vehicle = body_of(recorded)
-            stage = _Stage(self._light)
-            colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
-            body = stage.add(vehicle.mesh, colors)
-            self._models[key] = stage, body, [stage.add(mesh, colors) for mesh in vehicle.parts[1:]]
-        return self._models[key]
-
     def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
         """A vehicle by itself; None when it lies outside the image."""
         T_camera_chassis = self._camera.T_camera_world @ chassis
-        window = window_of(hull_of(body_of(recorded), chassis, self._camera), self._camera)
+        vehicle = body_of(recorded)
+        window = window_of(hull_of(vehicle, chassis, self._camera), self._camera)
         if window is None:
             return None
-        stage, body, wheel_parts = self._model(recorded)
+        stage, body, wheel_parts = _vehicle_stage(vehicle)
         for part in body:
             if stage.parts[part] in ("paint", "livery"):
                 paint = PAINTS[recorded.color]
@@ -216,7 +223,7 @@ class TinyRenderer:
         for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
             for part in parts:
                 stage.move(part, T_chassis_world @ T_world_wheel)
-        return stage.draw(self._camera, T_camera_chassis, window)
+        return stage.draw(self._camera, T_camera_chassis, window, self._light)
 
     def _shaded(self, moment: Moment) -> NDArray[np.uint8]:
         """The background with the vehicles' shadows on the ground."""
