@@ -24,7 +24,7 @@ from skope.gen.simulate import versions
 from skope.gen.store import Store
 
 COMPARED: Final = (50, 10)
-"""Recordings, and frames of each, that localizers are compared on: so many, evenly spread, or all."""
+"""Recordings, and frames of each, that localizers are compared on: at most so many, evenly spread."""
 Hire = Callable[[], AbstractContextManager[Crew]]
 
 

@@ -82,7 +82,7 @@ def _field(height: int, width: int, sigma: float, gain_db: float, mono: bool) ->
         noise = (1 - share) * noise + share * blotches / blotches.std()
         noise /= noise.std()
     noise = np.broadcast_to(np.rint(sigma * noise), (*noise.shape[:2], 3))
-    # Apart they are bytes, as the image is, which OpenCV adds in a third of the time.
+    # Apart they are bytes, as the image is, which OpenCV adds in half the time.
     return np.stack([np.clip(sign * noise, 0, 255).astype(np.uint8) for sign in (1, -1)])
 
 
