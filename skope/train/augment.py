@@ -18,6 +18,9 @@ from skope.train.vehicles import Vehicles
 
 Pixels = NDArray[np.uint8]
 Floats = NDArray[np.float32]
+_LEVELS: Final = np.arange(256, dtype=np.uint8)
+"""Each value that a pixel can have: what changes values alone is looked up."""
+
 Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]]
 
 
@@ -84,7 +87,7 @@ def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
     grey = rng.integers(0, 256, 3).tolist()
     moved = cv2.warpAffine(pixels, matrix, (width, height), flags=cv2.INTER_LINEAR, borderValue=grey)
     cropped = vehicles.cropped((float(corner[0]), float(corner[1])), (scale, scale), width, height)
-    return _bytes(moved), cropped
+    return _pixels(moved), cropped
 
 
 def _occluders(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
@@ -109,16 +112,17 @@ def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Ste
 
 
 def _color(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    hsv = cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV).astype(np.float32)
-    hsv[..., 0] = (hsv[..., 0] + rng.uniform(-8, 8)) % 180  # OpenCV's hue has half degrees
-    hsv[..., 1] = np.clip(hsv[..., 1] * rng.uniform(0.4, 1.5), 0, 255)
-    balanced = cv2.cvtColor(_bytes(hsv), cv2.COLOR_HSV2RGB) * rng.uniform(0.88, 1.12, 3)
-    return _bytes(balanced)
+    levels = _LEVELS.astype(np.float32)
+    hue = (levels + rng.uniform(-8, 8)) % 180  # OpenCV's hue has half degrees
+    turned = np.stack([hue, levels * rng.uniform(0.4, 1.5), levels], axis=-1)
+    hsv = cv2.LUT(cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV), _bytes(turned)[None])
+    balance = _bytes(_LEVELS[:, None] * rng.uniform(0.88, 1.12, 3))
+    return _pixels(cv2.LUT(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), balance[None]))
 
 
 def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    linear = (pixels / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2, 1))
-    return _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.75, 1.35) / 2.2))
+    linear = (_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2, 1))
+    return _pixels(cv2.LUT(pixels, _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.75, 1.35) / 2.2))))
 
 
 def _infrared(pixels: Pixels, rng: np.random.Generator) -> Pixels:
@@ -142,13 +146,13 @@ def _rain(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 def _blur(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     reach = 2 + pixels.shape[0] / 360
     if rng.random() < 0.5:
-        return _bytes(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.5 * reach)))
+        return _pixels(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.5 * reach)))
     size = 2 * int(rng.integers(1, 1 + reach)) + 1  # odd, so that the kernel has a middle and nothing shifts
     turn = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), rng.uniform(0, 180), 1)
     row = np.zeros((size, size), np.float32)
     row[size // 2] = 1
     kernel = cv2.warpAffine(row, turn, (size, size))
-    return _bytes(cv2.filter2D(pixels, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
+    return _pixels(cv2.filter2D(pixels, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
 
 
 def _noise(pixels: Pixels, rng: np.random.Generator) -> Pixels:
@@ -164,7 +168,7 @@ def _resample(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     height, width = pixels.shape[:2]
     factor = rng.uniform(0.35, 0.85)
     small = cv2.resize(pixels, (round(width * factor), round(height * factor)), interpolation=cv2.INTER_AREA)
-    return _bytes(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
+    return _pixels(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 def _jpeg(pixels: Pixels, rng: np.random.Generator) -> Pixels:
@@ -184,7 +188,12 @@ def _video(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 def _recoded(pixels: Pixels, quality: int) -> Pixels:
     done, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
+    return _pixels(cv2.imdecode(data, cv2.IMREAD_COLOR_RGB))
+
+
+def _pixels(values: object) -> Pixels:
+    """What OpenCV made of pixels: pixels."""
+    return np.asarray(values, dtype=np.uint8)
 
 
 def _bytes(values: NDArray[np.generic]) -> Pixels:

@@ -7,6 +7,7 @@ the number of workers or processes nor an interruption changes anything.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -135,13 +136,19 @@ def batches(
         collate_fn=list,
         pin_memory=pin,
         prefetch_factor=4 if workers else None,
-        worker_init_fn=left_to_the_parent,
+        worker_init_fn=_begin_loading,
     )
     for batch in loader:
         for item in batch:
             if isinstance(item, UserError):
                 raise item
         yield batch
+
+
+def _begin_loading(worker: int) -> None:
+    """In a loading process: one thread, since there are as many processes as the machine has cores for."""
+    left_to_the_parent(worker)
+    cv2.setNumThreads(1)
 
 
 def share_inside(samples: Sequence[Sample]) -> float | None:
