@@ -4,6 +4,7 @@
 #   make test        set up, run the tests (make test-slow: those that take minutes)
 #   make lint        ruff and mypy
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
+#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or reference
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/
@@ -17,8 +18,9 @@ DATA    ?= data/skope
 RUN     ?= runs/skope
 EPOCHS  ?= 10
 RECIPE  ?= paper
+CHECKPOINT ?= reference
 
-.PHONY: setup demo paper test test-slow lint data model report bench clean
+.PHONY: setup demo paper real test test-slow lint data model report bench clean
 
 setup: $(STAMP)
 
@@ -65,6 +67,11 @@ paper: $(STAMP)
 	else $(SKOPE) train --data data/paper --recipe $(RECIPE) --out runs/paper; fi && touch runs/paper/.trained; fi
 	$(SKOPE) eval --data data/paper --checkpoint runs/paper --compare paper
 	$(SKOPE) eval --data data/extra --checkpoint runs/paper --split extra --out runs/paper/extra
+
+# Without REAL nothing is set up first, so that what is missing is told at once.
+real: $(if $(REAL),$(STAMP))
+	$(if $(REAL),,$(error REAL is not set: make real REAL=folder names a folder of labelled photographs))
+	$(VENV)/bin/python scripts/score_photographs.py "$(REAL)" --checkpoint "$(CHECKPOINT)"
 
 bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_eval.py

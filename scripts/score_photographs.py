@@ -1,0 +1,433 @@
+"""Score a detector on hand-labelled photographs of roads.
+
+    python scripts/score_photographs.py FOLDER --checkpoint runs/skope --out runs/real
+    python scripts/score_photographs.py FOLDER --predictions results.json --out runs/real
+
+FOLDER holds the photographs and one COCO keypoints JSON of scheme skope33. A keypoint counts where v = 2; v = 0 means
+not labelled. An image's `scene` or `site` names its camera; `boxes_complete` false says that not all of its vehicles
+have a box, so that it counts for keypoints only. A box with `iscrowd` 1 is a region where a detection is neither right
+nor wrong.
+
+Writes metrics.json, predictions.json, sheets of labels beside predictions, and adds a line to looks.jsonl, a record of
+how often these photographs were looked at: what development has looked at is no test.
+"""
+
+import argparse
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, dataset, detector, draw, keypoints
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval.coco_ap import average_precision
+from skope.eval.failures import OTHER_END, OTHER_SIDE
+from skope.eval.inputs import for_images, read_results
+from skope.eval.match import Matches, match
+from skope.eval.predict import Predictor
+from skope.eval.settings import PRECISIONS, Settings
+from skope.eval.tally import Options, judge, lengths
+from skope.files import read_bytes, read_json, write_json
+from skope.schema import Annotation, AnnotationFile, Result
+
+IOU: Final = 0.5
+"""Overlap from which a detection takes a vehicle."""
+LOWEST_PX: Final = 14.0
+"""Vehicles lower than this are not labelled: a detection that is lower and took none is neither right nor wrong."""
+AT_PRECISION: Final = (0.90, 0.95)
+BANDS_PX: Final = ((0, 32), (32, 64), (64, 128), (128, math.inf))
+"""Heights of ground-truth boxes, from and below."""
+EXCHANGES: Final = {
+    "left_right": np.array(OTHER_SIDE),
+    "front_rear": np.array(OTHER_END),
+    "turned": np.array([OTHER_SIDE[i] for i in OTHER_END]),
+}
+"""Kind of flip -> (33,) index of the keypoint that each keypoint is taken for."""
+FEWEST_POINTS: Final = 4
+"""Labelled keypoints of a vehicle that it takes to call it flipped."""
+RESAMPLES: Final = 2000
+PANEL_PX: Final = 1280
+"""Width of a photograph on a sheet."""
+ROWS: Final = 2
+"""Photographs on a sheet, few enough for it to be read at full size."""
+OPTIONS: Final = Options(alpha=0.1, iou=(IOU,))
+UNNAMED: Final = "unnamed"
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photographs:
+    """Labelled photographs; each image's `site` is its scene."""
+
+    source: Path
+    """The annotation file, in the folder that file names are relative to."""
+    file: AnnotationFile
+    complete: frozenset[int]
+    """Ids of the images on which every vehicle has a box."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """A vehicle with labelled keypoints, and what was found of it."""
+
+    id: int
+    scene: str
+    height_px: float
+    labelled: int
+    """Number of keypoints with v = 2."""
+    matched: bool
+    found: int
+    """Keypoints found; none of an unmatched vehicle."""
+    in_given: int
+    """Keypoints found in the ground-truth box."""
+    flip: str | None
+    """Key of `EXCHANGES`."""
+
+
+# ----------------------------------------------------------------------------------------------------------- reading
+
+
+def read_photographs(path: Path) -> Photographs:
+    """The photographs of a folder that has one JSON, or of the annotation file `path`; a UserError where some lack."""
+    source = path
+    if path.is_dir():
+        found = sorted(path.glob("*.json"))
+        if len(found) != 1:
+            names = ", ".join(p.name for p in found) or "none"
+            raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {names}")
+        (source,) = found
+    file = coco.read(source)
+    if file.scheme is not keypoints.SKOPE33:
+        raise UserError(f"{source}: has keypoint scheme {file.scheme.name}, expected {keypoints.SCHEME}")
+    images, complete = [], set()
+    for i, (image, row) in enumerate(zip(file.images, read_json(source)["images"], strict=True)):
+        whole = row.get("boxes_complete", True)
+        if not isinstance(whole, bool):
+            raise UserError(f"{source}: images[{i}]: boxes_complete: expected true or false, got {whole!r}")
+        if not (source.parent / image.file_name).is_file():
+            raise UserError(f"{source}: images[{i}]: {source.parent / image.file_name}: no such file")
+        images.append(replace(image, site=str(row.get("scene") or image.site or UNNAMED)))
+        if whole:
+            complete.add(image.id)
+    return Photographs(source=source, file=replace(file, images=tuple(images)), complete=frozenset(complete))
+
+
+# ----------------------------------------------------------------------------------------------------------- figures
+
+
+def score_photographs(
+    photographs: Photographs, results: Sequence[Result], given: Sequence[Result] | None, score: float
+) -> Figures:
+    """All figures: of all photographs, of each scene, and (keypoints only) of each band of heights.
+
+    `given` are results in the ground-truth boxes, None where there are none. A ratio without a denominator is None.
+    """
+    file = photographs.file
+    vehicles = judge_vehicles(file, results, given, score)
+
+    def figures(scenes: Sequence[str]) -> Figures:
+        images = [image for image in file.images if image.site in scenes]
+        whole = dataset.part(file, [image for image in images if image.id in photographs.complete])
+        return {
+            "images": len(images),
+            "boxes": box_figures(whole, for_images(results, whole), score),
+            "keypoints": keypoint_figures([v for v in vehicles if v.scene in scenes], in_given=given is not None),
+        }
+
+    bands = {
+        f"{low}-{high}" if high < math.inf else f"{low}+": [v for v in vehicles if low <= v.height_px < high]
+        for low, high in BANDS_PX
+    }
+    scenes = sorted({str(image.site) for image in file.images})
+    return {
+        "all": figures(scenes),
+        "keypoints_of_all_interval_90": scene_interval(vehicles, np.random.default_rng(0)),
+        "scenes": {scene: figures([scene]) for scene in scenes},
+        "heights_px": {band: keypoint_figures(own, in_given=given is not None) for band, own in bands.items()},
+    }
+
+
+def matched(file: AnnotationFile, results: Sequence[Result]) -> Matches:
+    """All of `results`, matched at one IoU. Those above any score are matched alike without the others."""
+    return match(file, results, score=-1.0, thresholds=(IOU,))
+
+
+def judge_vehicles(
+    file: AnnotationFile, results: Sequence[Result], given: Sequence[Result] | None, score: float
+) -> list[Vehicle]:
+    """The vehicles of `file` that have labelled keypoints, beside the detections that score `score` or more."""
+    matches = matched(file, [result for result in results if result.score >= score])
+    judged = judge(matches, IOU, OPTIONS)
+    found = judged.correct(OPTIONS.alpha).sum(axis=1)
+    inside = judge(matched(file, given or ()), IOU, OPTIONS).correct(OPTIONS.alpha).sum(axis=1)
+    scenes = {image.id: str(image.site) for image in file.images}
+    return [
+        Vehicle(
+            id=vehicle.id,
+            scene=scenes[vehicle.image_id],
+            height_px=float(vehicle.bbox[3]),
+            labelled=int(judged.labelled[i].sum()),
+            matched=bool(judged.found[i]),
+            found=int(found[i]),
+            in_given=int(inside[i]),
+            flip=flip_of(vehicle, matches.det_keypoints[judged.detection[i]]) if judged.found[i] else None,
+        )
+        for i, vehicle in enumerate(matches.vehicles)
+        if judged.labelled[i].any()
+    ]
+
+
+def flip_of(vehicle: Annotation, predicted: NDArray[np.float64]) -> str | None:
+    """The exchange of `predicted`, (33, 3), that fits a vehicle best and clearly better than none; None without one.
+
+    Clearly better: a share of keypoints found that is higher by 0.25 or more, and a mean distance lower by a third.
+    """
+    labelled = vehicle.keypoints[:, 2] == 2
+    count = int(labelled.sum())
+    if count < FEWEST_POINTS:
+        return None
+
+    def fit(points: NDArray[np.float64]) -> tuple[int, float]:
+        offsets_px = lengths(points[labelled, :2] - vehicle.keypoints[labelled, :2])
+        return int((offsets_px <= OPTIONS.alpha * vehicle.bbox[2:].max()).sum()), float(offsets_px.mean())
+
+    found, mean_px = fit(predicted)
+    fits = {kind: fit(predicted[order]) for kind, order in EXCHANGES.items()}
+    better = {kind: m for kind, (n, m) in fits.items() if n - found >= 0.25 * count and m <= 2 / 3 * mean_px}
+    return min(better, key=better.__getitem__, default=None)
+
+
+def keypoint_figures(vehicles: Sequence[Vehicle], *, in_given: bool) -> Figures:
+    """Keypoints found: of all that are labelled, of those of matched vehicles, and in given boxes; and flips."""
+    labelled = sum(v.labelled for v in vehicles)
+    of_matched = sum(v.labelled for v in vehicles if v.matched)
+    found, inside = sum(v.found for v in vehicles), sum(v.in_given for v in vehicles)
+    kinds = [v.flip for v in vehicles]
+    return {
+        "vehicles": len(vehicles),
+        "matched": sum(v.matched for v in vehicles),
+        "labelled": labelled,
+        "labelled_of_matched": of_matched,
+        "found": found,
+        "found_in_given_boxes": inside if in_given else None,
+        "share_of_all": _ratio(found, labelled),
+        "share_of_matched": _ratio(found, of_matched),
+        "share_in_given_boxes": _ratio(inside, labelled) if in_given else None,
+        "flips": len(kinds) - kinds.count(None),
+        "flips_by_kind": {kind: kinds.count(kind) for kind in EXCHANGES},
+        "flipped_annotations": {str(v.id): v.flip for v in vehicles if v.flip},
+    }
+
+
+def scene_interval(vehicles: Sequence[Vehicle], rng: np.random.Generator) -> list[float] | None:
+    """90% interval of the share of all labelled keypoints that are found, from scenes drawn with replacement."""
+    scenes = sorted({v.scene for v in vehicles})
+    if not scenes:
+        return None
+    scene = [scenes.index(v.scene) for v in vehicles]
+    found = np.bincount(scene, weights=[v.found for v in vehicles])
+    labelled = np.bincount(scene, weights=[v.labelled for v in vehicles])
+    drawn = rng.integers(0, len(scenes), (RESAMPLES, len(scenes)))
+    shares = found[drawn].sum(axis=1) / labelled[drawn].sum(axis=1)
+    return [float(limit) for limit in np.percentile(shares, (5, 95))]
+
+
+def box_figures(file: AnnotationFile, results: Sequence[Result], score: float) -> Figures:
+    """Precision and recall of boxes on the images of `file`, whose boxes must be complete.
+
+    A detection that took no vehicle is left out where half of it or more lies in one ignored region, or where it is
+    lower than `LOWEST_PX`.
+    """
+    matches = matched(file, results)
+    hit = matches.taken[IOU] >= 0
+    low = np.array([results[i].bbox[3] < LOWEST_PX for i in matches.det_result], dtype=bool)
+    counted = hit | ~(low | matches.det_on_ignored)
+    shown = matches.det_score >= score
+    truth, hits, phantoms = len(matches.vehicles), int((hit & shown).sum()), int((counted & ~hit & shown).sum())
+    precision = average_precision(file, [results[i] for i in matches.det_result[hit | ~low]], OPTIONS)
+    return {
+        "complete_frames": len(file.images),
+        "vehicles": truth,
+        "hits": hits,
+        "phantoms": phantoms,
+        "left_out": int((~counted & shown).sum()),
+        "ap": precision["box_ap"],
+        "ap50": precision["box_ap50"],
+        "recall_at_precision": {
+            f"{p:.2f}": recall_at_precision(matches.det_score[counted], hit[counted], truth, p) for p in AT_PRECISION
+        },
+        "precision": _ratio(hits, hits + phantoms),
+        "recall": _ratio(hits, truth),
+        "phantoms_a_frame": _ratio(phantoms, len(file.images)),
+    }
+
+
+def recall_at_precision(
+    scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
+) -> dict[str, float | None]:
+    """The greatest recall over all least scores at which `precision` is reached, and the highest such least score.
+
+    `scores` and `hit` are (D,), of the detections that count; `truth` is the number of vehicles. 0 where the precision
+    is never reached, None without vehicles.
+    """
+    order = np.argsort(-scores, kind="stable")
+    hits = np.cumsum(hit[order])
+    # Detections of one score come in together.
+    last = np.flatnonzero(np.diff(scores[order], append=-1.0))
+    reached = last[hits[last] / (last + 1) >= precision]
+    if not truth or not len(reached):
+        return {"recall": 0.0 if truth else None, "score": None}
+    best = reached[np.argmax(hits[reached])]
+    return {"recall": float(hits[best] / truth), "score": float(scores[order][best])}
+
+
+def _ratio(numerator: int, denominator: int) -> float | None:
+    return numerator / denominator if denominator else None
+
+
+# ------------------------------------------------------------------------------------------------------------ output
+
+
+def table(metrics: Mapping[str, Any]) -> str:
+    """Figures in aligned columns, a line for each scene and each band of heights."""
+    rows = [["", "frames", "complete", "vehicles", "AP", "AP50", "R@P.90", "R@P.95", "precision", "recall"]]
+    rows[0] += ["phantoms/frame", "matched", "points", "found", "of matched", "in given", "flips"]
+    for name, entry in (*metrics["scenes"].items(), ("all", metrics["all"])):
+        boxes, at = entry["boxes"], entry["boxes"]["recall_at_precision"]
+        rows.append([name, str(entry["images"]), str(boxes["complete_frames"]), str(boxes["vehicles"])])
+        shares = (boxes["ap"], boxes["ap50"], *(at[p]["recall"] for p in at), boxes["precision"], boxes["recall"])
+        rows[-1] += [*map(_cell, shares), _cell(boxes["phantoms_a_frame"]), *_keypoint_cells(entry["keypoints"])]
+    rows += [[f"{band} px high", *[""] * 10, *_keypoint_cells(own)] for band, own in metrics["heights_px"].items()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    )
+
+
+def _keypoint_cells(own: Mapping[str, Any]) -> list[str]:
+    shares = (own["share_of_all"], own["share_of_matched"], own["share_in_given_boxes"])
+    return [f"{own['matched']}/{own['vehicles']}", str(own["labelled"]), *map(_cell, shares), str(own["flips"])]
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def write_sheets(photographs: Photographs, results: Sequence[Result], score: float, out: Path) -> list[Path]:
+    """sheet_01.jpg and so on: labels beside predictions, a few photographs each; those of an earlier look go."""
+    for old in out.glob("sheet_[0-9][0-9].jpg"):
+        old.unlink()
+    vehicles, paths = photographs.file.by_image(), []
+    images = photographs.file.images
+    for number, first in enumerate(range(0, len(images), ROWS), start=1):
+        panels = []
+        for image in images[first : first + ROWS]:
+            pixels = dataset.read_image(photographs.source.parent / image.file_name, (image.width, image.height))
+            scale = math.ceil(PANEL_PX / image.width)
+            found = [r for r in results if r.image_id == image.id and r.score >= score]
+            partly = "" if image.id in photographs.complete else ", some boxes only"
+            labels = draw.annotations(pixels, vehicles[image.id], scale=scale)
+            panels.append(draw.caption(_shrunk(labels), f"labels  {image.file_name} ({image.site}{partly})"))
+            answers = draw.results(pixels, found, scale=scale)
+            panels.append(draw.caption(_shrunk(answers), f"{len(found)} detections >= {score:g}"))
+        paths.append(out / f"sheet_{number:02d}.jpg")
+        draw.write(paths[-1], draw.contact_sheet(panels, 2))
+    return paths
+
+
+def _shrunk(pixels: draw.Pixels) -> draw.Pixels:
+    size = (PANEL_PX, round(pixels.shape[0] * PANEL_PX / pixels.shape[1]))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def log_look(path: Path, metrics: Mapping[str, Any]) -> None:
+    """Append a line with the time, what was scored, and its main figures."""
+    boxes, points = metrics["all"]["boxes"], metrics["all"]["keypoints"]
+    line = {"time": datetime.now(UTC).isoformat(timespec="seconds")}
+    line |= {name: metrics[name] for name in ("annotations", "checkpoint", "predictions", "sha256", "score")}
+    line |= {name: points[name] for name in ("share_of_all", "share_of_matched", "share_in_given_boxes", "flips")}
+    line |= {f"box_{name}": boxes[name] for name in ("ap", "ap50", "precision", "recall", "phantoms_a_frame")}
+    line |= {f"box_recall_at_precision_{p}": at["recall"] for p, at in boxes["recall_at_precision"].items()}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line, allow_nan=False) + "\n")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+# ----------------------------------------------------------------------------------------------------------- command
+
+
+def run(options: argparse.Namespace) -> None:
+    """Read, predict, score, write, print."""
+    Options(score=options.score)
+    photographs = read_photographs(options.photographs)
+    root, out = photographs.source.parent, options.out
+    if out.resolve().is_relative_to(root.resolve()):
+        raise UserError(f"--out: {out} is inside the photographs' folder {root}, which is left as it is")
+    given = weights = None
+    if options.checkpoint:
+        settings = Settings(device=options.device, precision=options.precision)
+        weights = detector.find_checkpoint(options.checkpoint)
+        results = predict(weights, settings, photographs, Console())
+        given = predict(weights, replace(settings, given=True), photographs, Console(quiet=True))
+    else:
+        results = read_results(options.predictions, photographs.file)
+    metrics = {
+        "annotations": str(photographs.source),
+        "checkpoint": str(weights) if weights else None,
+        "predictions": str(options.predictions) if options.predictions else None,
+        "sha256": hashlib.sha256(read_bytes(weights or options.predictions)).hexdigest(),
+        "number_format": options.precision if weights else None,
+        "score": options.score,
+        "detections": len(results),
+        **score_photographs(photographs, results, given, options.score),
+    }
+    log_look(out / "looks.jsonl", metrics)
+    write_json(out / "metrics.json", metrics)
+    coco.write_results(out / "predictions.json", results)
+    sheets = write_sheets(photographs, results, options.score, out)
+    print(table(metrics))
+    interval = metrics["keypoints_of_all_interval_90"]
+    print(f"keypoints found, 90% over scenes: {' to '.join(map(_cell, interval)) if interval else '-'}")
+    print(f"Wrote metrics.json, predictions.json, looks.jsonl and {len(sheets)} sheets to {out}")
+
+
+def predict(weights: Path, settings: Settings, photographs: Photographs, console: Console) -> tuple[Result, ...]:
+    """What the weights find, as a results file has it: rounded, so that scoring the file gives the same figures."""
+    predictor = Predictor(weights, settings, console)
+    predictor.check_scheme(photographs.file.scheme, photographs.source)
+    found = predictor.split(photographs.file, photographs.source.parent)
+    return tuple(coco.result_from_dict(coco.result_to_dict(result)) for result in found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("photographs", type=Path, metavar="FOLDER", help="of the photographs, or their COCO JSON")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--checkpoint", type=Path, help="a checkpoint, or the folder of a run")
+    source.add_argument("--predictions", type=Path, help="a COCO results file")
+    parser.add_argument("--out", type=Path, default=Path("runs/real"))
+    parser.add_argument("--device", default="auto", help="auto, cpu, cuda or cuda:N")
+    parser.add_argument("--score", type=float, default=0.5, help="a detection counts from this score")
+    parser.add_argument("--precision", choices=PRECISIONS, default="float32")
+    try:
+        run(parser.parse_args())
+    except UserError as error:
+        parser.exit(2, f"score_photographs: {error}\n")
+
+
+if __name__ == "__main__":
+    main()
