@@ -1,7 +1,8 @@
-"""A model that runs without skope: TorchScript or ONNX, from a checkpoint.
+"""Other forms of a checkpoint: compact, which every command takes, and TorchScript or ONNX, which run without skope.
 
-Input `image`: (3, H, W) float32 sRGB from 0 to 1, of any size. Outputs, best first, in pixels of that image: `boxes`
-(N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33) from 0 to 1.
+The latter two take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
+that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
+from 0 to 1.
 """
 
 import importlib.util
@@ -13,12 +14,12 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import detector
+from skope import detector, weights
 from skope.console import Console
 from skope.errors import UserError, one_of
 from skope.files import replacing
 
-FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx"}
+FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx", "compact": ".compact.safetensors"}
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 
 _OPSET: Final = 17
@@ -55,8 +56,12 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     if to == "onnx" and importlib.util.find_spec("onnx") is None:
         raise UserError("--to onnx: needs the package onnx: pip install 'skope[onnx]'")
     path = detector.find_checkpoint(checkpoint)
-    out = out or path.with_name(path.name.removesuffix(path.suffix) + FORMATS[to])
-    model, config, _ = detector.load_weights(path, "cpu")
+    folder = Path() if weights.shipped(path) else path.parent
+    out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
+    model, config, metadata = detector.load_weights(path, "cpu")
+    if to == "compact":
+        detector.save_weights(out, model, config, metadata, packed=True)
+        return out
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
     with replacing(out) as temporary, warnings.catch_warnings():

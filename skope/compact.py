@@ -1,0 +1,187 @@
+"""Weights in about a seventh of their bytes: integers of at most eight bits with a step for each channel, deflated.
+
+Weights of convolutions and linear layers are rounded to multiples of a step. The steps of a tensor's output channels
+are in proportion to their root mean squares, times a factor of the tensor. For a given number of bytes the sum of all
+tensors' relative errors is least where that factor grows with the square root of the number of weights: an integer
+costs log2(1 / factor) bits and a constant (Gish and Pierce, 1968, on quantisation before entropy coding), and its
+squared error is factor^2 / 12. What is small and delicate, the first convolution and the predictors, keeps 16 bits;
+norms, biases and counts keep all of theirs.
+"""
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+BYTES: Final = 33_500_000
+"""What the rounded weights of a detector take at most."""
+
+WAYS: Final = ("integers", "half", "exact")
+"""How a weight is kept: rounded, as float16, or as it is."""
+
+_DELICATE: Final = (
+    *("backbone.body.conv1.", "rpn.head.cls_logits.", "rpn.head.bbox_pred."),
+    *("roi_heads.box_predictor.", "roi_heads.keypoint_predictor."),
+)
+_LARGEST: Final = 127
+_FINEST: Final = 2.0**-12
+_COARSEST: Final = 4.0
+"""Factors between which the one of the largest tensor is looked for."""
+_HALVINGS: Final = 12
+_SAMPLED: Final = 16
+"""The search looks at one weight of so many."""
+_STEPS: Final = ".steps"
+_MOST: Final = 1 << 28
+"""More weights than a detector has: a file that claims them is refused before memory is asked for."""
+
+State = Mapping[str, Tensor]
+Kept = Mapping[str, Any]
+
+
+class DamagedError(ValueError):
+    """What is wrong with packed weights, in a few words."""
+
+
+# -------------------------------------------------------------------------------------------------------------- packing
+
+
+def pack(state: State, most_bytes: int = BYTES) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """The tensors to store for a state dict, and how each weight is kept.
+
+    Args:
+        state: float32 tensors (and whole numbers, which are kept) by name.
+        most_bytes: what all rounded weights take at most; what is kept otherwise adds about a megabyte.
+
+    Returns:
+        Tensors by name, and for each name {"kept": one of `WAYS`, "shape": [...]}. Integers are stored as deflated
+        bytes under the weight's own name, their steps as `NAME.steps`, (channels,) float32.
+    """
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
+    kept = {name: {"kept": _way(name, tensor), "shape": list(tensor.shape)} for name, tensor in state.items()}
+    rounded = {name: tensor.float() for name, tensor in state.items() if kept[name]["kept"] == "integers"}
+    out = {name: tensor for name, tensor in state.items() if kept[name]["kept"] == "exact"}
+    out |= {name: tensor.half() for name, tensor in state.items() if kept[name]["kept"] == "half"}
+    for name, (data, steps) in _deflated(rounded, most_bytes).items():
+        out[name], out[name + _STEPS] = torch.frombuffer(bytearray(data), dtype=torch.uint8), steps
+    return out, kept
+
+
+def _way(name: str, tensor: Tensor) -> str:
+    if tensor.ndim < 2 or not tensor.is_floating_point():
+        return "exact"
+    return "half" if name.startswith(_DELICATE) else "integers"
+
+
+class _Weight:
+    """A weight of C channels, and what its steps are made from."""
+
+    def __init__(self, tensor: Tensor, relative: float) -> None:
+        self._tensor = tensor
+        self._sample = tensor.flatten(1)[:, ::_SAMPLED].contiguous()
+        self._mean_square = relative * tensor.flatten(1).square().mean(1).sqrt()
+        self._finest = tensor.flatten(1).abs().amax(1) / _LARGEST
+
+    def steps(self, factor: float) -> Tensor:
+        """(C,) a step for each channel; never so fine that an integer exceeds `_LARGEST`."""
+        return torch.maximum(factor * self._mean_square, self._finest)
+
+    def integers(self, factor: float) -> Tensor:
+        """int8 of the weight's shape."""
+        return _integers(self._tensor, self.steps(factor))
+
+    def bits(self, factor: float) -> float:
+        """Entropy of all integers, estimated from a sample."""
+        counts = torch.bincount(_integers(self._sample, self.steps(factor)).flatten().int() + _LARGEST).double()
+        shares = counts[counts > 0] / counts.sum()
+        return float(-(shares * shares.log2()).sum()) * self._tensor.numel()
+
+
+def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
+    """int8 of the tensor's shape; zeros where a channel is zero."""
+    inverse = torch.where(steps > 0, 1 / steps, 0).view(-1, *[1] * (tensor.ndim - 1))
+    return (tensor * inverse).round().clamp(-_LARGEST, _LARGEST).to(torch.int8)
+
+
+def _deflated(weights: State, most_bytes: int) -> dict[str, tuple[bytes, Tensor]]:
+    """Deflated integers and steps of each weight, with the finest factor that `most_bytes` allow."""
+    count = sum(tensor.numel() for tensor in weights.values())
+    largest = max(tensor.numel() for tensor in weights.values())
+    prepared = {name: _Weight(tensor, math.sqrt(tensor.numel() / largest)) for name, tensor in weights.items()}
+    factor = _finest_factor(prepared.values(), most_bytes)
+    while True:
+        out = {name: (_deflate(weight.integers(factor)), weight.steps(factor)) for name, weight in prepared.items()}
+        excess = sum(len(data) for data, _ in out.values()) - most_bytes
+        if excess <= 0 or factor >= _COARSEST:
+            return out
+        # Deflate is a little longer than the entropy; a factor twice as large saves a bit a weight.
+        factor *= 2.0 ** (8 * excess / count + 0.002)
+
+
+def _finest_factor(weights: Iterable[_Weight], most_bytes: int) -> float:
+    """The least factor of the largest tensor with which all integers' entropy is no more than `most_bytes`."""
+    low, high = math.log2(_FINEST), math.log2(_COARSEST)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        bits = sum(weight.bits(2.0**middle) for weight in weights)
+        low, high = (middle, high) if bits > 8 * most_bytes else (low, middle)
+    return float(2.0**high)
+
+
+def _deflate(integers: Tensor) -> bytes:
+    # Weights repeat nothing: only how often each integer comes can be made use of, and runs of zeros.
+    packer = zlib.compressobj(9, strategy=zlib.Z_RLE)
+    return packer.compress(integers.numpy().tobytes()) + packer.flush()
+
+
+# ------------------------------------------------------------------------------------------------------------ unpacking
+
+
+def unpack(stored: State, kept: Kept) -> dict[str, Tensor]:
+    """The float32 state dict that `pack` was given, rounded; a DamagedError where the two do not belong together."""
+    if not isinstance(kept, dict) or not all(_is_way(way) for way in kept.values()):
+        raise DamagedError("the header says in a damaged way how the weights are kept")
+    steps = {name + _STEPS for name, way in kept.items() if way["kept"] == "integers"}
+    if set(stored) != set(kept) | steps:
+        raise DamagedError("the tensors are not those that the header lists")
+    out = {}
+    for name, way in kept.items():
+        if way["kept"] == "integers":
+            out[name] = _inflated(name, stored[name], stored[name + _STEPS], way["shape"])
+        else:
+            out[name] = stored[name].float() if way["kept"] == "half" else stored[name]
+    return out
+
+
+def _is_way(way: Any) -> bool:
+    if not isinstance(way, dict) or way.keys() != {"kept", "shape"} or way["kept"] not in WAYS:
+        return False
+    return isinstance(way["shape"], list) and all(type(size) is int and size > 0 for size in way["shape"])
+
+
+def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tensor:
+    size = math.prod(shape)
+    if not shape or size > _MOST or steps.shape != (shape[0],):
+        raise DamagedError(f"tensor {name}: shape {shape} is impossible")
+    stream = zlib.decompressobj()
+    try:
+        integers = stream.decompress(data.numpy().tobytes(), size + 1)
+    except zlib.error as error:
+        raise DamagedError(f"tensor {name}: cannot be unpacked ({error})") from None
+    if len(integers) != size or not stream.eof:
+        raise DamagedError(f"tensor {name}: expected {size} weights, got another number")
+    rounded = torch.frombuffer(bytearray(integers), dtype=torch.int8).view(shape[0], -1)
+    return (rounded * steps[:, None]).view(shape)
+
+
+def digest(stored: State, header: Mapping[str, Any]) -> str:
+    """SHA-256, in hexadecimal, of a file's header (JSON values) and tensors."""
+    hashed = hashlib.sha256(json.dumps(header, sort_keys=True, allow_nan=False).encode())
+    for name in sorted(stored):
+        hashed.update(f"{name} {stored[name].dtype} {list(stored[name].shape)}".encode())
+        hashed.update(stored[name].contiguous().numpy().tobytes())
+    return hashed.hexdigest()
