@@ -1,39 +1,50 @@
-"""The paper's experiment on a GPU machine, in commands of limited time: each goes on where the one before stopped.
+"""Train a detector from random weights in one of two ways, pack its weights, and measure them before and after.
 
-    skope gen simulate --preset paper --out data/paper       # on any machine with SUMO and pybullet
-    skope gen simulate --preset extra --out data/extra
-    python scripts/reference_run.py work --out runs/reference --minutes 9.5    # on the GPU machine, until it says done
-    python scripts/reference_run.py bring --out runs/reference --to FOLDER --half 0                      # then --half 1
-    python scripts/reference_run.py join FOLDER FOLDER --out best.safetensors                            # at home
+    skope gen simulate --preset paper --frames 240 --interval 2 --no-depth --out data/paper       # varied: the same
+    skope gen simulate --preset extra --frames 20 --interval 4 --no-depth --out data/extra
+    python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
+    python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
 
-`work` renders the recordings, trains with one process a GPU, and evaluates one split a GPU beside published figures;
-`make paper` does the same on one machine without limits. `bring` writes weights as bfloat16, in pieces that pass where
-large files do not, half of them at a time, and figures, curves and the model card in one archive.
+`paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
+(reference.toml). What is finished is not done again, and what was interrupted goes on: with --minutes, in commands of
+limited time. `make paper` is the paper's own experiment.
 """
 
 import argparse
+import itertools
+import os
 import signal
 import subprocess
 import sys
-import tarfile
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-
-import torch
+from typing import Final
 
 from skope.dataset import CARD
-from skope.detector import BEST, find_checkpoint, load_weights, save_weights
-from skope.files import read_bytes, write_bytes
+from skope.detector import find_checkpoint
 from skope.train.run import resumable
 
-TESTS = ("easy", "medium", "hard")
-PIECES = 8
-PIECE = "weights.{:02d}"
-FIGURES = ("eval/*/metrics.json", "eval/*/report.html", "*.png", "README.md", "metrics.jsonl")
-GRACE_S = 25
+HERE: Final = Path(__file__).parent
+SPLITS: Final = {"paper": ("easy", "medium", "hard"), "extra": ("extra",), "varied": ("easy", "medium", "hard")}
+LIVELY: Final = {
+    **{"crop": 0.7, "occluders": 0.3, "color": 0.5, "brightness": 0.5, "infrared": 0.1, "rain": 0.1},
+    **{"blur": 0.3, "noise": 0.3, "resample": 0.3, "jpeg": 0.3, "video": 0.2},
+}
+GRACE_S: Final = 25
 """For a training to save its state when time is up."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What one of the two detectors learns from, and how its images are changed."""
+
+    presets: Sequence[str]
+    augment: Mapping[str, float]
+
+
+TRAININGS: Final = {"paper": Training(("paper",), {}), "varied": Training(("paper", "varied"), LIVELY)}
 
 
 class TimeIsUpError(Exception):
@@ -41,14 +52,27 @@ class TimeIsUpError(Exception):
 
 
 class Clock:
-    """How long commands may take, all together."""
+    """Runs commands on some GPUs until a limit of time for all of them together."""
 
-    def __init__(self, minutes: float) -> None:
+    def __init__(self, minutes: float, gpus: Sequence[str]) -> None:
         self._end = time.monotonic() + 60 * minutes
+        self._gpus = gpus
+
+    def train(self, command: Sequence[str]) -> None:
+        """Run `skope train` in one process a GPU."""
+        several = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(len(self._gpus)), "-m"]
+        self._run([[*several, "skope", "train", *command]], [",".join(self._gpus)])
 
     def run(self, *commands: Sequence[str]) -> None:
-        """Run `python -m ...` commands side by side; stop them gently when time is up."""
-        running = [subprocess.Popen([sys.executable, "-m", *command]) for command in commands]
+        """Run `skope ...` side by side, each on one GPU."""
+        self._run([["skope", *command] for command in commands], self._gpus)
+
+    def _run(self, modules: Sequence[Sequence[str]], devices: Sequence[str]) -> None:
+        """Run `python -m ...` side by side; stop them gently when time is up, exit when one fails."""
+        running = []
+        for module, device in zip(modules, itertools.cycle(devices), strict=False):
+            environment = {**os.environ, "CUDA_VISIBLE_DEVICES": device}
+            running.append(subprocess.Popen([sys.executable, "-m", *module], env=environment))
         try:
             for process in running:
                 process.wait(max(0.0, self._end - GRACE_S - time.monotonic()))
@@ -61,89 +85,62 @@ class Clock:
                 except subprocess.TimeoutExpired:
                     process.kill()
             raise TimeIsUpError from None
-        failed = next((process for process in running if process.returncode), None)
+        failed = [module for module, process in zip(modules, running, strict=True) if process.returncode]
         if failed:
-            sys.exit(f"{' '.join(map(str, failed.args))}: exit code {failed.returncode}")  # type: ignore[arg-type]
+            sys.exit(f"{' '.join(failed[0])}: failed")
 
 
-def work(options: argparse.Namespace) -> None:
-    """All that is still to do, step by step."""
-    clock, gpus = Clock(options.minutes), max(1, torch.cuda.device_count())
-    for data in (options.data, options.extra):
-        if not (data / CARD).is_file():
-            clock.run(["skope", "gen", "render", str(data)])
-    trained = options.out / ".trained"
-    if not trained.is_file():
-        several = ["torch.distributed.run", "--nproc-per-node", str(gpus), "-m"] if gpus > 1 else []
-        new = ["--data", str(options.data), "--recipe", options.recipe, *options.train]
-        how = ["--resume"] if resumable(options.out) else new
-        clock.run([*several, "skope", "train", "--out", str(options.out), "--save-minutes", "2", *how])
-        trained.touch()
-    waiting = [split for split in (*TESTS, "extra") if not (options.out / "eval" / split / "metrics.json").is_file()]
-    while waiting:
-        now, waiting = waiting[:gpus], waiting[gpus:]
-        clock.run(*(evaluation(options, split, gpu) for gpu, split in enumerate(now)))
+def render(clock: Clock, data: Path, presets: Sequence[str]) -> None:
+    for preset in presets:
+        if not (data / preset / CARD).is_file():
+            clock.run(["gen", "render", str(data / preset)])
 
 
-def evaluation(options: argparse.Namespace, split: str, gpu: int) -> list[str]:
-    """Of one split on one GPU."""
-    data, beside = (options.extra, []) if split == "extra" else (options.data, ["--compare", "paper"])
-    device = f"cuda:{gpu}" if torch.cuda.is_available() else "cpu"
-    command = ["skope", "eval", "--data", str(data), "--checkpoint", str(checkpoint(options.out)), "--split", split]
-    return [*command, "--out", str(options.out / "eval" / split), "--device", device, *beside]
+def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
+    """Train, or go on; returns the run folder."""
+    run = options.out / "run"
+    if (run / ".trained").is_file():
+        return run
+    new = ["--recipe", str(HERE / "reference.toml"), "--max-images", str(options.images // len(training.presets))]
+    new += [flag for name, value in training.augment.items() for flag in ("--set", f"augment.{name}={value}")]
+    new += [flag for preset in training.presets for flag in ("--data", str(options.data / preset))]
+    always = ["--out", str(run), "--workers", str(options.workers), "--save-minutes", "3"]
+    clock.train([*always, *(["--resume"] if resumable(run) else new)])
+    (run / ".trained").touch()
+    return run
 
 
-def checkpoint(run: Path) -> Path:
-    """The best epoch's, where a share of the data was validated on, else the last one's."""
-    return run / BEST if (run / BEST).is_file() else find_checkpoint(run)
-
-
-def bring(options: argparse.Namespace) -> None:
-    """Half of the weights' pieces, and all figures."""
-    model, config, metadata = load_weights(checkpoint(options.out), "cpu")
-    with tempfile.TemporaryDirectory() as folder:
-        save_weights(Path(folder) / BEST, model.bfloat16(), config, metadata)
-        content = read_bytes(Path(folder) / BEST)
-    size = -(-len(content) // PIECES)
-    for k in range(options.half * PIECES // 2, (options.half + 1) * PIECES // 2):
-        write_bytes(options.to / PIECE.format(k), content[k * size : (k + 1) * size])
-    with tarfile.open(options.to / "figures.tar", "w") as archive:
-        for path in sorted(path for pattern in FIGURES for path in options.out.glob(pattern)):
-            archive.add(path, path.relative_to(options.out))
-
-
-def join(options: argparse.Namespace) -> None:
-    """The weights of all pieces."""
-    found = {path.name: path for folder in options.folders for path in folder.glob("weights.*")}
-    lost = [name for name in map(PIECE.format, range(PIECES)) if name not in found]
-    if lost:
-        sys.exit(f"missing: {', '.join(lost)}")
-    write_bytes(options.out, b"".join(read_bytes(found[PIECE.format(k)]) for k in range(PIECES)))
+def measure(clock: Clock, options: argparse.Namespace, forms: Mapping[str, Path]) -> None:
+    """All test splits of all presets with all forms of the weights side by side: one leaves most of a GPU idle."""
+    commands = []
+    for form, preset in itertools.product(forms, SPLITS):
+        for split in SPLITS[preset]:
+            out = options.out / form / preset / split
+            if not (out / "metrics.json").is_file():
+                what = ["--data", str(options.data / preset), "--checkpoint", str(forms[form]), "--split", split]
+                commands.append(["eval", *what, "--out", str(out), "--batch-size", "4"])
+    clock.run(*commands)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(required=True)
-    working = commands.add_parser("work")
-    working.add_argument("--data", type=Path, default=Path("data/paper"))
-    working.add_argument("--extra", type=Path, default=Path("data/extra"))
-    working.add_argument("--out", type=Path, default=Path("runs/reference"))
-    working.add_argument("--recipe", default="paper", help="as `skope train` takes it")
-    working.add_argument("--train", action="append", default=[], help="a flag of `skope train`: --train=--init=FILE")
-    working.add_argument("--minutes", type=float, default=float("inf"), help="stop, resumably, after so many")
-    working.set_defaults(do=work)
-    bringing = commands.add_parser("bring")
-    bringing.add_argument("--out", type=Path, default=Path("runs/reference"))
-    bringing.add_argument("--to", type=Path, required=True)
-    bringing.add_argument("--half", type=int, choices=(0, 1), required=True)
-    bringing.set_defaults(do=bring)
-    joining = commands.add_parser("join")
-    joining.add_argument("folders", type=Path, nargs="+")
-    joining.add_argument("--out", type=Path, required=True)
-    joining.set_defaults(do=join)
+    parser.add_argument("training", choices=tuple(TRAININGS))
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the presets' folders")
+    parser.add_argument("--out", type=Path, help="by default runs/reference/TRAINING")
+    parser.add_argument("--gpus", default="0", help="numbers, separated by commas")
+    parser.add_argument("--images", type=int, default=2400, help="images to learn from, each seen in every epoch")
+    parser.add_argument("--workers", type=int, default=8, help="processes that load images, a GPU")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop, resumably, after so many")
     options = parser.parse_args()
+    options.out = options.out or Path("runs/reference") / options.training
+    training, clock = TRAININGS[options.training], Clock(options.minutes, options.gpus.split(","))
     try:
-        options.do(options)
+        render(clock, options.data, training.presets)
+        full, packed = find_checkpoint(train(clock, options, training)), options.out / "packed.safetensors"
+        if not packed.is_file():
+            clock.run(["train", "export", str(full), "--to", "compact", "--out", str(packed)])
+        render(clock, options.data, tuple(SPLITS))
+        measure(clock, options, {"full": full, "packed": packed})
     except TimeIsUpError:
         print("time is up: the same command goes on")
         sys.exit(75)

@@ -261,12 +261,10 @@ def find_checkpoint(path: Path) -> Path:
     if path.is_file():
         return path
     if not path.is_dir():
-        if str(path) in weights.NAMES:
+        if str(path) in weights.names():
             return weights.path(str(path))
-        raise UserError(
-            f"{path}: no such checkpoint or run folder; `skope train` makes one, and {', '.join(weights.NAMES)} comes "
-            "with skope"
-        )
+        shipped = "".join(f"; {name} comes with skope" for name in weights.names())
+        raise UserError(f"{path}: no such checkpoint or run folder; `skope train` makes one{shipped}")
     found = checkpoints(path)
     if not found and (path / BEST).is_file():
         return path / BEST

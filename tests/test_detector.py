@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoints_to_heatmap
 
-from skope import detector, keypoints
+from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 
@@ -219,3 +219,19 @@ def test_torchvision_codes_and_decodes_continuous_coordinates() -> None:
     errors = (found[..., :2] - truth)[0]
     assert errors.abs().max() < 0.5 + 1e-4
     assert errors.mean(dim=0).abs().max() < 0.03
+
+
+def test_weights_of_the_package_go_by_their_name(
+    model: KeypointRCNN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(weights, "FOLDER", tmp_path / "package")
+    with pytest.raises(UserError, match="no such checkpoint"):
+        detector.find_checkpoint(Path("reference"))
+    detector.save_weights(weights.path("reference"), model, config(), {})
+    assert detector.find_checkpoint(Path("reference")) == tmp_path / "package" / "reference.safetensors"
+    with pytest.raises(UserError, match="reference comes with skope"):
+        detector.find_checkpoint(Path("other"))
+    own = Path("reference") / detector.checkpoint_name(1)  # what a user calls so comes first
+    detector.save_weights(own, model, config(), {})
+    assert detector.find_checkpoint(Path("reference")) == own

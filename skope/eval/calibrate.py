@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from skope import dataset
 from skope.console import Console
+from skope.detector import find_checkpoint
 from skope.errors import UserError
 from skope.eval import calibration, confidence, inputs
 from skope.eval.calibration import ALPHA, IOU
@@ -14,6 +15,7 @@ from skope.eval.predict import Predictor
 from skope.eval.settings import Settings
 from skope.eval.tally import Options, judge
 from skope.schema import AnnotationFile
+from skope.weights import shipped
 
 TRAIN: Final = "train"
 
@@ -35,7 +37,10 @@ class Job:
 
 def calibrate(job: Job, console: Console) -> Path:
     """Fit and write the calibration beside the weights; returns its path."""
-    predictor = Predictor(job.checkpoint, replace(job.settings, calibrated=False, min_score=job.score), console)
+    weights = find_checkpoint(job.checkpoint)
+    if shipped(weights):
+        raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
+    predictor = Predictor(weights, replace(job.settings, calibrated=False, min_score=job.score), console)
     truth = inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)

@@ -10,6 +10,7 @@ import typer
 from skope.console import Console, QuietOption, VersionOption, goes_on
 from skope.errors import UserError, one_of
 from skope.eval import road_cli
+from skope.weights import names
 
 DATA = Path("data/skope")
 RUN = Path("runs/skope")
@@ -24,7 +25,8 @@ def run(
     ctx: typer.Context,
     data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN))
+        Path | None,
+        typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN)),
     ] = None,
     split: Annotated[
         list[str] | None,
@@ -251,4 +253,6 @@ def _default_out(checkpoint: Path | None, predictions: Path | None) -> Path:
     if predictions:
         return Path("eval")
     run = checkpoint or RUN
+    if str(run) in names() and not run.exists():
+        run = RUN.parent / run
     return (run.parent if run.is_file() else run) / "eval"

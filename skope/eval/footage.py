@@ -143,11 +143,12 @@ class Footage:
             self.skipped.append(reason)
 
 
-def open_footage(source: str, cut: Cut) -> Footage:
-    """The frames of an image, a folder of images, a glob, a video file or a stream's address.
+def open_footage(source: str, cut: Cut | None = None) -> Footage:
+    """The frames of an image, a folder of images, a glob, a video file or a stream's address; all, or those of `cut`.
 
     Raises UserError for what is none of these.
     """
+    cut = cut or Cut()
     if "://" in source:
         return Footage("stream", cut, clip=_looked_at(source))
     path = Path(source)

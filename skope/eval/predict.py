@@ -19,6 +19,7 @@ from skope.eval import bfloat16, calibration
 from skope.eval.settings import Settings
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.weights import shipped
 
 Pixels = NDArray[np.uint8]
 
@@ -47,7 +48,8 @@ class Predictor:
         sides = f"short side {config.min_size}, long side at most {config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
         number = "bfloat16" if low else "float32"
-        console.say(f"{self.weights} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
+        name = self.weights.stem if shipped(self.weights) else self.weights
+        console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
         """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""

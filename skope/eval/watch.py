@@ -34,8 +34,8 @@ class Job:
     footage: Footage
     checkpoint: Path
     out: Path
-    settings: Settings
-    score: float
+    settings: Settings = field(default_factory=Settings)
+    score: float = 0.5
     """Least score of a detection that is kept."""
     camera: Camera | None = None
     overlay: bool = False

@@ -37,9 +37,8 @@ def run(
     init: Annotated[
         str | None,
         typer.Option(
-            help="First weights: coco, imagenet (both downloaded when missing), random, reference (comes with skope), "
-            "a file or run folder, or auto: COCO weights if torchvision's cache has them, else reference.  [default: "
-            "the recipe's]"
+            help="First weights: coco, imagenet (both downloaded when missing), random, a file or run folder, or auto: "
+            "COCO weights if torchvision's cache has them, else random.  [default: the recipe's]"
         ),
     ] = None,
     batch_size: Annotated[int | None, typer.Option(help="Images a step.  [default: the recipe's]")] = None,

@@ -1,4 +1,4 @@
-"""The first weights of a training: trained on COCO or ImageNet, from a file, or random."""
+"""The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from torchvision.models import ResNet50_Weights, WeightsEnum
 from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
-from skope import detector, keypoints
+from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 
@@ -39,8 +39,9 @@ def initialise(
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """A model with its first weights, its config, and the choice in words.
 
-    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else random ones, and never uses
-    the network; `coco` and `imagenet` download what is not there; anything else is a file (see `_from_file`). As in
+    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else the reference detector where it
+    comes with skope and has the same keypoints, else random ones, and never uses the network; `coco` and `imagenet`
+    download what is not there; anything else is what `detector.find_checkpoint` takes (see `_from_file`). As in
     torchvision, trained weights come with frozen normalisation, and random ones with normalisation and all layers that
     learn, unless `norm` says otherwise. `seed` draws what no file gives. A checkpoint of ours must have the keypoint
     `scheme` that is to be learnt.
@@ -50,6 +51,7 @@ def initialise(
         chosen = given_norm if norm == "given" else norm
         return DetectorConfig(norm=chosen, norm_eps=eps, min_size=min_size, max_size=max_size, scheme=scheme)
 
+    check(init)
     coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
@@ -60,24 +62,24 @@ def initialise(
         if init == "imagenet":
             chosen = config("frozen", _DEFAULT_EPS)
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
-        if init in INITS:
+        shipped = init == "auto" and scheme == keypoints.SCHEME and weights.REFERENCE in weights.names()
+        if init in INITS and not shipped:
             chosen = config("batch", _DEFAULT_EPS)
-            words = "random weights" + (" (no COCO weights in the cache)" if init == "auto" else "")
-            return detector.build(chosen, trainable_layers=5), chosen, words
-        file = check(init)
-        assert file is not None
+            return detector.build(chosen, trainable_layers=5), chosen, "random weights"
+        file = weights.path(weights.REFERENCE) if shipped else detector.find_checkpoint(Path(init))
         state, own_norm, eps = _from_file(file, scheme)
         chosen = config(own_norm, eps)
-        return _loaded(file, state, chosen, trainable_layers), chosen, f"weights of {file}"
+        words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
+        return _loaded(file, state, chosen, trainable_layers), chosen, words
 
 
-def check(init: str) -> Path | None:
-    """The file that a value of `--init` names, None for one of the names in `INITS`."""
+def check(init: str) -> None:
+    """Raise a UserError unless a value of `--init` is one of `INITS` or names weights that are there."""
     if init in INITS:
-        return None
-    if not Path(init).exists():
-        raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join(INITS)}")
-    return detector.find_checkpoint(Path(init))
+        return
+    if not Path(init).exists() and init not in weights.names():
+        raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join((*INITS, *weights.names()))}")
+    detector.find_checkpoint(Path(init))
 
 
 def _from_file(path: Path, scheme: str) -> tuple[State, str, float]:

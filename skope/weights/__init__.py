@@ -4,13 +4,17 @@ from pathlib import Path
 from typing import Final
 
 REFERENCE: Final = "reference"
-NAMES: Final = (REFERENCE,)
 
 FOLDER: Final = Path(__file__).parent
 
 
+def names() -> tuple[str, ...]:
+    """The detectors that are there."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.safetensors")))
+
+
 def path(name: str) -> Path:
-    """The file of the weights called `name`, one of `NAMES`."""
+    """The file of the weights called `name`, one of `names`."""
     return FOLDER / f"{name}.safetensors"
 
 

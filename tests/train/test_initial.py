@@ -9,7 +9,7 @@ from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 from torchvision.models.detection._utils import overwrite_eps
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
-from skope import detector, keypoints
+from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 from skope.train import initial
@@ -18,8 +18,8 @@ from tests.test_detector import SMALL, body_outputs, use_uneven_statistics
 COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
 
 
-def initialise(init: str, norm: str = "given") -> tuple[KeypointRCNN, DetectorConfig, str]:
-    return initial.initialise(init, norm=norm, trainable_layers=3, seed=0, **SMALL)
+def initialise(init: str, norm: str = "given", **more: str) -> tuple[KeypointRCNN, DetectorConfig, str]:
+    return initial.initialise(init, norm=norm, trainable_layers=3, seed=0, **SMALL, **more)
 
 
 def stock_coco() -> KeypointRCNN:
@@ -50,14 +50,27 @@ def test_auto_takes_coco_weights_from_the_cache(tmp_path: Path, monkeypatch: pyt
         initialise("auto")
 
 
-def test_without_a_cache_auto_takes_random_weights_that_the_seed_fixes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(weights, "FOLDER", tmp_path)
+    assert initialise("auto")[2] == "random weights"  # while there are none
+    config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
+    detector.save_weights(weights.path(weights.REFERENCE), detector.build(config), config, {}, packed=True)
+    (model, chosen, words), (named, _, _) = initialise("auto"), initialise("reference")
+    own, _, _ = detector.load_weights(weights.path(weights.REFERENCE), "cpu")
+    assert chosen == config
+    assert words == "weights `reference` of the package"
+    assert torch.equal(body_outputs(model), body_outputs(own))
+    assert torch.equal(body_outputs(named), body_outputs(own))
+    _, chosen, words = initialise("auto", scheme="skope3d")  # whose keypoints are others
+    assert (chosen.norm, words) == ("batch", "random weights")
+
+
+def test_random_weights_are_fixed_by_the_seed() -> None:
     before = torch.get_rng_state()
-    (one, chosen, words), (two, _, _) = initialise("auto"), initialise("random")
+    (one, chosen, words), (two, _, _) = initialise("random"), initialise("random")
     assert chosen.norm == "batch"
-    assert words == "random weights (no COCO weights in the cache)"
+    assert words == "random weights"
     assert torch.equal(one.roi_heads.box_head.fc7.weight, two.roi_heads.box_head.fc7.weight)
     assert torch.equal(before, torch.get_rng_state())
     assert all(parameter.requires_grad for parameter in one.parameters())
