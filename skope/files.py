@@ -1,6 +1,7 @@
 """Reading and writing files so that nothing half-written is ever taken for whole."""
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -50,6 +51,28 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def locked(path: Path, busy: str) -> Iterator[None]:
+    """Hold the lock that the file `path` stands for, and take the file away at the end.
+
+    The lock ends with the process, however it ends. Raises UserError with the text `busy` where another one holds it.
+    """
+    while True:
+        with path.open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UserError(busy) from None
+            # Whoever held it until now has taken the file away: a third process may hold the lock of a new one.
+            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                continue
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
 
 
 def link(source: Path, target: Path) -> None:

@@ -33,6 +33,12 @@ def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
     write_json(path.with_suffix(".json"), index)
 
 
+def members_of(path: Path) -> tuple[str, ...]:
+    """Names of a whole shard's members; none of one whose index was not written yet."""
+    index = path.with_suffix(".json")
+    return tuple(_index(index, True)) if index.is_file() else ()
+
+
 def split_member(path: Path) -> tuple[Path, str] | None:
     """The shard and the member that a path like `shards/train-000000.tar/a/b.jpg` names; None for other paths."""
     parts = path.parts

@@ -149,6 +149,21 @@ class Shards(_Manifest):
             yield f"{frame.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
 
 
+def unpack_shards(root: Path) -> None:
+    """Make images and depth of all whole shards loose files again, and remove shards.
+
+    A shard without its index is not whole: its frames are loose files still.
+    """
+    for shard in sorted((root / shards.FOLDER).glob("*.tar")):
+        for name in shards.members_of(shard):
+            stem, suffix = name.split(".", 1)
+            kind, ending = ("depth", suffix[len("depth.") :]) if suffix.startswith("depth.") else ("images", suffix)
+            if ending != "json":
+                write_bytes(root / kind / f"{stem}.{ending}", shards.read_member(shard, name))
+        shard.with_suffix(".json").unlink(missing_ok=True)
+        shard.unlink()
+
+
 def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:
     for name, content in members:
         yield name, content if isinstance(content, bytes) else read_bytes(content)

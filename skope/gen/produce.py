@@ -106,6 +106,9 @@ def _settle_renderer(store: Store, renderer: str) -> None:
 
 def _simulate(store: Store, parameters: Parameters, crew: Crew, console: Console) -> None:
     todo = [plan for plan in parameters.plans() if not store.recorded(plan.take)]
+    for path in (store.recording_path(plan.take) for plan in todo):
+        if path.is_file() and not recording.sound(path):
+            console.say(f"{path}: is broken, and is made again")
     for _ in console.bar(crew.simulate(store, todo), total=len(todo), unit="recording", label="simulating"):
         pass
 

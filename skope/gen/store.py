@@ -4,7 +4,6 @@
 whatever moment a run is killed at, the frames with such a file are whole. It is removed when the dataset is.
 """
 
-import fcntl
 import json
 import shutil
 from collections.abc import Container, Iterable, Iterator, Mapping
@@ -15,12 +14,12 @@ from typing import Any, Final
 
 from skope.dataset import CARD, Dataset, read_card
 from skope.errors import UserError
-from skope.files import json_bytes, parse_json, read_bytes, read_json, replacing, write_bytes, write_json
+from skope.files import json_bytes, locked, parse_json, read_bytes, read_json, replacing, write_bytes, write_json
 from skope.gen import recording as recordings
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
 from skope.gen.frames import Frame
-from skope.gen.pack import Labels, frames_of_split, numbered, writer_of
+from skope.gen.pack import Labels, frames_of_split, numbered, unpack_shards, writer_of
 from skope.gen.recording import Recording, Take
 
 _GROWS: Final = ("frames", "sites", "recordings")
@@ -43,18 +42,11 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from making the same dataset; the lock ends with the process."""
+        """Keep other processes from making the same dataset."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            with (self.root / ".lock").open("w") as file:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise UserError(f"{self.root}: another `skope gen` is writing to this folder") from None
-                try:
-                    yield
-                finally:
-                    (self.root / ".lock").unlink(missing_ok=True)
+            with locked(self.root / ".lock", f"{self.root}: another `skope gen` is writing to this folder"):
+                yield
         except OSError as error:
             raise UserError(f"{self.root}: cannot be written: {error.strerror or error}") from None
 
@@ -76,6 +68,9 @@ class Store:
             shutil.rmtree(self._work, ignore_errors=True)
             if begun["takes"] != wanted["takes"]:
                 self.reopen()
+        elif begun["takes"] != wanted["takes"]:
+            # Shards that were written already hold other frames, and ids, than they will.
+            unpack_shards(self.root)
         if not self.complete:
             write_json(self._plan_path, wanted)
 
@@ -149,9 +144,9 @@ class Store:
         return self._work / "frames" / f"{frame_name}.jsonl"
 
     def recorded(self, take: Take) -> bool:
-        """Whether the recording is there with all its frames."""
+        """Whether the recording is there, sound and with all its frames."""
         path = self.recording_path(take)
-        return path.is_file() and recordings.length(path) == take.frames
+        return path.is_file() and recordings.sound(path) and recordings.length(path) == take.frames
 
     def keep_recording(self, take: Take, data: bytes) -> None:
         """Write a recording; frames that are done stay so when it starts like the shorter one that they come from."""
