@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialized
 from torch import nn
 from torch.overrides import TorchFunctionMode
 from torchvision.models.detection import KeypointRCNN
@@ -28,7 +28,7 @@ from torchvision.ops import FrozenBatchNorm2d
 
 from skope import boxes, compact, keypoints, weights
 from skope.errors import UserError, one_of
-from skope.files import replacing
+from skope.files import write_bytes
 from skope.schema import Result
 
 NORMS: Final = ("frozen", "batch")
@@ -156,8 +156,7 @@ def save_weights(
     if packed:
         state, header[_PACKED] = compact.pack(state)
         header[_CHECKSUM] = compact.digest(state, header)
-    with replacing(path) as temporary:
-        save_file(state, str(temporary), metadata={"format": "pt", HEADER: json.dumps(header, allow_nan=False)})
+    write_bytes(path, serialized(state, {"format": "pt", HEADER: json.dumps(header, allow_nan=False)}))
 
 
 def load_weights(

@@ -23,6 +23,7 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.unlink(missing_ok=True)  # a symbolic link would be written through
         yield temporary
         temporary.replace(path)
     except OSError as error:
@@ -60,7 +61,8 @@ def locked(path: Path, busy: str) -> Iterator[None]:
     The lock ends with the process, however it ends. Raises UserError with the text `busy` where another one holds it.
     """
     while True:
-        with path.open("w") as file:
+        # Of a symbolic link the file that it leads to would be emptied.
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW), "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -75,6 +77,18 @@ def locked(path: Path, busy: str) -> Iterator[None]:
             return
 
 
+def no_links_out(root: Path) -> None:
+    """Raise a UserError where a folder below `root` is a symbolic link to elsewhere: what is written would land there.
+
+    Links to files are no danger: files are replaced and removed by their names.
+    """
+    whole = root.resolve()
+    for folder, below, _ in os.walk(root):
+        for path in (Path(folder, name) for name in below):
+            if path.is_symlink() and not path.resolve().is_relative_to(whole):
+                raise UserError(f"{path}: is a link that leads out of {root}: nothing is written or removed there")
+
+
 def link(source: Path, target: Path) -> None:
     """Make `target` the same file as `source`, or a copy of it where the file system cannot link."""
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -84,7 +98,7 @@ def link(source: Path, target: Path) -> None:
         write_bytes(target, read_bytes(source))
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write a file atomically."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)

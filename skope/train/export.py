@@ -6,6 +6,7 @@ from 0 to 1.
 """
 
 import importlib.util
+import io
 import warnings
 from pathlib import Path
 from typing import Final
@@ -67,7 +68,10 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     with replacing(out) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of tracing and of the exporter's age: what matters is tested
         if to == "torchscript":
-            torch.jit.script(_Scripted(model).eval()).save(str(temporary))  # type: ignore[no-untyped-call]
+            # Through memory: where there is no room for a file, torch's own writer ends the process.
+            buffer = io.BytesIO()
+            torch.jit.save(torch.jit.script(_Scripted(model).eval()), buffer)
+            temporary.write_bytes(buffer.getbuffer())
         else:
             _to_onnx(Deployed(model).eval(), temporary)
     return out

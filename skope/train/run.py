@@ -11,6 +11,7 @@ resume.pt alone decides where a run goes on, and is replaced in one step: killed
 and writes again what came after. The state of every random generator follows from seed, epoch and step.
 """
 
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ from skope import detector, keypoints
 from skope.dataset import Dataset
 from skope.detector import BEST, DetectorConfig
 from skope.errors import UserError
-from skope.files import read_json, replacing, write_json, write_text
+from skope.files import read_json, write_bytes, write_json, write_text
 from skope.keypoints import Scheme
 from skope.train import initial
 from skope.train.recipe import Recipe
@@ -180,8 +181,10 @@ def record(run: Path, config: RunConfig) -> None:
 
 def save_state(run: Path, training: Training) -> None:
     """Write what `resume` reads."""
-    with replacing(run / _RESUME) as temporary:
-        torch.save(training.state(), temporary)
+    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    buffer = io.BytesIO()
+    torch.save(training.state(), buffer)
+    write_bytes(run / _RESUME, buffer.getbuffer())
 
 
 def save_epoch(run: Path, config: RunConfig, training: Training, *, keep: int) -> Path:

@@ -1,0 +1,71 @@
+"""Checkpoints and exports where they cannot be written, and whom they can be read by."""
+
+import resource
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from skope import detector
+from skope.detector import DetectorConfig
+from tests.test_detector import SMALL
+
+CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(1)
+    torch.manual_seed(0)
+    detector.save_weights(path, detector.build(CONFIG), CONFIG, {})
+    return path
+
+
+def test_a_checkpoint_is_for_everybody_whom_the_umask_lets(checkpoint: Path, tmp_path: Path) -> None:
+    other = tmp_path / "plain"
+    other.touch()
+    assert stat.S_IMODE(checkpoint.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
+
+
+def little_room() -> None:
+    """Let this process write no file of more than a megabyte, as on a full disk."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
+
+
+@pytest.mark.parametrize("to", ["compact", "torchscript", "onnx"])
+def test_an_export_without_room_leaves_nothing(to: str, checkpoint: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "skope", "train", "export", str(checkpoint), "--to", to, "--out"]
+    for out, room in ((tmp_path / "full" / "a.bin", little_room), (Path("/proc/a.bin"), None)):
+        done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=False, preexec_fn=room)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.startswith(f"skope: {out}: cannot be written: ")
+        assert done.stderr.count("\n") == 1
+    assert not any((tmp_path / "full").iterdir())
+
+
+def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from tests.train.test_writing import little_room, state\n"
+        "from skope.errors import UserError; from skope.train import run\n"
+        "training = state(); little_room()\n"
+        "try: run.save_state(Path(sys.argv[1]), training)\n"
+        "except UserError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith(f"{tmp_path / 'resume.pt'}: cannot be written: "), done.stderr
+    assert not any(tmp_path.iterdir())
+
+
+def state() -> object:
+    """As much of a training as a saved state has."""
+    from skope.train.recipe import RECIPES
+    from skope.train.run import Training, optimizer
+
+    model = detector.build(CONFIG)
+    return Training(model, CONFIG, optimizer(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)
