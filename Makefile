@@ -55,7 +55,9 @@ $(RUN)/.trained: $(DATA)/dataset.json | $(STAMP)
 	else rm -rf $(RUN) && $(SKOPE) train --data $(DATA) --out $(RUN) --epochs $(EPOCHS); fi
 	touch $@
 
+# What is evaluated is newer than what lies there: a folder of other work would be refused.
 $(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
+	rm -rf $(RUN)/eval
 	$(SKOPE) eval --data $(DATA) --checkpoint $(RUN)
 
 # The paper's experiment from nothing: 13 500 images, 10 epochs, three test splits and the sites apart. Whatever is finished
@@ -77,6 +79,7 @@ bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_gen.py
 	$(VENV)/bin/python scripts/bench_localize.py
+	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
 	$(VENV)/bin/python scripts/bench_render.py
 	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
 

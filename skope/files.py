@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -127,6 +128,17 @@ def parse_json(data: bytes) -> Any:
         return orjson.loads(data)
     # NaN, which Python writes, is for those to refuse who know the field's name.
     return json.loads(data.decode("utf-8"))
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal; a UserError names one that cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def write_json(path: Path, value: Any) -> None:

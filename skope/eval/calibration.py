@@ -5,7 +5,6 @@ is there. Platt's method (1999): the logistic regression of "visible and near en
 validation data, per keypoint. The fit lies in a file beside the weights and names them by digest.
 """
 
-import hashlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints, schema
 from skope.errors import UserError
-from skope.files import read_json, write_json
+from skope.files import read_json, sha256_of, write_json
 
 VERSION: Final = 1
 ALPHA: Final = 0.1
@@ -135,7 +134,7 @@ def write(weights: Path, calibration: Calibration, scheme: str = keypoints.SCHEM
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
-    head = {"version": VERSION, "scheme": scheme, "weights_sha256": _digest(weights)}
+    head = {"version": VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
     write_json(path, {**head, "fitted_on": calibration.fitted_on, **numbers})
     return path
 
@@ -148,7 +147,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> Calibration | None:
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
-    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", _digest(weights))):
+    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", sha256_of(weights))):
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
@@ -165,8 +164,3 @@ def _parsed(path: Path, document: dict[str, Any]) -> Calibration:
     if (scale < 0).any():
         raise UserError(f"{path}: scale: expected numbers from 0, got {scale.min():g}")
     return Calibration(scale=scale, offset=offset, fitted_on=document.get("fitted_on") or {})
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,6 +1,7 @@
 """`skope eval camera`: a camera file from vehicles, or from points that were marked on the ground."""
 
 import csv
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,8 @@ from skope.control_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval import camera_fit
 from skope.eval.scene import read_scene
-from skope.files import read_bytes, write_json
+from skope.files import read_bytes
+from skope.outputs import write_new
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
 
@@ -58,7 +60,8 @@ def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
 
 
 def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str]:
-    write_json(out, {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides})
+    document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
+    write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     yield f"wrote {out}"
 
 

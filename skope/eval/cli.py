@@ -160,12 +160,13 @@ def compare_runs(
 ) -> None:
     """Put evaluations side by side, with paired intervals of their differences from the first."""
     from skope.eval import compare
-    from skope.files import write_json
+    from skope.files import json_bytes
+    from skope.outputs import write_new
 
     document = compare.compare(folders)
     text = compare.render(document, protocol)
     if out:
-        write_json(out, document)
+        write_new(out, json_bytes(document))
     typer.echo(text)
 
 

@@ -25,6 +25,8 @@ class Truth:
     root: Path
     """The folder that file names are relative to."""
     fleet: Fleet
+    sources: tuple[Path, ...]
+    """The files that say what is true; those that name the checksums of all others where there are such."""
 
     @property
     def scheme(self) -> Scheme:
@@ -39,7 +41,10 @@ def read_dataset(root: Path, names: Sequence[str]) -> Truth:
     if not wanted:
         there = ", ".join(data.splits) or "none"
         raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
-    return Truth(splits=tuple(data.read(name) for name in wanted), root=root, fleet=_fleet(root, data.card))
+    splits = tuple(data.read(name) for name in wanted)
+    manifest = root / dataset.MANIFEST
+    sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
+    return Truth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
 
 
 def _fleet(root: Path, card: dict[str, Any]) -> Fleet:
@@ -59,7 +64,7 @@ def _fleet(root: Path, card: dict[str, Any]) -> Fleet:
 
 def read_annotations(path: Path) -> Truth:
     """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
-    return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet())
+    return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet(), sources=(path,))
 
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:

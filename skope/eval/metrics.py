@@ -27,12 +27,17 @@ AREA_ALPHA: Final = 0.2
 
 
 def document(
-    options: Options, splits: Mapping[str, Any], *, calibrated: bool | None = None, scheme: str = keypoints.SCHEME
+    options: Options,
+    splits: Mapping[str, Any],
+    *,
+    calibrated: bool | None = None,
+    scheme: str = keypoints.SCHEME,
+    work: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The whole of `metrics.json` around the figures of each split.
 
     `calibrated`: whether keypoint scores are calibrated probabilities, None where another program made them; `scheme`
-    is the detector's.
+    is the detector's. `work`: what `outputs.claim` says of the files that were read, the version and the date.
     """
     return {
         "version": VERSION,
@@ -44,6 +49,7 @@ def document(
         "scheme": scheme,
         "points": list(options.points),
         "calibrated": calibrated,
+        "of": {name: work[name] for name in ("inputs", "skope", "date")} if work else None,
         "splits": dict(splits),
     }
 

@@ -3,12 +3,14 @@
 import math
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
+from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
+from skope.outputs import claim
 
 RUN = Path("runs/skope")
 _FITTED = ("auto", "fit")
@@ -43,12 +45,23 @@ SigmaOption = Annotated[
 ]
 
 
+def _claim(
+    out: Path, command: str, files: tuple[Path | None, Path | None, Path | None, Path | None], **options: Any
+) -> None:
+    """Take the output folder of `pose` or `track` for a folder or annotations, predictions, and camera."""
+    folder, *others = files
+    inputs = [folder / FRAMES, folder / PREDICTIONS] if folder else []
+    claim(out, f"skope eval {command}", [*inputs, *(path for path in others if path)], options)
+
+
 def predict(
     source: Annotated[
         str, typer.Argument(help="Image, folder, glob (quoted), video file or rtsp:// / http:// stream.")
     ],
     checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
-    out: Annotated[Path, typer.Option(help="Where to write.")] = PREDICTED,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write.", show_default="runs/predict/ and the source's name")
+    ] = None,
     camera: CameraOption = None,
     every: Annotated[int, typer.Option(help="Take every so many-th frame.")] = 1,
     start: Annotated[float, typer.Option(help="Begin at this second of a video.")] = 0.0,
@@ -74,6 +87,7 @@ def predict(
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = Settings(device=device, precision=precision, batch_size=batch_size, min_score=score)
+    out = out or PREDICTED / (Path(footage.name).stem or "images")
     fixed = read_camera(camera)[0] if camera else None
 
     from skope.eval.watch import Job, predict
@@ -131,6 +145,8 @@ def pose(
         scene, words = settled(scene, ground, score=score, noise=levels[0], sigma_px=sigma)
         if words:
             console.result(words)
+    files = (folder, annotations, predictions, camera)
+    _claim(out, "pose", files, ground=ground, noise=levels, score=score, sigma=sigma)
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
@@ -183,6 +199,8 @@ def track(
         scene, words = settled(scene, ground, score=score, noise=noise, sigma_px=sigma)
         if words:
             console.result(words)
+    files = (folder, annotations, predictions, camera)
+    _claim(out, "track", files, ground=ground, fps=fps, noise=noise, score=score, sigma=sigma)
     job = Job(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
     for line in run(job, console):
         console.result(line)

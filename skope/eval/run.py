@@ -2,21 +2,25 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from skope import coco, draw, keypoints, shards
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
-from skope.eval import inputs, metrics, report, table
+from skope.eval import calibration, inputs, metrics, report, table
 from skope.eval.inputs import Truth
 from skope.eval.measure import measure, to_tallies
 from skope.eval.settings import Settings
 from skope.eval.tally import Options
 from skope.files import write_json, write_text
+from skope.outputs import claim
 from skope.schema import AnnotationFile, Result
+
+if TYPE_CHECKING:
+    from skope.eval.predict import Predictor
 
 REPORT: Final = "report.html"
 OVERLAYS: Final = 4
@@ -49,12 +53,16 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
-    results, calibrated = _predicted(job, splits, console) if job.checkpoint else (_read(job, splits), None)
+    predictor = _predictor(job, console) if job.checkpoint else None
+    results = {} if predictor else _read(job, splits)
+    work = _claimed(job, predictor)
+    results |= _predicted(job, predictor, splits) if predictor else {}
+    calibrated = predictor.calibrated if predictor else None
     measured = [
         measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
     ]
     figures = {split.file.name: split.entry for split in measured}
-    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=job.scheme)
+    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
@@ -70,23 +78,39 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     return document
 
 
-def _predicted(
-    job: Job, splits: Sequence[AnnotationFile], console: Console
-) -> tuple[dict[str, tuple[Result, ...]], bool]:
-    """Results by split, and whether their keypoints' scores are calibrated."""
+def _predictor(job: Job, console: Console) -> "Predictor":
+    """The checkpoint on its device, whose keypoints are those of the ground truth."""
     from skope.eval.predict import Predictor  # torch
 
     assert job.checkpoint is not None
     settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
     predictor = Predictor(job.checkpoint, settings, console)
     predictor.check_scheme(job.truth.scheme, job.truth.root)
+    return predictor
+
+
+def _claimed(job: Job, predictor: "Predictor | None") -> dict[str, Any]:
+    """The output folder, taken for this evaluation; what `work.json` says of it."""
+    scored = [job.predictions] if job.predictions else []
+    if predictor:
+        beside = calibration.path_beside(predictor.weights)
+        scored += [predictor.weights, *([beside] if predictor.calibrated else [])]
+    options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
+    settings = {name: getattr(job.settings, name) for name in ("given", "precision")}
+    splits = [file.name for file in job.truth.splits]
+    more = {"splits": splits, "fast": job.fast, "max_images": job.max_images}
+    return claim(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
+
+
+def _predicted(job: Job, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+    """Results by split."""
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
         coco.write_results(path, predictor.split(file, job.truth.root))
         # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
         out[file.name] = coco.read_results(path)
-    return out, predictor.calibrated
+    return out
 
 
 def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
@@ -137,7 +161,8 @@ def _advice(job: Job, figures: Mapping[str, Any], results: Mapping[str, Sequence
             "from random weights, `--init coco` to start from weights trained on COCO, and more images."
         )
     if highest:
-        lines.append(f"To see what there is: `skope eval --score {_below(highest):g}`. AP counts all detections.")
+        lower = f"--score {_below(highest):g} --out {job.out}_{_below(highest):g}"
+        lines.append(f"To see what there is: `skope eval {lower}`. AP counts all detections.")
     return lines
 
 

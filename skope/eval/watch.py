@@ -1,7 +1,7 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
-import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,7 @@ from skope.eval.scene import with_camera
 from skope.eval.settings import Settings
 from skope.files import replacing
 from skope.keypoints import Scheme
+from skope.outputs import claim
 from skope.schema import AnnotationFile, Image, Result
 from skope.video import write_video
 
@@ -59,7 +60,8 @@ class _Done:
 def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
-    done = _resumed(job, predictor.weights, console)
+    _claim(job, predictor.weights)
+    done = _resumed(job, console)
     with done.path.open("a", encoding="utf-8") as log:
         frames = job.footage.frames(done.last)
         with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
@@ -97,20 +99,28 @@ def _note(done: _Done, log: Any, image: Image, found: list[Result]) -> None:
     log.flush()
 
 
-def _resumed(job: Job, weights: Path, console: Console) -> _Done:
-    """What an interrupted run of the same footage, weights and settings left behind; else a fresh start."""
+def _claim(job: Job, weights: Path) -> None:
+    """Take the output folder for this footage, these weights and settings; overlays may come later."""
+    footage, cut, settings = job.footage, job.footage.cut, job.settings
+    options = {
+        "source": footage.clip.address if footage.clip else [str(path) for path in footage.images],
+        "cut": [cut.every, cut.start_s, cut.end_s if math.isfinite(cut.end_s) else None],
+        "score": job.score,
+        "precision": settings.precision,
+        "calibrated": settings.calibrated,
+        "camera": job.camera.to_dict() if job.camera else None,
+    }
+    claim(job.out, "skope eval predict", [weights], options)
+
+
+def _resumed(job: Job, console: Console) -> _Done:
+    """What an interrupted run of the same work left behind; else a fresh start."""
     path = job.out / _PROGRESS
-    told = [
-        job.footage.clip.address if job.footage.clip else [str(p) for p in job.footage.images],
-        [job.footage.cut.every, job.footage.cut.start_s, job.footage.cut.end_s, job.score],
-        [str(job.settings), str(weights), weights.stat().st_mtime_ns, job.camera.to_dict() if job.camera else None],
-    ]
-    head = {"run": hashlib.sha256(json.dumps(told).encode()).hexdigest()}
     done = _Done(path)
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() and not job.footage.live else []
-    whole = [json.dumps(head)]
-    if lines[:1] == whole:
-        for line in lines[1:]:
+    whole = []
+    if lines:
+        for line in lines:
             try:
                 row = json.loads(line)
             except json.JSONDecodeError:  # the line that was being written
@@ -121,7 +131,7 @@ def _resumed(job: Job, weights: Path, console: Console) -> _Done:
         console.say(f"{job.footage.name}: going on after frame {done.last}")
     try:
         job.out.mkdir(parents=True, exist_ok=True)
-        path.write_text("\n".join(whole) + "\n", encoding="utf-8")
+        path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
     except OSError as error:
         raise UserError(f"{job.out}: cannot be written: {error.strerror or error}") from None
     return done

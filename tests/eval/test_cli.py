@@ -34,7 +34,7 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
     assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json to scores; open scores/report.html"
     assert "crossing" in out
     metrics = json.loads(Path("scores/metrics.json").read_text())
-    assert {name: metrics[name] for name in metrics if name != "splits"} == {
+    assert {name: metrics[name] for name in metrics if name not in ("splits", "of")} == {
         "version": 1,
         "score_threshold": 0.9,
         "alpha": 0.1,
@@ -70,7 +70,7 @@ def test_twice_gives_the_same_bytes(skope: Any, tmp_path: Path) -> None:
         assert skope("eval", "--annotations", truth, "--predictions", "results.json", "--out", out)[0] == 0
     assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
     assert sorted(files_of(tmp_path / "one")) == [
-        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "report.html", "tallies.json"),
+        *("metrics.json", "overlays/easy_1.jpg", "overlays/easy_2.jpg", "report.html", "tallies.json", "work.json"),
     ]
     sheet = cv2.imread(str(tmp_path / "one" / "overlays" / "easy_1.jpg"))
     assert sheet is not None
@@ -85,8 +85,14 @@ def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path)
     assert code == 0
     assert "No detection scores above 0.9 in train: there is none at all." in out
     assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json, overlays/ to eval; open eval/report.html"
-    assert skope(*common, "--max-images", 2)[0] == 0
-    assert json.loads(Path("eval/metrics.json").read_text())["splits"]["train"]["images"] == 2
+    before = files_of(tmp_path / "eval")
+    code, _, err = skope(*common, "--max-images", 2)
+    assert (code, "max_images = None, now 2" in err) == (2, True)
+    assert files_of(tmp_path / "eval") == before
+    assert skope(*common)[0] == 0  # the same work is done again
+    assert files_of(tmp_path / "eval") == before
+    assert skope(*common, "--max-images", 2, "--out", "two")[0] == 0
+    assert json.loads(Path("two/metrics.json").read_text())["splits"]["train"]["images"] == 2
 
 
 def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp_path: Path) -> None:
@@ -94,10 +100,10 @@ def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp
     _, out, _ = skope("eval", "--annotations", truth, "--predictions", results)
     assert out.splitlines()[-3:] == [
         "No detection scores above 0.9 in crossing: the highest score is 0.410.",
-        "To see what there is: `skope eval --score 0.3`. AP counts all detections.",
+        "To see what there is: `skope eval --score 0.3 --out eval_0.3`. AP counts all detections.",
         "Wrote metrics.json, tallies.json to eval; open eval/report.html",
     ]
-    _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3")
+    _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3", "--out", "eval_0.3")
     assert "No detection" not in out
 
 
@@ -107,8 +113,8 @@ def test_flags_change_what_is_measured(skope: Any, tmp_path: Path) -> None:
     _, pooled, _ = skope(*common)
     _, paper, _ = skope(*common, "--protocol", "paper", "--quiet")
     assert pooled != paper
-    skope(*common, "--labelled", "all", "--alpha", "0.05")
-    metrics = json.loads(Path("eval/metrics.json").read_text())
+    skope(*common, "--labelled", "all", "--alpha", "0.05", "--out", "strict")
+    metrics = json.loads(Path("strict/metrics.json").read_text())
     assert (metrics["labelled"], metrics["alpha"]) == ("all", 0.05)
 
 

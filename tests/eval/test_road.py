@@ -146,7 +146,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
     assert "going on after frame 3" in out
     for name in ("predictions.json", "frames.json"):
         assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
-    assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json"}
+    assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json", "work.json"}
 
 
 @pytest.mark.parametrize(

@@ -69,9 +69,17 @@ def _about(document: Mapping[str, Any]) -> str:
         f"{document['alpha']:g} of the longer edge L of the ground-truth box ({document['boxes']} boxes); keypoints "
         f"that count: {document['labelled']}; keypoint scores: {scores}; "
         f"{'all keypoints count as predicted' if not least else f'keypoints above {least:g} count as predicted'}. "
-        f"{len(document['points'])} keypoints of scheme {document['scheme']}. skope {__version__}."
+        f"{len(document['points'])} keypoints of scheme {document['scheme']}."
     )
-    return tag("p", escape(facts))
+    return tag("p", escape(facts)) + _source(document["of"])
+
+
+def _source(of: Mapping[str, Any] | None) -> str:
+    """Which files the figures are of, and what worked them out when."""
+    if of is None:
+        return tag("p", escape(f"skope {__version__}."))
+    files = "; ".join(f"{path} (SHA-256 {digest[:12]})" for path, digest in of["inputs"].items())
+    return tag("p", escape(f"Of {files}. skope {of['skope']}, {of['date']}."))
 
 
 def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:

@@ -1,0 +1,139 @@
+"""Output folders: own work goes on or is made again, other work is refused and left as it is."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skope import coco
+from skope.errors import UserError
+from skope.outputs import WORK, claim, write_new
+from skope.schema import AnnotationFile, Result
+from tests.eval.conftest import files_of
+from tests.samples import make_annotation, make_image
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    path = tmp_path / "source.txt"
+    path.write_text("a")
+    return path
+
+
+def test_a_folder_is_taken_by_one_work(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    made = claim(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)})
+    assert json.loads((out / WORK).read_text()) == made
+    assert set(made) == {"command", "inputs", "options", "skope", "date"}
+    (out / "figures").write_text("1")
+    assert claim(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)}) == made
+    moved = source.rename(tmp_path / "moved.txt")
+    assert claim(out, "skope eval", [moved], {"score": 0.9, "iou": (0.5, 0.6)}) == made
+
+
+@pytest.mark.parametrize(
+    ("command", "content", "more", "options", "words"),
+    [
+        ("skope eval pose", "a", [], {"score": 0.9}, "of `skope eval`"),
+        ("skope eval", "b", [], {"score": 0.9}, "not of .*source.txt"),
+        ("skope eval", "a", ["c"], {"score": 0.9}, "not of .*c"),
+        ("skope eval", "a", [], {"score": 0.8}, r"score = 0.9, now 0.8"),
+        ("skope eval", "a", [], {"score": 0.9, "new": 1}, "new = None, now 1"),
+        ("skope eval", "a", [], {}, "score = 0.9, now None"),
+    ],
+)
+def test_other_work_is_refused(
+    command: str, content: str, more: list[str], options: dict[str, Any], words: str, source: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    claim(out, "skope eval", [source], {"score": 0.9})
+    (out / "figures").write_text("1")
+    before = files_of(out)
+    source.write_text(content)
+    others = [tmp_path / name for name in more]
+    for path in others:
+        path.write_text(path.name)
+    with pytest.raises(UserError, match=words):
+        claim(out, command, [source, *others], options)
+    assert files_of(out) == before
+
+
+@pytest.mark.parametrize("content", ["", "[]", '"x"', '{"command": 3}', '{"command": "skope eval", "inputs": []}'])
+def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / WORK).write_text(content)
+    (tmp_path / "figures").write_text("1")
+    with pytest.raises(UserError):
+        claim(tmp_path, "skope eval", [], {"score": 0.9})
+
+
+def test_folders_of_other_files_and_files_are_refused_and_begun_ones_without_results_taken(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.txt").write_text("mine")
+    with pytest.raises(UserError, match="holds other files"):
+        claim(tmp_path / "thesis", "skope eval", [], {})
+    with pytest.raises(UserError, match="is a file"):
+        claim(tmp_path / "thesis" / "thesis.txt", "skope eval", [], {})
+    claim(tmp_path / "begun", "skope eval", [], {"score": 0.9})
+    claim(tmp_path / "begun", "skope eval pose", [], {})
+    assert json.loads((tmp_path / "begun" / WORK).read_text())["command"] == "skope eval pose"
+
+
+def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "camera.json"
+    write_new(path, b"1")
+    before = path.stat().st_mtime_ns
+    write_new(path, b"1")
+    assert path.stat().st_mtime_ns == before
+    with pytest.raises(UserError, match=r"camera.json: is there already"):
+        write_new(path, b"2")
+    assert path.read_bytes() == b"1"
+
+
+def scene(folder: Path, name: str, x: float) -> tuple[Path, Path]:
+    """Ground truth of one vehicle, and results that find it."""
+    vehicle = make_annotation(1, 1, (x, 10, 60, 40))
+    truth, results = folder / f"{name}.json", folder / f"{name}_results.json"
+    coco.write(truth, AnnotationFile(images=(make_image(1),), annotations=(vehicle,)))
+    coco.write_results(results, [Result(image_id=1, score=0.95, bbox=vehicle.bbox, keypoints=vehicle.keypoints)])
+    return truth, results
+
+
+POINTS = "column,row,x,y,z\n100,400,-4,10,0\n500,420,2,9,0\n320,300,0,20,0\n200,310,-5,18,0\n450,290,6,22,0\n"
+
+
+def test_each_command_makes_its_own_again_and_refuses_the_others(skope: Any, tmp_path: Path) -> None:
+    """Empty folder, own finished work, other work: by the command line."""
+    (truth, found), (other_truth, other_found) = scene(tmp_path, "one", 10), scene(tmp_path, "two", 20)
+    Path("points.csv").write_text(POINTS)
+    Path("others.csv").write_text(POINTS.replace("100,400", "101,400"))
+    for own, other in [
+        (
+            ("eval", "--annotations", truth, "--predictions", found, "--out", "scores"),
+            ("eval", "--annotations", other_truth, "--predictions", other_found, "--out", "scores"),
+        ),
+        (
+            ("eval", "camera", "--points", "points.csv", "--size", "640x480", "--out", "cameras/c.json"),
+            ("eval", "camera", "--points", "others.csv", "--size", "640x480", "--out", "cameras/c.json"),
+        ),
+    ]:
+        out = Path(str(own[-1]).split("/")[0])
+        assert skope(*own)[0] == 0
+        before = files_of(out)
+        assert skope(*own)[0] == 0
+        assert files_of(out) == before
+        code, _, err = skope(*other)
+        assert (code, err.count("\n")) == (2, 1)
+        assert str(own[-1]) in err
+        assert files_of(out) == before
+
+
+def test_metrics_and_report_say_what_they_are_of(skope: Any, tmp_path: Path) -> None:
+    truth, found = scene(tmp_path, "one", 10)
+    assert skope("eval", "--annotations", truth, "--predictions", found, "--out", "scores")[0] == 0
+    of, work = (json.loads(Path("scores", name).read_text()) for name in ("metrics.json", WORK))
+    assert of["of"] == {name: work[name] for name in ("inputs", "skope", "date")}
+    assert list(of["of"]["inputs"]) == [str(truth), str(found)]
+    report = Path("scores/report.html").read_text()
+    for text in (str(truth), str(found), work["date"], *(digest[:12] for digest in work["inputs"].values())):
+        assert text in report
