@@ -134,13 +134,18 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 # --------------------------------------------------------------------------------------------------------- checkpoints
 
 
-def save_weights(
-    path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any], *, packed: bool = False
-) -> None:
-    """Write a checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
+def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
+    """Write a checkpoint, whose tensors are those of torchvision's own model: they load there with `strict=True`."""
+    write_bytes(path, checkpoint_bytes(model, config, metadata))
 
-    The tensors are those of torchvision's own model, so that they load there with `strict=True`; or, `packed`, what
-    `skope.compact` makes of them in a seventh of the bytes, with a checksum.
+
+def checkpoint_bytes(
+    model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any], *, packed: bool = False
+) -> bytes:
+    """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
+
+    The tensors are the model's, or, `packed`, what `skope.compact` makes of them in a seventh of the bytes, with a
+    checksum. The same model gives the same bytes.
     """
     header: dict[str, Any] = {
         "version": _FORMAT_VERSION,
@@ -156,7 +161,8 @@ def save_weights(
     if packed:
         state, header[_PACKED] = compact.pack(state)
         header[_CHECKSUM] = compact.digest(state, header)
-    write_bytes(path, serialized(state, {"format": "pt", HEADER: json.dumps(header, allow_nan=False)}))
+    # One field only: several come in any order.
+    return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
 
 
 def load_weights(

@@ -88,7 +88,7 @@ def model() -> KeypointRCNN:
 @pytest.fixture(scope="module")
 def packed(model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("packed") / "a.compact.safetensors"
-    detector.save_weights(path, model, CONFIG, {"epoch": 3}, packed=True)
+    path.write_bytes(detector.checkpoint_bytes(model, CONFIG, {"epoch": 3}, packed=True))
     return path
 
 

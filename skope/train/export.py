@@ -7,6 +7,7 @@ from 0 to 1.
 
 import importlib.util
 import io
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Final
@@ -18,7 +19,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import detector, weights
 from skope.console import Console
 from skope.errors import UserError, one_of
-from skope.files import replacing
+from skope.outputs import write_new
 
 FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx", "compact": ".compact.safetensors"}
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
@@ -61,20 +62,28 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
     model, config, metadata = detector.load_weights(path, "cpu")
     if to == "compact":
-        detector.save_weights(out, model, config, metadata, packed=True)
+        write_new(out, detector.checkpoint_bytes(model, config, metadata, packed=True))
         return out
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
-    with replacing(out) as temporary, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of tracing and of the exporter's age: what matters is tested
-        if to == "torchscript":
-            # Through memory: where there is no room for a file, torch's own writer ends the process.
-            buffer = io.BytesIO()
-            torch.jit.save(torch.jit.script(_Scripted(model).eval()), buffer)
-            temporary.write_bytes(buffer.getbuffer())
-        else:
-            _to_onnx(Deployed(model).eval(), temporary)
+        write_new(out, _torchscript(model) if to == "torchscript" else _onnx(model))
     return out
+
+
+def _torchscript(model: KeypointRCNN) -> bytes:
+    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    buffer = io.BytesIO()
+    torch.jit.save(torch.jit.script(_Scripted(model).eval()), buffer)
+    return buffer.getvalue()
+
+
+def _onnx(model: KeypointRCNN) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.onnx"
+        _to_onnx(Deployed(model).eval(), path)
+        return path.read_bytes()
 
 
 def _to_onnx(deployed: Deployed, path: Path) -> None:

@@ -11,7 +11,10 @@ import pytest
 import torch
 
 from skope import detector
+from skope.console import Console
 from skope.detector import DetectorConfig
+from skope.errors import UserError
+from skope.train.export import FORMATS, export
 from tests.test_detector import SMALL
 
 CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
@@ -37,15 +40,32 @@ def little_room() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
 
 
-@pytest.mark.parametrize("to", ["compact", "torchscript", "onnx"])
-def test_an_export_without_room_leaves_nothing(to: str, checkpoint: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "skope", "train", "export", str(checkpoint), "--to", to, "--out"]
-    for out, room in ((tmp_path / "full" / "a.bin", little_room), (Path("/proc/a.bin"), None)):
-        done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=False, preexec_fn=room)
-        assert done.returncode == 2, done.stderr
-        assert done.stderr.startswith(f"skope: {out}: cannot be written: ")
-        assert done.stderr.count("\n") == 1
-    assert not any((tmp_path / "full").iterdir())
+@pytest.mark.parametrize(
+    ("to", "out"), [("compact", "full/a.bin"), ("torchscript", "full/a.bin"), ("compact", "/proc/a.bin")]
+)
+def test_an_export_without_room_leaves_nothing(to: str, out: str, checkpoint: Path, tmp_path: Path) -> None:
+    path = tmp_path / out
+    command = [sys.executable, "-m", "skope", "train", "export", str(checkpoint), "--to", to, "--out", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=little_room)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith(f"skope: {path}: cannot be written: ")
+    assert done.stderr.count("\n") == 1
+    assert not any((tmp_path / "full").glob("*"))
+
+
+@pytest.mark.parametrize(
+    "to", ["compact", *(pytest.param(to, marks=pytest.mark.slow) for to in FORMATS if to != "compact")]
+)
+def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint: Path, tmp_path: Path) -> None:
+    console, path = Console(quiet=True), tmp_path / "a"
+    export(checkpoint, to, path, console=console)
+    before = path.read_bytes(), path.stat().st_mtime_ns
+    export(checkpoint, to, path, console=console)
+    assert (path.read_bytes(), path.stat().st_mtime_ns) == before
+    path.write_bytes(b"mine")
+    with pytest.raises(UserError, match="is there already, with other content"):
+        export(checkpoint, to, path, console=console)
+    assert path.read_bytes() == b"mine"
 
 
 def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
