@@ -3,7 +3,7 @@
 import itertools
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
@@ -66,31 +66,41 @@ class Predictor:
 
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
         """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""
+        return tuple(result for _, found in self.by_image(file, root) for result in found)
+
+    def by_image(
+        self, file: AnnotationFile, root: Path, known: Container[int] = ()
+    ) -> Iterator[tuple[int, list[Result]]]:
+        """Ids of the images of `file`, but those that are `known`, in their order, with what is found in each.
+
+        File names are relative to `root`.
+        """
         annotations = file.by_image()
-        out: list[Result] = []
+        images = [image for image in file.images if image.id not in known]
         with self._console.bar(total=len(file.images), unit="image", label=file.name) as bar:
-            begun, done = time.perf_counter(), 0
-            for batch in _batches(_decoded(file.images, root, 2 * self._batch), self._batch):
+            before = len(file.images) - len(images)
+            bar.update(before)
+            begun, done = time.perf_counter(), before
+            for batch in _batches(_decoded(images, root, 2 * self._batch), self._batch):
                 if self._settings.given:
                     for image, pixels in batch:
-                        out += self._on_boxes(image.id, pixels, annotations[image.id])
+                        yield image.id, self._on_boxes(image.id, pixels, annotations[image.id])
                 else:
-                    out += self._found(batch)
+                    yield from _by_image(batch, self._found(batch))
                 bar.update(len(batch))
                 # The first batch also warms the libraries up: where there is a second one, that one tells.
-                if bar.n == len(batch) < len(file.images):
+                if bar.n == before + len(batch) < len(file.images):
                     begun, done = time.perf_counter(), bar.n
-                elif bar.n <= 2 * self._batch and not self._console.quiet:
-                    seconds = (time.perf_counter() - begun) * len(file.images) / (bar.n - done)
-                    bar.write(f"{file.name}: about {minutes(seconds)} for {len(file.images)} images")
-        return tuple(out)
+                elif bar.n <= before + 2 * self._batch and not self._console.quiet:
+                    seconds = (time.perf_counter() - begun) * len(images) / (bar.n - done)
+                    bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
         """The results of one image after another, as they come."""
         for batch in _batches(images, self._batch):
-            found = self._found(batch)
-            for image, _ in batch:
-                yield image, [result for result in found if result.image_id == image.id]
+            alike = {image.id: image for image, _ in batch}
+            for image_id, found in _by_image(batch, self._found(batch)):
+                yield alike[image_id], found
 
     def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
         pixels = [pixels for _, pixels in batch]
@@ -113,6 +123,12 @@ class Predictor:
 
     def _scored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._calibration(points) if self._calibration else points
+
+
+def _by_image(batch: Sequence[tuple[Image, Pixels]], found: Sequence[Result]) -> Iterator[tuple[int, list[Result]]]:
+    """The results of each image of a batch."""
+    for image, _ in batch:
+        yield image.id, [result for result in found if result.image_id == image.id]
 
 
 def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:

@@ -13,6 +13,7 @@ from skope.errors import UserError
 from skope.eval import calibration, inputs, metrics, report, table
 from skope.eval.inputs import Truth
 from skope.eval.measure import measure, to_tallies
+from skope.eval.progress import Progress
 from skope.eval.settings import Settings
 from skope.eval.tally import Options
 from skope.files import write_json, write_text
@@ -53,6 +54,8 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
+    if job.checkpoint:
+        _check_images(splits, job.truth.root)
     predictor = _predictor(job, console) if job.checkpoint else None
     results = {} if predictor else _read(job, splits)
     work = _claimed(job, predictor)
@@ -76,6 +79,15 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
         console.result(line)
     console.result(_last_line(job, splits, pictures))
     return document
+
+
+def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
+    """Raise a UserError where images are missing, before hours are spent on the others."""
+    for file in splits:
+        missing = [image.file_name for image in file.images if shards.size(root / image.file_name) < 0]
+        if missing:
+            count = f"{len(missing)} of {len(file.images)} images"
+            raise UserError(f"{root / missing[0]}: no such file; split {file.name} lacks {count}")
 
 
 def _predictor(job: Job, console: Console) -> "Predictor":
@@ -107,7 +119,14 @@ def _predicted(job: Job, predictor: "Predictor", splits: Sequence[AnnotationFile
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
-        coco.write_results(path, predictor.split(file, job.truth.root))
+        progress = Progress(job.out / f".predictions_{file.name}.jsonl")
+        rows = {row["image_id"]: row["results"] for row in progress.rows}
+        for image_id, results in predictor.by_image(file, job.truth.root, rows):
+            rows[image_id] = [coco.result_to_dict(result) for result in results]
+            progress.add({"image_id": image_id, "results": rows[image_id]})
+        found = [coco.result_from_dict(row) for image in file.images for row in rows[image.id]]
+        coco.write_results(path, found)
+        progress.end()
         # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
         out[file.name] = coco.read_results(path)
     return out

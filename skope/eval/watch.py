@@ -1,11 +1,10 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from skope import coco, draw
 from skope.camera import Camera
@@ -15,6 +14,7 @@ from skope.errors import UserError
 from skope.eval.blur import blurred
 from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
+from skope.eval.progress import Progress
 from skope.eval.scene import with_camera
 from skope.eval.settings import Settings
 from skope.files import replacing
@@ -45,9 +45,8 @@ class Job:
 
 @dataclass
 class _Done:
-    """What a run has found so far, and the file that keeps it."""
+    """What a run has found so far."""
 
-    path: Path
     images: list[Image] = field(default_factory=list)
     results: list[Result] = field(default_factory=list)
 
@@ -61,21 +60,21 @@ def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
     _claim(job, predictor.weights)
-    done = _resumed(job, console)
-    with done.path.open("a", encoding="utf-8") as log:
-        frames = job.footage.frames(done.last)
-        with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
-            bar.update(done.last)
-            try:
-                for image, found in predictor.each(frames):
-                    _note(done, log, with_camera(image, job.camera), found)
-                    bar.update(image.id - bar.n)
-            except KeyboardInterrupt:
-                if not job.footage.live:
-                    raise
-                console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
+    progress = Progress(job.out / _PROGRESS, fresh=job.footage.live)
+    done = _resumed(job, progress, console)
+    frames = job.footage.frames(done.last)
+    with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
+        bar.update(done.last)
+        try:
+            for image, found in predictor.each(frames):
+                _note(done, progress, with_camera(image, job.camera), found)
+                bar.update(image.id - bar.n)
+        except KeyboardInterrupt:
+            if not job.footage.live:
+                raise
+            console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
     if not done.images:
-        done.path.unlink()
+        progress.end()
         why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
         raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
     written = [job.out / PREDICTIONS, job.out / FRAMES]
@@ -87,16 +86,14 @@ def predict(job: Job, console: Console) -> list[Path]:
     coco.write(written[1], frames_file)
     if job.overlay:
         written.append(_overlay(job, done, predictor.scheme, console))
-    done.path.unlink()
+    progress.end()
     return written
 
 
-def _note(done: _Done, log: Any, image: Image, found: list[Result]) -> None:
+def _note(done: _Done, progress: Progress, image: Image, found: list[Result]) -> None:
     done.images.append(image)
     done.results += found
-    row = {"image": coco.image_to_dict(image), "results": [coco.result_to_dict(r) for r in found]}
-    log.write(json.dumps(row) + "\n")
-    log.flush()
+    progress.add({"image": coco.image_to_dict(image), "results": [coco.result_to_dict(r) for r in found]})
 
 
 def _claim(job: Job, weights: Path) -> None:
@@ -113,27 +110,14 @@ def _claim(job: Job, weights: Path) -> None:
     claim(job.out, "skope eval predict", [weights], options)
 
 
-def _resumed(job: Job, console: Console) -> _Done:
-    """What an interrupted run of the same work left behind; else a fresh start."""
-    path = job.out / _PROGRESS
-    done = _Done(path)
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() and not job.footage.live else []
-    whole = []
-    if lines:
-        for line in lines:
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:  # the line that was being written
-                break
-            done.images.append(coco.image_from_dict(row["image"]))
-            done.results += [coco.result_from_dict(r) for r in row["results"]]
-            whole.append(line)
+def _resumed(job: Job, progress: Progress, console: Console) -> _Done:
+    """What an interrupted run of the same work left behind; else nothing yet."""
+    done = _Done()
+    for row in progress.rows:
+        done.images.append(coco.image_from_dict(row["image"]))
+        done.results += [coco.result_from_dict(r) for r in row["results"]]
+    if done.images:
         console.say(f"{job.footage.name}: going on after frame {done.last}")
-    try:
-        job.out.mkdir(parents=True, exist_ok=True)
-        path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{job.out}: cannot be written: {error.strerror or error}") from None
     return done
 
 

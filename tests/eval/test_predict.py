@@ -14,7 +14,7 @@ from skope.console import Console
 from skope.eval import bfloat16
 from skope.eval.predict import Predictor, _batches, _decoded
 from skope.eval.settings import Settings
-from skope.schema import AnnotationFile
+from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
 
@@ -174,3 +174,37 @@ def test_bfloat16_finds_the_same_vehicles(random_run: Path, tmp_path: Path) -> N
     near = [r for r in rounded if np.abs(r.bbox - top.bbox).max() < 2]
     assert near
     assert near[0].score == pytest.approx(top.score, abs=0.02)
+
+
+def test_images_are_looked_for_first_and_what_was_predicted_is_kept(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    def quick(self: Predictor, batch: Any) -> list[Result]:
+        seen.extend(image.id for image, _ in batch)
+        return [
+            Result(image_id=image.id, score=0.95, bbox=np.array([0, 0, 9, 9]), keypoints=np.ones((33, 3)))
+            for image, _ in batch
+        ]
+
+    monkeypatch.setattr(Predictor, "_found", quick)
+    root = make_dataset(tmp_path / "data", images=3)
+    images = coco.read(root / "annotations" / "easy.json").images
+    last = root / images[-1].file_name
+    call = ("eval", "--data", root, "--checkpoint", random_run, "--split", "easy", "--device", "cpu", "--out", "o")
+    sound = last.read_bytes()
+    last.unlink()
+    code, _, err = skope(*call)
+    assert (code, seen, Path("o").exists()) == (2, [], False)
+    assert f"{last}: no such file; split easy lacks 1 of {len(images)} images" in err
+    last.write_bytes(sound[:50])
+    code, _, err = skope(*call)
+    assert code == 2
+    assert str(last) in err
+    assert seen == [image.id for image in images[:-1]]
+    last.write_bytes(sound)
+    assert skope(*call)[0] == 0
+    assert seen == [image.id for image in images]  # each once
+    assert [result.image_id for result in coco.read_results(Path("o/predictions_easy.json"))] == seen
+    assert not list(Path("o").glob(".*"))
