@@ -4,7 +4,7 @@ The peer is plain `solvePnP` (iterative) with the fleet's average vehicle, on th
 one core. Run: OMP_NUM_THREADS=1 python scripts/bench_pose.py DATASET/annotations/SPLIT.json
 """
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 
 from skope import coco
+from skope.camera import Camera
+from skope.errors import UserError
 from skope.eval import pose
 from skope.eval.shapes import fleet_shapes
 
@@ -19,43 +21,62 @@ NOISE = 2.0
 BANDS = ((0, 10), (10, 20), (20, 30), (30, 40), (40, 60))
 FEWEST = 8
 """Visible keypoints a vehicle must have to be counted here."""
+Array = np.ndarray
 
 
-def main(path: Path) -> None:
-    cv2.setNumThreads(1)
+def measured(path: Path) -> tuple[Array, Array, Array]:
+    """(2, N) position errors of skope and solvePnP in metres, (N,) distances, (2,) seconds that they took."""
     rng = np.random.default_rng(0)
     file = coco.read(path)
     mean = fleet_shapes().mean_vehicle()[:-1]
-    ours, peers, distances, seconds = [], [], [], np.zeros(2)
+    errors: tuple[list[float], list[float]] = ([], [])
+    distances, seconds = [], np.zeros(2)
+    annotations = file.by_image()
     for image in file.images:
-        vehicles = [a for a in file.by_image()[image.id] if not a.ignored and (a.keypoints[:, 2] == 2).sum() >= FEWEST]
+        vehicles = [a for a in annotations[image.id] if not a.ignored and (a.keypoints[:, 2] == 2).sum() >= FEWEST]
         if not vehicles:
             continue
         camera = image.camera
-        assert camera is not None
+        if camera is None or any(a.box_3d is None for a in vehicles):
+            raise UserError(f"{path}: {image.file_name}: needs a camera, and box_3d of every vehicle")
         found = np.stack([a.keypoints for a in vehicles])
         seen = found[..., 2] == 2
         found[..., :2] += rng.normal(0, NOISE, found[..., :2].shape)
         found[..., 2] = seen
         road = np.array([a.box_3d.center - a.box_3d.R @ [0, 0, a.box_3d.size_lwh[2] / 2] for a in vehicles])
-
         begun = time.process_time()
-        poses = pose.locate(camera, found, sigma_px=NOISE)
-        seconds[0] += time.process_time() - begun
-
-        begun = time.process_time()
-        T = np.linalg.inv(camera.T_camera_world)
-        theirs = np.empty((len(vehicles), 3))
-        for i, row in enumerate(found):
-            rays, _ = camera.rays(row[seen[i], :2])
-            _, _, shift = cv2.solvePnP(mean[seen[i]], rays[:, :2].copy(), np.eye(3), None)
-            theirs[i] = T[:3, :3] @ shift[:, 0] + T[:3, 3]
-        seconds[1] += time.process_time() - begun
-
-        ours += np.linalg.norm((poses.position - road)[:, :2], axis=1).tolist()
-        peers += np.linalg.norm((theirs - road)[:, :2], axis=1).tolist()
+        ours = pose.locate(camera, found, sigma_px=NOISE).position
+        between = time.process_time()
+        theirs = solve_pnp(camera, found, seen, mean)
+        seconds += [between - begun, time.process_time() - between]
+        for own, position in zip(errors, (ours, theirs), strict=True):
+            own.extend(np.linalg.norm((position - road)[:, :2], axis=1).tolist())
         distances += [a.distance for a in vehicles]
-    a, b, distance = np.array(ours), np.array(peers), np.array(distances)
+    if not distances:
+        raise UserError(f"{path}: no vehicle has {FEWEST} visible keypoints")
+    return np.array(errors), np.array(distances), seconds
+
+
+def solve_pnp(camera: Camera, found: Array, seen: Array, mean: Array) -> Array:
+    """(N, 3) world positions by the peer."""
+    T = np.linalg.inv(camera.T_camera_world)
+    out = np.empty((len(found), 3))
+    for i, row in enumerate(found):
+        rays, _ = camera.rays(row[seen[i], :2])
+        _, _, shift = cv2.solvePnP(mean[seen[i]], rays[:, :2].copy(), np.eye(3), None)
+        out[i] = T[:3, :3] @ shift[:, 0] + T[:3, 3]
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("annotations", type=Path, help="annotation file of a split, with cameras and 3D boxes")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    try:
+        (a, b), distance, seconds = measured(options.annotations)
+    except UserError as error:
+        parser.exit(2, f"bench_pose: {error}\n")
     print(f"{len(a)} vehicles, {NOISE:g} px of noise; position error in metres, median (90%)")
     print(f"{'distance':>10} {'vehicles':>9} {'skope':>16} {'solvePnP':>16} {'ratio':>6}")
     for low, high in BANDS:
@@ -69,4 +90,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -12,6 +12,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,14 +27,14 @@ from skope.gen.towns import site
 SITE = "t01_main_west"
 STAGES = {
     "place and matrices": ["Placer.place"],
-    "depth and ids": ["GLRenderer._draw_geometry", "GLRenderer._put"],
-    "whole silhouettes": ["GLRenderer._silhouette"],
+    "depth and ids": ["GLRenderer._draw_geometry", "renderer._put"],
+    "whole silhouettes": ["GLRenderer._draw_silhouette"],
     "shadow maps": ["GLRenderer._draw_shadows"],
     "vehicles' colour": ["Device.prepare", "GLRenderer._draw_vehicles"],
     "headlights": ["Beams.draw"],
     "mirror images": ["Reflections.draw"],
     "composition": ["GLRenderer._compose", "GLRenderer._draw_color"],
-    "contrast": ["GLRenderer._draw_behind"],
+    "contrast": ["GLRenderer._draw_behind", "GLRenderer._contrast"],
     "copies": ["GLRenderer.render"],
     "glare": ["Glare.spread"],
     "rain": ["Rain.fall"],
@@ -50,7 +51,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
 
     Nobody else is on the road.
     """
-    from skope.gen.render.windows import window_of
+    from skope.gen.render.windows import hull_of, window_of
     from skope.gen.vehicles import build
 
     keep: list[int] = []
@@ -59,7 +60,8 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
         first = int(np.searchsorted(recording.frame, frame))
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - recording.camera.position, axis=1)
         models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
-        windows = [window_of(m, T, recording.camera) for m, T in zip(models, moment.T_world_chassis, strict=True)]
+        hulls = [hull_of(m, T, recording.camera) for m, T in zip(models, moment.T_world_chassis, strict=True)]
+        windows = [window_of(hull, recording.camera) for hull in hulls]
         shown = [i for i in away.argsort(kind="stable") if windows[i]]
         if len(shown) < count:
             raise SystemExit(f"{SITE}: only {len(shown)} vehicles in the image of frame {frame}, {count} are asked for")
@@ -188,10 +190,14 @@ def work(make: Callable[[Recording], Callable[[int], None]], path: Path, start: 
     import cv2
 
     cv2.setNumThreads(1)
-    recording = recordings.load(path)
-    draw = make(recording)
-    for frame in range(len(recording) if isinstance(draw, Skope) else 1):
-        draw(frame)  # models are built and uploaded once
+    try:
+        recording = recordings.load(path)
+        draw = make(recording)
+        for frame in range(len(recording) if isinstance(draw, Skope) else 1):
+            draw(frame)  # models are built and uploaded once
+    except BaseException:
+        start.abort()  # or the others would wait for this one
+        raise
     start.wait()
     begun = time.perf_counter()
     for frame in range(frames):
@@ -228,7 +234,7 @@ def timed_stages() -> Iterator[dict[str, float]]:
     from skope.gen.store import Store
 
     classes = (gl.GLRenderer, gl.Placer, gl.Device, Beams, Reflections, Glare, Rain, Store, made.Encoding)
-    owners = {owner.__name__: owner for owner in classes} | {"sensor": sensor, "frames": made}
+    owners = {owner.__name__: owner for owner in classes} | {"renderer": gl, "sensor": sensor, "frames": made}
     spent, inner = dict.fromkeys(STAGES, 0.0), [0.0]
 
     def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:
@@ -256,7 +262,8 @@ def timed_stages() -> Iterator[dict[str, float]]:
         setattr(owner, name, function)
 
 
-def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
+def stage_table(path: Path, folder: Path, frames: int) -> dict[str, float]:
+    """Milliseconds a frame by stage."""
     recording = recordings.load(path)
     draw = Skope(recording, folder, "gl")
     for frame in range(len(recording)):
@@ -264,7 +271,7 @@ def stage_table(path: Path, folder: Path, frames: int, out: Any) -> None:
     with timed_stages() as spent:
         for frame in range(frames):
             draw(frame % len(recording))
-    out.put({stage: 1e3 * seconds / frames for stage, seconds in spent.items()})
+    return {stage: 1e3 * seconds / frames for stage, seconds in spent.items()}
 
 
 # ---------------------------------------------------------------------------------------------------------------- main
@@ -314,12 +321,8 @@ def main() -> None:
             ours[count] = frames_per_second(skope, path, options.processes, options.frames)
             print(f"  skope, gl, to disk, {count:2} vehicles   {ours[count]:7.2f}", flush=True)
         middle = counts[len(counts) // 2]
-        context = multiprocessing.get_context("fork")
-        queue = context.Queue()
-        process = context.Process(target=stage_table, args=(paths[middle], folder / "stages", options.frames, queue))
-        process.start()
-        table = queue.get()
-        process.join()
+        with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+            table = pool.submit(stage_table, paths[middle], folder / "stages", options.frames).result()
         print(f"milliseconds a frame by stage, {middle} vehicles, one process")
         for stage, milliseconds in table.items():
             print(f"  {stage:<20} {milliseconds:7.1f}")

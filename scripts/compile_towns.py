@@ -1,30 +1,44 @@
 """Compile the towns' SUMO networks from their plain XML sources.
 
-    python scripts/compile_towns.py [town01 ...]
+    python scripts/compile_towns.py [town01 ...] [--out FOLDER]
 
 Runs SUMO's netconvert (pip install skope[maps]) on the sources in skope/gen/towns/*/source and writes town.net.xml
 beside them, without the date and paths of netconvert's header; the sources' digest is there instead, by which a test
 knows that both belong together.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
+from skope.errors import UserError, one_of
 from skope.gen.towns import folder, source_digest, towns
 from skope.gen.towns.netconvert import COMMON, netconvert
 
 SOURCES = {"nod": "node-files", "edg": "edge-files", "con": "connection-files", "typ": "type-files"}
 
 
-def compile_town(town: str) -> Path:
-    source, out = folder(town) / "source", folder(town) / "town.net.xml"
+def compile_town(town: str, out: Path) -> None:
+    """Write a town's network. Raises UserError."""
+    source = folder(town) / "source"
     found = {option: source / f"town.{kind}.xml" for kind, option in SOURCES.items()}
     options = {**{option: str(path) for option, path in found.items() if path.is_file()}, **COMMON}
     header = f"compiled by scripts/compile_towns.py from sources {source_digest(town)}"
     out.write_text(netconvert(options, header), encoding="utf-8")
-    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("towns", nargs="*", metavar="TOWN", help=f"of {', '.join(towns())}; default: all of them")
+    parser.add_argument("--out", type=Path, help="folder for TOWN.net.xml; default: town.net.xml beside the sources")
+    options = parser.parse_args()
+    for town in options.towns or towns():
+        out = options.out / f"{town}.net.xml" if options.out else folder(town) / "town.net.xml"
+        try:
+            compile_town(one_of("TOWN", town, towns()), out)
+        except UserError as error:
+            parser.exit(2, f"compile_towns: {error}\n")
+        print(out)
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or towns():
-        print(compile_town(name))
+    main()

@@ -4,7 +4,7 @@ python scripts/reference_table.py runs/reference/eval
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +26,11 @@ def overall(found: Mapping[str, Metrics]) -> str:
     for split, metrics in found.items():
         for iou, row in metrics["iou"].items():
             limits = metrics["bootstrap"]["iou"][iou]
-            pck = "..".join(f"{100 * limit:.1f}" for limit in limits["pck"])
-            recall = "..".join(f"{limit:.3f}" for limit in limits["box_recall"]["pooled"])
-            cells = [split, iou, f"{100 * row['pck']:.1f} ({pck})", f"{row['box_precision']['pooled']:.3f}"]
-            cells += [f"{row['box_recall']['pooled']:.3f} ({recall})"]
-            cells += [f"{row[name]['pooled']:.3f}" for name in ("keypoint_precision", "keypoint_recall")]
+            cells = [split, iou, f"{_percent(row['pck'])} ({_interval(limits['pck'], _percent)})"]
+            cells += [_share(row["box_precision"]["pooled"])]
+            recall = _interval(limits["box_recall"]["pooled"], _share)
+            cells += [f"{_share(row['box_recall']['pooled'])} ({recall})"]
+            cells += [_share(row[name]["pooled"]) for name in ("keypoint_precision", "keypoint_recall")]
             theirs = published.get(split, {}).get(iou)
             cells += [f"{100 * theirs[0]:.1f}, {theirs[1]:.3f}, {theirs[2]:.3f}" if theirs else "-"]
             lines.append("| " + " | ".join(cells) + " |")
@@ -41,17 +41,30 @@ def divided(found: Mapping[str, Metrics]) -> str:
     """Box recall and PCK (%) by what is known of the vehicles."""
     lines = ["| | | " + " | ".join(found) + " |", "|---" * (len(found) + 2) + "|"]
     for key in BY:
-        bins = dict.fromkeys(name for metrics in found.values() for name in metrics["by"][key])
+        bins = dict.fromkeys(name for metrics in found.values() for name in metrics["by"].get(key, {}))
         for name in bins:
-            cells = [_cell(metrics["by"][key].get(name, {}).get(IOU)) for metrics in found.values()]
+            cells = [_cell(metrics["by"].get(key, {}).get(name, {}).get(IOU)) for metrics in found.values()]
             lines.append(f"| {key.replace('_', ' ')} | {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _interval(limits: Sequence[float] | None, text: Callable[[float], str]) -> str:
+    """Both limits of a bootstrap; a single recording has none."""
+    return "-" if limits is None else "..".join(map(text, limits))
 
 
 def _cell(row: Mapping[str, Any] | None) -> str:
     if not row or not row["ground_truth"]:
         return "-"
-    return f"{row['box_recall']:.3f}" + (f", {100 * row['pck']:.1f}" if row["pck"] is not None else "")
+    return _share(row["box_recall"]) + (f", {_percent(row['pck'])}" if row["pck"] is not None else "")
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ A type has two models or three: how much its unseen models may differ is taken f
 differ from their type's mean, in shares of its length, width and height.
 """
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,7 @@ from skope.files import write_text
 from skope.gen.vehicles import build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 
-OUT = Path(__file__).parents[1] / "skope" / "eval" / "vehicle_shapes.json"
-SAMPLES = 12
-"""Jittered shapes of each model."""
+DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "vehicle_shapes.json"
 POOLED = 0.5
 """Share of the other types' variance between models that a type gets besides its own."""
 DIRECTIONS = 8
@@ -32,6 +31,10 @@ def row(vehicle: Vehicle) -> Array:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=12, help="jittered shapes of each model")
+    parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
+    options = parser.parse_args()
     rng = np.random.default_rng(0)
     kinds: dict[str, list[Array]] = {}
     shares: dict[str, float] = {}
@@ -39,7 +42,7 @@ def main() -> None:
         if entry.held_out:
             continue
         kind = entry.vehicle.vehicle_type
-        samples = [row(entry.vehicle)] + [row(build(model, jittered(model, rng))) for _ in range(SAMPLES)]
+        samples = [row(entry.vehicle)] + [row(build(model, jittered(model, rng))) for _ in range(options.samples)]
         kinds.setdefault(kind, []).append(np.stack(samples))
         shares[kind] = shares.get(kind, 0.0) + entry.share
 
@@ -69,8 +72,8 @@ def main() -> None:
         )
     head = f'"version":1,"scheme":"{keypoints.SCHEME}","unit":"m"'
     body = ",\n".join(lines)
-    write_text(OUT, f'{{{head},\n"types":{{\n{body}\n}}}}\n')
-    print(f"wrote {OUT} ({OUT.stat().st_size / 1000:.0f} kB)")
+    write_text(options.out, f'{{{head},\n"types":{{\n{body}\n}}}}\n')
+    print(f"wrote {options.out} ({options.out.stat().st_size / 1000:.0f} kB)")
 
 
 def text(values: Array) -> str:

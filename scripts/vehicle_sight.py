@@ -7,6 +7,7 @@ Rays are cast from eyes all around the models of each body type; what they say i
 direction from the keypoint to the eye, four numbers a keypoint. Models held out for test sites are left out.
 """
 
+import argparse
 import itertools
 import math
 from pathlib import Path
@@ -20,8 +21,7 @@ from skope.gen.sight import Fan
 from skope.gen.vehicles import fleet
 from skope.gen.vehicles.model import Vehicle
 
-OUT = Path(__file__).parents[1] / "skope" / "eval" / "vehicle_sight.json"
-AZIMUTHS = np.radians(np.arange(0, 360, 15))
+DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "vehicle_sight.json"
 ELEVATIONS = np.radians([4, 10, 18, 28, 40, 55])
 DISTANCE = 25.0
 TOLERANCE = 0.05
@@ -55,6 +55,11 @@ def logistic(directions: Array, was_seen: Array) -> Array:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--azimuth-step", type=float, default=15, help="degrees between the eyes around a vehicle")
+    parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
+    options = parser.parse_args()
+    azimuths = np.radians(np.arange(0, 360, options.azimuth_step))
     kinds: dict[str, list[Vehicle]] = {}
     for entry in fleet().values():
         if not entry.held_out:
@@ -62,7 +67,7 @@ def main() -> None:
     lines = []
     for kind, models in sorted(kinds.items()):
         directions, hits = [], []
-        for vehicle, azimuth, elevation in itertools.product(models, AZIMUTHS, ELEVATIONS):
+        for vehicle, azimuth, elevation in itertools.product(models, azimuths, ELEVATIONS):
             flat = math.cos(elevation)
             eye = DISTANCE * np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
             away = eye - vehicle.points
@@ -74,8 +79,8 @@ def main() -> None:
         print(f"{kind:<10} {hit.mean():.1%} seen, {(guess == hit).mean():.1%} of them told right")
         lines.append(f'"{kind}":[{",".join(f"{value:.2f}" for value in rows.ravel())}]')
     body = ",\n".join(lines)
-    write_text(OUT, f'{{"version":1,"scheme":"{keypoints.SCHEME}","types":{{\n{body}\n}}}}\n')
-    print(f"wrote {OUT} ({OUT.stat().st_size / 1000:.0f} kB)")
+    write_text(options.out, f'{{"version":1,"scheme":"{keypoints.SCHEME}","types":{{\n{body}\n}}}}\n')
+    print(f"wrote {options.out} ({options.out.stat().st_size / 1000:.0f} kB)")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,325 @@
+"""Every script and every make target runs: with --help, at its smallest, and with the flags that it has today."""
+
+import argparse
+import json
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+import torch
+
+from skope import coco, detector
+from skope.schema import Result
+from tests.eval.seen import drive
+from tests.samples import make_dataset
+
+ROOT: Final = Path(__file__).parents[1]
+SCRIPTS: Final = ROOT / "scripts"
+PYTHON: Final = sorted(path.name for path in SCRIPTS.glob("*.py"))
+SHELL: Final = sorted(path.name for path in SCRIPTS.glob("*.sh"))
+MAKEFILE: Final = (ROOT / "Makefile").read_text(encoding="utf-8")
+TARGETS: Final = sorted(set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE)))
+
+Script = Callable[..., tuple[int, str, str]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A script at its smallest."""
+
+    script: str
+    arguments: str
+    """May name the `inputs` in braces."""
+    says: str = ""
+    """What is in its output."""
+    code: int = 0
+    apart: bool = False
+    """Whether it needs a process of its own: it starts others, or draws."""
+    slow: bool = False
+
+    @property
+    def marks(self) -> list[pytest.MarkDecorator]:
+        return [pytest.mark.slow] if self.slow else []
+
+
+TRAINING: Final = "--data {dataset} --min-size 64 --device cpu"
+RENDERING: Final = "--size 96x54 --processes 1"
+RUNS: Final[Sequence[Run]] = (
+    Run(
+        "bench_eval.py",
+        "--metric-images 2 --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
+        says="PCK@0.1 on the ground truth's boxes",
+    ),
+    Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True),
+    Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
+    Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
+    Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
+    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
+    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
+    Run(
+        "bench_train.py",
+        f"{TRAINING} --checkpoint {{checkpoint}} --batch-size 1 --steps 1 --warm-up 0 --rounds 1 --workers 0",
+        says="| torchvision |",
+        apart=True,
+        slow=True,
+    ),
+    Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
+    Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
+    Run(
+        "experiment_train.py",
+        f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
+        " --test-images 1 --workers 0 --out {out}",
+        says="| exact | easy |",
+    ),
+    Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
+    Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
+    Run("reference_table.py", "{metrics}", says="| easy | 0.6 |"),
+    Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
+    Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
+    Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
+)
+
+
+# ------------------------------------------------------------------------------------------------------------- inputs
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Small files that the scripts read, by their names in `Run.arguments`."""
+    folder = tmp_path_factory.mktemp("scripts")
+    dataset = make_dataset(folder / "dataset", images=1)
+    labels = coco.read(dataset / "annotations" / "easy.json")
+    coco.write(dataset / "labels.json", labels)
+    results = [Result(image_id=a.image_id, score=0.95, bbox=a.bbox, keypoints=a.keypoints) for a in labels.annotations]
+    coco.write_results(folder / "predictions.json", results)
+    road = drive(0.2, 10)
+    road = replace(road, annotations=tuple(replace(a, distance=20.0) for a in road.annotations))
+    coco.write(folder / "road.json", road)
+    return {
+        "dataset": dataset,
+        "labels": dataset / "labels.json",
+        "predictions": folder / "predictions.json",
+        "road": folder / "road.json",
+        "checkpoint": unlearned(folder / "run"),
+    }
+
+
+def unlearned(folder: Path) -> Path:
+    """A run folder with a small-input detector that has learned nothing and finds next to nothing."""
+    torch.manual_seed(0)
+    model = detector.build(config := detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96))
+    with torch.no_grad():
+        model.roi_heads.box_predictor.cls_score.bias[1] -= 4.2
+    detector.save_weights(folder / detector.checkpoint_name(1), model, config, {})
+    return folder
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
+    """Run a script of scripts/ in this process; returns exit code, standard output and standard error."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+
+    def call(name: str, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPTS / name), *arguments])
+        capsys.readouterr()
+        code: Any = 0
+        try:
+            runpy.run_path(str(SCRIPTS / name), run_name="__main__")
+        except SystemExit as stop:
+            code = stop.code or 0
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def apart(name: str, *arguments: str) -> tuple[int, str, str]:
+    """Run a script of scripts/ in a process of its own, with the scenery lit from few directions."""
+    program = (
+        "import runpy, sys, torchvision; from skope.gen.render.gl import light; light.SAMPLES = 4; "
+        "sys.argv = sys.argv[1:]; sys.path.insert(0, sys.argv[0].rpartition('/')[0]); "
+        "runpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    command = [sys.executable, "-c", program, str(SCRIPTS / name), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    return done.returncode, done.stdout, done.stderr
+
+
+# ------------------------------------------------------------------------------------------------------------ scripts
+
+
+def test_every_script_is_listed() -> None:
+    assert sorted({run.script for run in RUNS}) == PYTHON
+    assert sorted(path.name for path in SCRIPTS.iterdir() if path.suffix not in (".py", ".sh")) == ["reference.toml"]
+
+
+@pytest.mark.parametrize("name", PYTHON)
+def test_help(script: Script, name: str) -> None:
+    code, out, error = script(name, "--help")
+    assert (code, error) == (0, "")
+    assert out.startswith(f"usage: {name}")
+
+
+@pytest.mark.parametrize("run", [pytest.param(run, id=run.script, marks=run.marks) for run in RUNS])
+def test_smallest_run(skope: Any, script: Script, inputs: dict[str, Path], tmp_path: Path, run: Run) -> None:
+    given = dict(inputs)
+    if "{metrics}" in run.arguments:
+        given["metrics"] = tmp_path / "metrics"
+        scored = ["--annotations", inputs["labels"], "--predictions", inputs["predictions"]]
+        assert skope("eval", *scored, "--out", given["metrics"] / "easy", "--quiet")[0] == 0
+        rename_split(given["metrics"] / "easy" / "metrics.json", "easy")
+    given["out"] = tmp_path / "out"
+    given["out"].mkdir()
+    arguments = run.arguments.format_map(given).split()
+    code, out, error = (apart if run.apart else script)(run.script, *arguments)
+    assert code == run.code, error
+    assert run.says in out + error
+
+
+def rename_split(path: Path, name: str) -> None:
+    """Give the only split of a metrics file another name."""
+    metrics = json.loads(path.read_text())
+    metrics["splits"] = {name: next(iter(metrics["splits"].values()))}
+    path.write_text(json.dumps(metrics))
+
+
+@pytest.mark.parametrize("name", SHELL)
+def test_shell_scripts_parse(name: str) -> None:
+    subprocess.run(["bash", "-n", str(SCRIPTS / name)], check=True)
+
+
+# ------------------------------------------------------------------------------------------------------- make targets
+
+RECORDER: Final = """#!/bin/sh
+printf '%s' "$(basename "$0")" >> "$LOG"
+for word; do printf '\\t%s' "$word" >> "$LOG"; done
+echo >> "$LOG"
+case " $* " in
+*" gen --out data/skope "*) mkdir -p data/skope && touch data/skope/dataset.json ;;
+*" train "*) mkdir -p runs/skope runs/paper ;;
+*" --checkpoint runs/skope "*) mkdir -p runs/skope/eval && touch runs/skope/eval/metrics.json ;;
+esac
+"""
+"""Stands for the programs of the virtual environment: notes what it is called with, and makes what make waits for."""
+
+COMMANDS: Final[Mapping[str, int]] = {
+    **{"setup": 0, "demo": 5, "paper": 5, "real": 1, "test": 1, "test-slow": 1, "lint": 3, "data": 1, "model": 2},
+    **{"report": 3, "bench": 7, "clean": 0},
+}
+"""Target -> number of the virtual environment's programs that it runs from nothing."""
+
+
+@pytest.fixture
+def make(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[subprocess.CompletedProcess[str], Any]]:
+    """Run make in a copy of the project's top, with recorders in the virtual environment; returns what they noted."""
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    shutil.copytree(SCRIPTS, tmp_path / "scripts")
+    programs = tmp_path / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    for name in ("skope", "python", "ruff", "mypy"):
+        (programs / name).write_text(RECORDER)
+        (programs / name).chmod(0o755)
+    (programs.parent / ".ready").touch()
+    log = tmp_path / "log"
+    monkeypatch.setenv("LOG", str(log))
+    for name in ("MAKEFLAGS", "DATA", "RUN", "REAL"):
+        monkeypatch.delenv(name, raising=False)
+
+    def call(*words: str) -> tuple[subprocess.CompletedProcess[str], list[list[str]]]:
+        log.write_text("")
+        done = subprocess.run(["make", *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done, [line.split("\t") for line in log.read_text().splitlines()]
+
+    return call
+
+
+def test_every_target_is_listed() -> None:
+    assert sorted(COMMANDS) == TARGETS
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, re.MULTILINE)
+    assert sorted(phony.split()) == TARGETS
+    told = set(re.findall(r"^#   make ([a-z-]+)|\(make ([a-z-]+):", MAKEFILE, re.MULTILINE))
+    assert {a or b for a, b in told} <= set(TARGETS)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_dry_run(target: str) -> None:
+    words = ["make", "--dry-run", target, *(["REAL=photographs"] if target == "real" else [])]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_targets_call_what_there_is(
+    make: Any, skope: Any, script: Script, monkeypatch: pytest.MonkeyPatch, target: str
+) -> None:
+    """Every command is understood by the command line, or by the script, that it calls."""
+    done, called = make(target, *(["REAL=photographs"] if target == "real" else []))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(called) == COMMANDS[target]
+    understand_only(monkeypatch)
+    for program, *words in called:
+        if program == "skope":
+            code, _, error = skope(*words, "--help")
+            assert code == 0, error
+        elif program == "python" and words[0] != "-m":
+            code, _, error = script(Path(words[0]).name, *words[1:])
+            assert (code, error) == (0, "")
+
+
+def understand_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scripts end once they have understood their arguments."""
+    parse = argparse.ArgumentParser.parse_args
+
+    def parse_and_end(self: argparse.ArgumentParser, *args: Any, **named: Any) -> None:
+        parse(self, *args, **named)
+        raise SystemExit(0)
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_and_end)
+
+
+def test_report_does_what_is_out_of_date(make: Any, tmp_path: Path) -> None:
+    def words(*targets: str) -> list[str]:
+        return [" ".join(call[1:3]) for call in make(*targets)[1]]
+
+    assert words("report") == ["gen --out", "train --data", "eval --data"]
+    assert words("report") == []
+    newer = (tmp_path / "data" / "skope" / "dataset.json").stat().st_mtime + 10
+    os.utime(tmp_path / "data" / "skope" / "dataset.json", (newer, newer))
+    assert words("model") == ["train --data"]
+
+
+def test_clean_keeps_data_and_runs(make: Any, tmp_path: Path) -> None:
+    for name in ("data", "runs", "build"):
+        (tmp_path / name).mkdir()
+    assert make("clean")[0].returncode == 0
+    assert {name: (tmp_path / name).exists() for name in ("data", "runs", "build", ".venv")} == {
+        "data": True,
+        "runs": True,
+        "build": False,
+        ".venv": False,
+    }
+
+
+def test_real_says_what_is_missing(make: Any) -> None:
+    done, called = make("real")
+    assert (done.returncode, called) == (2, [])
+    assert "REAL is not set" in done.stderr
+
+
+def test_the_demonstration_trains_anew_or_goes_on(make: Any, tmp_path: Path) -> None:
+    first = [shlex.join(call[1:]) for call in make("demo")[1]]
+    assert [line.split()[0] for line in first] == ["gen", "gen", "train", "eval", "eval"]
+    (tmp_path / "runs" / "demo").mkdir(parents=True)
+    (tmp_path / "runs" / "demo" / "resume.pt").touch()
+    assert "train --out runs/demo --resume" in [shlex.join(call[1:]) for call in make("demo")[1]]
