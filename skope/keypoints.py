@@ -22,7 +22,11 @@ NAMES: Final[tuple[str, ...]] = (
     *("beltline_right", "beltline_left"),
     "front_logo",
 )
-"""Names in file order; right and left are the vehicle's own."""
+"""Names in file order; right and left are the vehicle's own.
+
+The roof's are where windscreen and rear window meet the roof. A bus has a strip of its body above them: there they are
+the upper corners of the windscreen's frame and of the rear window, 0.3 and 0.5 m below the top.
+"""
 
 K: Final = len(NAMES)
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}

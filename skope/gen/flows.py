@@ -35,6 +35,8 @@ _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
 _RIDERS: Final = {vehicle_class: name for name, vehicle_class in RIDERS.items()} | {"moped": "motorcyclist"}
 _EXPONENTIAL: Final = re.compile(r"exp\(([^)]+)\)")
 _HOUR: Final = 3600.0
+_MOST: Final = 1e5
+"""Vehicles an hour that a flow may ask for; no road takes more."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,8 @@ def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.
 @cache
 def streams(text: str, network: Path) -> tuple[_Stream, ...]:
     """What a route file asks for. Raises UserError naming the element that is wrong, without the file's name."""
+    if "<!DOCTYPE" in text:
+        raise UserError("has a DOCTYPE, which a route file needs not and whose entities are not read")
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -102,6 +106,8 @@ def streams(text: str, network: Path) -> tuple[_Stream, ...]:
         if element.tag in ("vehicle", "trip", "flow"):
             try:
                 begin, end, period, random = _times(element)
+                if period < _HOUR / _MOST:
+                    raise ValueError(f"more than {_MOST:.0f} vehicles an hour")
             except ValueError as error:
                 raise UserError(f"{_name(element)}: {error}") from None
             kind = classes.get(element.get("type"), "")
@@ -129,10 +135,21 @@ def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
         return begin, end, _HOUR / _number(element, "vehsPerHour"), False
     if "probability" in element.attrib:
         return begin, end, 1 / _number(element, "probability"), True
-    match = _EXPONENTIAL.fullmatch(element.get("period", ""))
-    if match:
-        return begin, end, 1 / float(match[1]), True
+    if element.get("period", "").startswith("exp("):
+        return begin, end, 1 / _rate(element.get("period", "")), True
     return begin, end, _number(element, "period"), False
+
+
+def _rate(period: str) -> float:
+    """Vehicles a second of `exp(rate)`."""
+    match = _EXPONENTIAL.fullmatch(period)
+    try:
+        rate = float(match[1]) if match else math.nan
+    except ValueError:
+        rate = math.nan
+    if not 0 < rate < math.inf:
+        raise ValueError(f"period: expected exp(vehicles a second, a positive number), got {period!r}")
+    return rate
 
 
 def _number(element: ElementTree.Element, name: str, default: str = "") -> float:
@@ -158,7 +175,7 @@ class _Ways:
         route = element.find("route")
         route = self._routes.get(element.get("route")) if route is None else route
         if route is not None:
-            return self._checked(element, route.get("edges", "").split())
+            return self._connected(element, self._checked(element, route.get("edges", "").split()))
         ends = [element.get("from", ""), *element.get("via", "").split(), element.get("to", "")]
         if not all(ends):
             raise UserError(f"{_name(element)}: expected a route that the file has, or from and to")
@@ -170,6 +187,12 @@ class _Ways:
                 raise UserError(f"{_name(element)}: no way leads from {a} to {b}")
             out += [edge.getID() for edge in path[1:]]
         return tuple(out)
+
+    def _connected(self, element: ElementTree.Element, edges: tuple[str, ...]) -> tuple[str, ...]:
+        for a, b in itertools.pairwise(edges):
+            if self._net.getEdge(b) not in self._net.getEdge(a).getOutgoing():
+                raise UserError(f"{_name(element)}: no connection leads from {a} to {b}")
+        return edges
 
     def _checked(self, element: ElementTree.Element, edges: list[str]) -> tuple[str, ...]:
         unknown = [edge for edge in edges if not self._net.hasEdge(edge)]

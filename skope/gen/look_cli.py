@@ -137,7 +137,7 @@ def video(
         size=None if own else size,
         fov_deg=None if own else fov,
     )
-    plan = plan_of(parameters.plans()[0], fps, seconds)
+    plan = plan_of(parameters.plans()[0], fps, seconds, f"{own.path}: camera.size" if own else "--size")
     here = replace(
         plan.site,
         weather=weather or plan.site.weather,

@@ -66,7 +66,7 @@ def parameters(
     from skope.gen.render import choose_renderer
     from skope.gen.vehicles.added import load
 
-    if own and (sites or fov is not None):
+    if own and (sites is not None or fov is not None):
         raise UserError(f"--site: {own} says where the camera is and what it sees: leave --sites and --fov out")
     chosen, driver, why = choose_renderer(renderer)
     wanted = from_preset(
@@ -76,7 +76,7 @@ def parameters(
         driver=driver,
         rules=Rules(occlusion=occlusion_rule, localizer=localizer, min_visible=min_visible, min_box=min_box),
         encoding=Encoding(image=image_format, quality=quality, depth=depth),
-        sites=tuple(sites.split(",")) if sites else None,
+        sites=tuple(sites.split(",")) if sites is not None else None,
         frames=frames,
         interval_s=interval,
         size=size,

@@ -66,10 +66,10 @@ class Parameters:
     def __post_init__(self) -> None:
         self.pixels()
         one_of("--format", self.format, FORMATS)
+        if not all(self.sites) or not self.sites or len(set(self.sites)) < len(self.sites):
+            raise UserError("--sites: expected one or more different sites, separated by commas")
         for name in self.sites:
             self.site(name)
-        if not self.sites or len(set(self.sites)) < len(self.sites):
-            raise UserError("--sites: expected one or more different sites")
         for frames in self.frames.values():
             if frames < 1:
                 raise UserError(f"--frames: expected a whole number from 1, got {frames}")

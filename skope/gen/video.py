@@ -35,12 +35,18 @@ class Footage:
     overlay: Path | None
 
 
-def plan_of(plan: RecordingPlan, fps: float, seconds: float) -> RecordingPlan:
-    """The plan with as many frames, as far apart, as a video has."""
+def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "--size") -> RecordingPlan:
+    """The plan with as many frames, as far apart, as a video has.
+
+    Raises UserError for what a video cannot be, `size_field` being what gave the image size.
+    """
     if fps not in FPS:
         raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FPS)}, got {fps:g}")
     if not 0 < seconds <= 3600:
         raise UserError(f"--seconds: expected seconds up to 3600, got {seconds:g}")
+    width, height = plan.size
+    if width % 2 or height % 2:  # the encoder would drop the last column or row, and the labels would keep it
+        raise UserError(f"{size_field}: a video's width and height are even numbers of pixels, got {width}x{height}")
     return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
 
 

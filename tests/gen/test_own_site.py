@@ -416,6 +416,32 @@ def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
         assert bool(read.said) == ("points" in way)
 
 
+def calibrated(folder: Path, size: list[int] | None) -> Camera:
+    """The example's camera from its calibration file, at a [camera] size of its own."""
+    for name in ("junction.net.xml", "camera.yml"):
+        shutil.copy(EXAMPLE / name, folder)
+    table = {"file": "camera.yml", **({"size": size} if size else {})}
+    (folder / "site.toml").write_text(toml({**BASE, "camera": table}))
+    return read_site(folder / "site.toml").place.camera
+
+
+def test_a_calibration_is_scaled_to_the_cameras_size(tmp_path: Path) -> None:
+    whole, half = calibrated(tmp_path, None), calibrated(tmp_path, [640, 360])
+    assert (whole.width, half.width) == (1280, 640)
+    ground = np.array([[10, 0, 0], [-30, 8, 0], [-12, -9, 0], [0, 12, 0], [5, 5, 1.0]])
+    np.testing.assert_allclose(half.project(ground)[0], whole.project(ground)[0] / 2, atol=1e-9)
+    assert half.distortion == whole.distortion
+    rounded = calibrated(tmp_path, [853, 480])  # 1280x720 has no 853 exactly
+    np.testing.assert_allclose(rounded.project(ground)[0], whole.project(ground)[0] * [853 / 1280, 2 / 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [[640, 480], [720, 1280], [1280, 722]])
+def test_a_size_of_another_shape_than_the_calibrations_is_refused(tmp_path: Path, size: list[int]) -> None:
+    with pytest.raises(UserError, match=r"site\.toml: camera\.size: .* 1280x720 .*camera\.yml") as raised:
+        calibrated(tmp_path, size)
+    assert "\n" not in str(raised.value)
+
+
 # ---------------------------------------------------------------------------------------------------- left-hand traffic
 
 
@@ -539,11 +565,46 @@ def test_single_vehicles_and_named_routes() -> None:
         (routed('<flow id="f" from="10#0" to="11"/>'), "period"),
         (routed('<vehicle id="a" depart="soon" route="r"/>'), "depart"),
         (routed('<vehicle id="a" depart="1" route="r"/>'), "route"),
+        *(
+            (routed(f'<flow id="f" from="10#0" to="11" period="exp({rate})"/>'), "flow 'f': period: expected exp")
+            for rate in ("0", "-1", "nan", "inf", "often")
+        ),
+        (routed('<flow id="f" from="10#0" to="11" vehsPerHour="1e12"/>'), "flow 'f': more than 100000 vehicles an"),
+        (routed('<flow id="f" from="10#0" to="11" end="10" number="1000000000"/>'), "flow 'f': more than 100000"),
+        (routed('<flow id="f" from="10#0" to="11" period="exp(1e9)"/>'), "flow 'f': more than 100000 vehicles an"),
+        ('<!DOCTYPE r [<!ENTITY e SYSTEM "secret.txt">]>' + routed("&e;"), "DOCTYPE"),
+        ('<!DOCTYPE routes SYSTEM "routes.dtd">' + routed('<trip id="a" from="10#0" to="11"/>'), "DOCTYPE"),
+        (
+            routed('<vehicle id="a" depart="1"><route edges="10#0 -10#1"/></vehicle>'),
+            "'a': no connection .* 10#0 to -10#1",
+        ),
+        (
+            routed('<route id="r" edges="10#0 -11"/><flow id="f" route="r" period="9"/>'),
+            "flow 'f': no connection leads from 10#0 to -11",
+        ),
     ],
 )
 def test_bad_flows_are_named(text: str, word: str) -> None:
     with pytest.raises(UserError, match=word):
         streams(text, EXAMPLE / "junction.net.xml")
+
+
+def test_bad_flows_of_a_site_get_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(EXAMPLE / "junction.net.xml", tmp_path)
+    values = {key: value for key, value in BASE.items() if key != "vehicles_per_hour"}
+    (tmp_path / "site.toml").write_text(toml({"flows": "flows.rou.xml", **values}))
+    for text in (
+        routed('<flow id="f" from="10#0" to="11" period="exp(0)"/>'),
+        routed('<flow id="f" from="10#0" to="11" vehsPerHour="1e12"/>'),
+        '<!DOCTYPE r [<!ENTITY e SYSTEM "site.toml">]>' + routed("&e;"),
+        routed('<vehicle id="a" depart="1"><route edges="10#0 -10#1"/></vehicle>'),
+    ):
+        (tmp_path / "flows.rou.xml").write_text(text)
+        assert run("gen", "--site", str(tmp_path / "site.toml"), "--out", str(tmp_path / "d")) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1, error
+        assert all(word in error for word in ("site.toml: flows: ", "flows.rou.xml: ")), error
+        assert not (tmp_path / "d").exists()
 
 
 # ------------------------------------------------------------------------------------------------------------------ sun

@@ -103,6 +103,8 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path: Path) -> None:
     [
         (["--preset", "huge"], ["--preset", "huge", "demo"]),
         (["--sites", "nowhere"], ["nowhere", "t01_mill_corner"]),
+        (["--sites", ""], ["--sites", "one or more"]),
+        (["--sites", "t01_main_west,"], ["--sites", "one or more"]),
         (["--size", "wide"], ["--size", "wide"]),
         (["--size", "0x0"], ["--size"]),
         (["--frames", "0"], ["--frames"]),

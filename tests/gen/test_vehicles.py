@@ -42,6 +42,15 @@ def test_keypoints_are_mirror_images(model: str) -> None:
     assert points[keypoints.INDEX["front_logo"], 1] == 0
 
 
+@pytest.mark.parametrize("model", [name for name in MODELS if fleet()[name].vehicle.vehicle_type == "bus"])
+def test_roof_points_of_buses_are_the_windows_upper_corners(model: str) -> None:
+    vehicle = fleet()[model].vehicle
+    below = {
+        name: vehicle.size_lwh[2] - vehicle.points[i, 2] for name, i in keypoints.INDEX.items() if name[:4] == "roof"
+    }
+    assert below == {name: pytest.approx(0.3 if name.startswith("roof_front") else 0.5, abs=0.01) for name in below}
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_keypoints_are_where_their_names_say(model: str) -> None:
     vehicle = fleet()[model].vehicle

@@ -1,8 +1,9 @@
 """The [camera] table of a site file: what it sees with, and where it hangs.
 
-Intrinsics are one of `K`, `fov_deg` and `file`; the pose is one of `T_camera_world`, `R` and `t` (x_camera = R x_world
-+ t), `position` with `look_at` or `yaw_deg` and `pitch_deg`, `points` (known in image and world), `ground` (the road
-as a plane in the camera frame, in a file) with `position` and `yaw_deg`, and the file's own.
+Intrinsics are one of `K`, `fov_deg` and `file`; those of a file are scaled from its image size to the camera's. The
+pose is one of `T_camera_world`, `R` and `t` (x_camera = R x_world + t), `position` with `look_at` or `yaw_deg` and
+`pitch_deg`, `points` (known in image and world), `ground` (the road as a plane in the camera frame, in a file) with
+`position` and `yaw_deg`, and the file's own.
 """
 
 import math
@@ -80,7 +81,20 @@ def _intrinsics(table: Table, read: Calibration | None, size: Size) -> Array | N
     if "fov_deg" in table:
         focal = size[0] / 2 / math.tan(math.radians(table.number("fov_deg", low=2, high=170)) / 2)
         return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
-    return read.K if read else None
+    if read is None or read.size is None:
+        return read.K if read else None
+    return _scaled(table, read.K, read.size, size)
+
+
+def _scaled(table: Table, K: Array, calibrated: Size, size: Size) -> Array:
+    """The intrinsics of a calibration's image size at the camera's. Distortion has no unit and stays."""
+    x, y = size[0] / calibrated[0], size[1] / calibrated[1]
+    if abs(calibrated[1] * x - size[1]) > 1:
+        raise table.wrong(
+            "size",
+            f"{size[0]}x{size[1]} has another shape than the {calibrated[0]}x{calibrated[1]} of {table.file('file')}",
+        )
+    return np.diag([x, y, 1.0]) @ K
 
 
 def _distortion(table: Table, read: Calibration | None) -> Distortion:

@@ -20,7 +20,10 @@ _LEFT = (0.0, 1.0, 0.0)
 
 
 class BusBody:
-    """The surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem."""
+    """The surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem.
+
+    Its roof points are the upper corners of the windscreen's frame and of the rear window.
+    """
 
     def __init__(self, shape: Shape, style: Style) -> None:
         self.shape, self.style = shape, style

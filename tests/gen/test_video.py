@@ -1,0 +1,37 @@
+"""Footage of a site: the video shows what its labels are of."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from skope import coco
+from tests.gen.test_own_site import BASE, EXAMPLE, toml
+
+SHORT = ("--fps", "5", "--seconds", "0.2", "--quiet", "--renderer", "pybullet", "--out", "out")
+
+
+def test_video_and_labels_have_one_size(skope: Any) -> None:
+    assert skope("gen", "video", "t01_main_west", "--size", "96x54", *SHORT)[0] == 0
+    capture = cv2.VideoCapture("out/t01_main_west.mp4")
+    size = tuple(int(capture.get(what)) for what in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    (image,) = coco.read(Path("out/t01_main_west.json")).images
+    assert size == (image.width, image.height) == (96, 54)
+
+
+@pytest.mark.parametrize("size", ["97x55", "96x55", "97x54"])
+def test_odd_sizes_are_refused(skope: Any, size: str) -> None:
+    code, out, error = skope("gen", "video", "t01_main_west", "--size", size, *SHORT)
+    assert (code, out) == (2, "")
+    assert error == f"skope: --size: a video's width and height are even numbers of pixels, got {size}\n"
+    assert not Path("out").exists()
+
+
+def test_an_odd_camera_of_a_site_file_is_refused(skope: Any, tmp_path: Path) -> None:
+    (tmp_path / "junction.net.xml").write_bytes((EXAMPLE / "junction.net.xml").read_bytes())
+    camera = {**BASE["camera"], "size": [97, 55]}  # type: ignore[dict-item]
+    (tmp_path / "site.toml").write_text(toml({**BASE, "camera": camera}))
+    code, out, error = skope("gen", "video", "site.toml", *SHORT)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert error.startswith("skope: site.toml: camera.size: a video's width and height are even")
