@@ -46,11 +46,16 @@ def assembled(
     images: list[Image] = []
     annotations: list[Annotation] = []
     for image, own in rows:
-        images += _parse_rows(path, "images", [image], image_from_dict)
+        images += images_of(path, [image])
         annotations += _parse_rows(path, "annotations", own, annotation_from_dict)
     _check_ids(path, tuple(images), tuple(annotations))
     info = {"split": split, "keypoint_scheme": scheme.name, "schema_version": schema.VERSION}
     return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split, scheme=scheme)
+
+
+def images_of(path: Path, rows: Iterable[Any]) -> tuple[Image, ...]:
+    """The elements of `images`; a UserError names `path`, the record and the field that is wrong."""
+    return _parse_rows(path, "images", rows, image_from_dict)
 
 
 def _records(path: Path, document: Mapping[str, Any], key: str, parse: Callable[[Any], T]) -> tuple[T, ...]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints, shards
+from skope import coco, keypoints, names, shards
 from skope.depth import read_depth
 from skope.errors import UserError, one_of
 from skope.files import read_json
@@ -45,7 +45,7 @@ class Dataset:
         """Names of the splits whose annotation file exists, or that have shards, in alphabetical order."""
         if self.sharded:
             return shards.splits_of(self.root)
-        return tuple(sorted(path.stem for path in (self.root / "annotations").glob("*.json")))
+        return tuple(sorted(path.stem for path in (self.root / "annotations").glob("[!.]*.json")))
 
     @property
     def sharded(self) -> bool:
@@ -109,10 +109,34 @@ def read_card(root: Path) -> dict[str, Any]:
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):
             raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")
-    for i, row in enumerate(card.get("takes", ())):
+    check_takes(path, card.get("takes", []))
+    return dict(card)
+
+
+def check_takes(path: Path, takes: Any) -> None:
+    """Raise a UserError unless `takes`, of the file at `path`, is a list of site, name, split and frames."""
+    if not isinstance(takes, list):
+        raise UserError(f"{path}: takes: expected a list, got {takes!r:.60}")
+    for i, row in enumerate(takes):
         if not (isinstance(row, list) and [type(value) for value in row] == [str, str, str, int]):
             raise UserError(f"{path}: takes[{i}]: expected site, name, split and frames, got {row!r:.60}")
-    return dict(card)
+        for field, value in zip(("site", "name", "split"), row, strict=False):
+            names.name(f"{path}: takes[{i}]: {field}", value)
+
+
+def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
+    """The manifest of a dataset folder: "sha256" and "tallies", each by paths in the folder."""
+    path = root / MANIFEST
+    manifest = read_json(path)
+    parts = {}
+    for part_name in ("sha256", "tallies"):
+        part_of = manifest.get(part_name) if isinstance(manifest, dict) else None
+        if not isinstance(part_of, dict):
+            raise UserError(f"{path}: {part_name}: expected an object")
+        for file_name in part_of:
+            names.relative(f"{path}: {part_name}", file_name)
+        parts[part_name] = part_of
+    return parts
 
 
 def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:

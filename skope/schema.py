@@ -7,14 +7,13 @@ plain COCO files do not have are optional, so that the same records hold anybody
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import keypoints
+from skope import keypoints, names
 from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.keypoints import SKOPE33, Scheme
@@ -116,13 +115,15 @@ class Image:
         _integer("id", self.id, 0)
         _integer("width", self.width, 1)
         _integer("height", self.height, 1)
-        for name in ("file_name", "depth_file_name"):
-            path = getattr(self, name)
-            if path is None and name == "depth_file_name":
-                continue
-            parts = PurePosixPath(path).parts if isinstance(path, str) else ()
-            if not parts or parts[0].startswith("/") or ".." in parts:
-                raise UserError(f"{name}: expected a path inside the dataset folder, got {path!r}")
+        names.relative("file_name", self.file_name)
+        if self.depth_file_name is not None:
+            names.relative("depth_file_name", self.depth_file_name)
+        for field_name in ("town", "site", "recording", "split"):
+            value = getattr(self, field_name)
+            if value is not None:
+                names.name(field_name, value)
+        if self.frame_index is not None:
+            _integer("frame_index", self.frame_index, 0)
         _choice("weather", self.weather, WEATHERS)
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from skope.errors import UserError
 from skope.files import parse_json, read_bytes, read_json, replacing, write_json
+from skope.names import is_relative
 
 FOLDER: Final = "shards"
 _INDEX: Final = 4096
@@ -91,8 +92,11 @@ def _place(shard: Path, name: str) -> tuple[int, int]:
 def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
     value = read_json(path)
     good = isinstance(value, dict) and all(
-        isinstance(place, list) and len(place) == 2 and all(isinstance(n, int) and n >= 0 for n in place)
-        for place in value.values()
+        is_relative(name)
+        and isinstance(place, list)
+        and len(place) == 2
+        and all(isinstance(n, int) and n >= 0 for n in place)
+        for name, place in value.items()
     )
     if not good:
         raise UserError(f"{path}: not an index of a shard")
@@ -106,7 +110,7 @@ def shards_of(root: Path, split: str) -> list[Path]:
 
 def splits_of(root: Path) -> tuple[str, ...]:
     """Splits that have shards, in alphabetical order."""
-    return tuple(sorted({path.name.rpartition("-")[0] for path in (root / FOLDER).glob("*-*.tar")}))
+    return tuple(sorted({path.name.rpartition("-")[0] for path in (root / FOLDER).glob("[!.]*-*.tar")}))
 
 
 def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
@@ -114,7 +118,11 @@ def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
     names = sorted(_index(shard.with_suffix(".json"), True).items(), key=lambda item: item[1])
     for name, _ in names:
         if name.endswith(".json"):
+            data = read_member(shard, name)
             try:
-                yield parse_json(read_member(shard, name))
+                labels = parse_json(data)
             except ValueError as error:
                 raise UserError(f"{shard}/{name}: not valid JSON: {error}") from None
+            if not isinstance(labels, dict) or not {"image", "annotations"} <= labels.keys():
+                raise UserError(f"{shard}/{name}: expected an object with image and annotations")
+            yield labels

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope import keypoints, schema
-from skope.dataset import CARD, MANIFEST
+from skope.dataset import CARD, read_manifest
 from skope.depth import DEPTH_SCALE
-from skope.files import read_json, write_json, write_text
+from skope.files import write_json, write_text
 from skope.gen import annotate, describe, licences
 from skope.gen.annotate import Rules
 from skope.gen.counts import Counts
@@ -109,7 +109,7 @@ def label_rules(rules: Rules) -> list[str]:
 
 def write(root: Path, content: Mapping[str, Any]) -> None:
     """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
-    sums = read_json(root / MANIFEST)["sha256"]
+    sums = read_manifest(root)["sha256"]
     write_text(root / "README.md", readme(content))
     write_json(root / CROISSANT, croissant(content, sums))
     write_json(root / CARD, content)

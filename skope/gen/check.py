@@ -13,9 +13,8 @@ from pycocotools import mask as coco_mask
 
 from skope import keypoints, shards
 from skope.camera import Camera
-from skope.dataset import CARD, MANIFEST, Dataset
+from skope.dataset import CARD, MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
-from skope.files import read_json
 from skope.gen.annotate import POINT_TOLERANCE, SLOPE_CAP
 from skope.gen.frames import FORMATS
 from skope.gen.pack import rows_of
@@ -124,8 +123,8 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     if "takes" not in dataset.card:
         return
     try:
-        sums = read_json(dataset.root / MANIFEST)["sha256"]
-    except (UserError, TypeError, KeyError) as error:
+        sums = read_manifest(dataset.root)["sha256"]
+    except UserError as error:
         yield Finding(MANIFEST, f"cannot be read: {error}")
         return
     for name, wanted in sums.items():

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from skope.dataset import MANIFEST, Dataset
+from skope.dataset import Dataset, read_manifest
 from skope.errors import UserError
-from skope.files import read_json
 from skope.schema import Annotation, Image
 
 Key = tuple[str | None, str | None, int | None]
@@ -79,7 +78,7 @@ def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
         yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
         return
     try:
-        a, b = (read_json(dataset.root / MANIFEST)["sha256"] for dataset in (one, other))
+        a, b = (read_manifest(dataset.root)["sha256"] for dataset in (one, other))
     except UserError:
         return
     kinds = Counter(name.split("/")[0] for name in a.keys() & b.keys() if a[name] != b[name])

@@ -10,8 +10,8 @@ from typing import IO, Any, Final, Protocol
 
 import orjson
 
-from skope import coco, shards
-from skope.dataset import MANIFEST, Dataset
+from skope import coco, names, shards
+from skope.dataset import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, read_json, write_bytes
 from skope.gen.counts import Kind, kind_of
@@ -156,10 +156,11 @@ def unpack_shards(root: Path) -> None:
     """
     for shard in sorted((root / shards.FOLDER).glob("*.tar")):
         for name in shards.members_of(shard):
-            stem, suffix = name.split(".", 1)
+            stem, _, suffix = name.partition(".")
             kind, ending = ("depth", suffix[len("depth.") :]) if suffix.startswith("depth.") else ("images", suffix)
             if ending != "json":
-                write_bytes(root / kind / f"{stem}.{ending}", shards.read_member(shard, name))
+                loose = names.relative(f"{shard}: {name}", f"{kind}/{stem}.{ending}")
+                write_bytes(root / loose, shards.read_member(shard, name))
         shard.with_suffix(".json").unlink(missing_ok=True)
         shard.unlink()
 
@@ -194,8 +195,11 @@ def checksum_of(path: Path) -> str:
 
 def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
     """The frames of a dataset that `skope gen` made, as they are written down."""
-    manifest = read_json(dataset.root / MANIFEST)
+    manifest = read_manifest(dataset.root)
     for image, annotations in rows_of(dataset, split):
+        lost = [key for key in ("site", "recording", "frame_index") if image.get(key) is None]
+        if lost:
+            raise UserError(f"{dataset.root}: {split}: image {image['id']}: field {lost[0]} is missing")
         name = f"{image['site']}/{image['recording']}_{image['frame_index']:06d}"
         files = [image[key] for key in ("file_name", "depth_file_name") if key in image]
         try:
@@ -209,12 +213,16 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:
-    """A split's images as its files have them, each with its annotations."""
+    """A split's images as its files have them, each with its annotations; a UserError names an image that is wrong."""
     if dataset.sharded:
         for shard in shards.shards_of(dataset.root, split):
-            yield from ((labels["image"], labels["annotations"]) for labels in shards.labels_in(shard))
+            for labels in shards.labels_in(shard):
+                coco.images_of(shard, [labels["image"]])
+                yield labels["image"], labels["annotations"]
         return
-    document = read_json(dataset.root / "annotations" / f"{split}.json")
+    path = dataset.root / "annotations" / f"{split}.json"
+    document = read_json(path)
+    coco.images_of(path, document["images"])
     own: dict[int, list[Any]] = {image["id"]: [] for image in document["images"]}
     for annotation in document["annotations"]:
         own[annotation["image_id"]].append(annotation)

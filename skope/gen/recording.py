@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope import names
 from skope.camera import Camera
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.conditions import Conditions, Range
-from skope.gen.towns import Site
-from skope.gen.towns.place import Place, know
+from skope.gen.towns import Site, towns
+from skope.gen.towns.place import Place, know, known
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,9 @@ class RecordedVehicle:
     parked: bool = False
     labelled: bool = True
     """False for people on foot and on two wheels; these come after the vehicles."""
+
+    def __post_init__(self) -> None:
+        names.name("model", self.model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +144,8 @@ class Recording:
     """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery: the place's, unless given."""
 
     def __post_init__(self) -> None:
+        for field_name in ("town", "site", "name", "split"):
+            names.name(field_name, getattr(self, field_name))
         know(self.place)
         if self.photograph is None and self.place and self.place.photograph:
             picture = self.place.picture((self.camera.width, self.camera.height))
@@ -241,21 +247,29 @@ def unpacked(data: bytes, path: Path) -> Recording:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             header: dict[str, Any] = json.loads(str(file["header"]))
-            arrays = {name: file[name] for name in _ARRAYS}
-            own = header.get("place")
-            place = Place.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
+            if header.get("version") != VERSION:
+                raise UserError(
+                    f"version: this skope reads recordings of version {VERSION}, got {header.get('version')}"
+                )
+            recording = _recording_of(header, file)
+        if not known(recording.town):
+            one_of("town", recording.town, towns())
+        return recording
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     except Exception as error:  # zip, header and array errors of a damaged file come in a dozen types
         raise UserError(f"{path}: not a readable recording: {error}") from None
-    if header.get("version") != VERSION:
-        raise UserError(
-            f"{path}: version: this skope reads recordings of version {VERSION}, got {header.get('version')}"
-        )
+
+
+def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
+    """The recording of a file's header and arrays."""
+    own = header.get("place")
     return Recording(
         **{name: header[name] for name in _HEADER},
         camera=Camera.from_dict(header["camera"], *header["size"]),
         conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
-        place=place,
-        **arrays,
+        place=Place.of(own, *(file[name].tobytes() for name in _FILES)) if own else None,
+        **{name: file[name] for name in _ARRAYS},
     )

@@ -12,9 +12,20 @@ from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope.dataset import CARD, Dataset, read_card
+from skope import names
+from skope.dataset import CARD, Dataset, check_takes, read_card
 from skope.errors import UserError
-from skope.files import json_bytes, locked, parse_json, read_bytes, read_json, replacing, write_bytes, write_json
+from skope.files import (
+    json_bytes,
+    locked,
+    no_links_out,
+    parse_json,
+    read_bytes,
+    read_json,
+    replacing,
+    write_bytes,
+    write_json,
+)
 from skope.gen import recording as recordings
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
@@ -45,6 +56,7 @@ class Store:
         """Keep other processes from making the same dataset."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
+            no_links_out(self.root)
             with locked(self.root / ".lock", f"{self.root}: another `skope gen` is writing to this folder"):
                 yield
         except OSError as error:
@@ -77,7 +89,10 @@ class Store:
     def begun(self) -> dict[str, Any] | None:
         """Parameters and takes ("takes": site, name, split, frames each) of what is here."""
         if self._plan_path.is_file():
-            value: dict[str, Any] = read_json(self._plan_path)
+            value = read_json(self._plan_path)
+            if not isinstance(value, dict) or not isinstance(value.get("parameters"), dict):
+                raise UserError(f"{self._plan_path}: expected an object with parameters and takes")
+            check_takes(self._plan_path, value.get("takes"))
             return value
         if (self.root / CARD).is_file():
             card = read_card(self.root)
@@ -183,6 +198,10 @@ class Store:
         try:
             head = parse_json(first)
             whole = head["bytes"] == sum(map(len, rows))
+            for key in head["image"].keys() & {"file_name", "depth_file_name"}:
+                names.relative(f"{path}: {key}", head["image"][key])
+        except UserError:
+            raise
         except (ValueError, KeyError, TypeError):
             whole = False
         if not whole:

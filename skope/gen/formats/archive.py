@@ -4,11 +4,12 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
 from skope.files import replacing
+from skope.names import is_relative
 
 MEMBERS: Final = 2_000_000
 """Most members of an archive."""
@@ -76,8 +77,7 @@ class Archive:
 
     def _check(self, info: zipfile.ZipInfo) -> None:
         name, where = info.filename, f"{self.path}: member {info.filename!r}"
-        parts = PurePosixPath(name).parts
-        if name.startswith("/") or ".." in parts or "\\" in name or ":" in name or not parts:
+        if not is_relative(name):
             raise UserError(f"{where}: its name leads out of the archive")
         if info.external_attr >> 16 & _KIND == _LINK:
             raise UserError(f"{where}: is a link")

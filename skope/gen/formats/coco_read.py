@@ -29,7 +29,7 @@ from skope.schema import Annotation, Image
 
 _DEFAULT: Final = "default"
 """CVAT's subset of images that are in none."""
-_SITE: Final = re.compile(r"(?:.*/)?([^/]+)/([^/]+)_(\d{1,9})\.\w+")
+_SITE: Final = re.compile(r"(?:.*/)?([^/.][^/]*)/([^/.][^/]*)_(\d{1,9})\.\w+")
 _SURE: Final = 0.5
 """A predicted keypoint of this probability counts as visible."""
 
@@ -42,6 +42,8 @@ class _File:
     document: Mapping[str, Any]
     split: str
     subset: str
+    beside: bool
+    """Whether its images may lie beside its folder, as they do in a dataset's."""
 
     @property
     def ours(self) -> bool:
@@ -83,7 +85,7 @@ def read(
     licences = set()
     for source in sources:
         with _opened(source) as files:
-            licences.add(_licence(files))
+            licences.add(_licence(files, beside=_beside(source)))
             for file in _annotation_files(source, files, form, split):
                 work.add(file, files)
     for what, count in work.left_out.items():
@@ -167,14 +169,13 @@ class _Import:
         else:
             # A subset's own folder first: another subset may have an image of the same name.
             below = [f"images/{file.subset}/{old}", old, f"images/{old}"]
-            looked = [*below, *(f"../{name}" for name in below)]
-            content, there = _first(files, looked), f"{files.where}, as itself or below images/"
+            content, there = _first(files, below, file.beside), f"{files.where}, as itself or below images/"
         if content is None:
             raise UserError(f"{where}: file_name: no {old} in {there}; say with --images where images lie")
         contents = {name: content}
         depth = None
         if image.depth_file_name is not None:
-            found = _first(files, [image.depth_file_name, f"../{image.depth_file_name}"])
+            found = _first(files, [image.depth_file_name], file.beside)
             if found is not None:
                 depth = f"depth/{plain(image.depth_file_name)}"
                 contents[depth] = found
@@ -186,21 +187,26 @@ class _Import:
 
 def _opened(source: Path) -> AbstractContextManager[Files]:
     """Files below a folder or in an archive; of an annotation file those below the folder above it."""
-    return files_at(source.absolute().parent if source.suffix == ".json" else source)
+    return files_at(source.absolute().parent if _beside(source) else source)
 
 
-def _licence(files: Files) -> str:
-    found = files.find(LICENCE_FILE) or files.find(f"../{LICENCE_FILE}")
+def _beside(source: Path) -> bool:
+    """Whether a source is one annotation file, whose folder may lie beside that of the images."""
+    return source.suffix == ".json"
+
+
+def _licence(files: Files, *, beside: bool) -> str:
+    found = _first(files, [LICENCE_FILE], beside)
     data = found.read_bytes() if isinstance(found, Path) else found
     return " ".join(data.decode(errors="replace").split()) if data else "not stated"
 
 
 def _annotation_files(source: Path, files: Files, form: str, split: str | None) -> Iterator[_File]:
-    if source.suffix == ".json":
+    if _beside(source):
         names = [source.name]
     elif files.find(FRAMES) and files.find(PREDICTIONS):
         document = _joined(source)
-        yield _File(str(source / PREDICTIONS), document, split or "train", "")
+        yield _File(str(source / PREDICTIONS), document, split or "train", "", beside=False)
         return
     else:
         names = files.names("annotations", ".json")
@@ -215,7 +221,7 @@ def _annotation_files(source: Path, files: Files, form: str, split: str | None) 
         chosen = split or ("train" if subset.lower() in (_DEFAULT, "instances_default") else subset)
         if not SPLIT_NAME.fullmatch(chosen):
             raise UserError(f"{where}: {chosen!r} cannot be the name of a split: give one with --split")
-        yield _File(where, _parsed(where, files.find(name)), chosen, subset)
+        yield _File(where, _parsed(where, files.find(name)), chosen, subset, _beside(source))
 
 
 def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
@@ -302,8 +308,10 @@ def _name(name: object) -> str:
     return re.sub(r"[\s-]+", "_", str(name).strip().lower())
 
 
-def _first(files: Files, names: Sequence[str]) -> Path | bytes | None:
-    return next((found for name in names if (found := files.find(name)) is not None), None)
+def _first(files: Files, names: Sequence[str], beside: bool) -> Path | bytes | None:
+    """The first file there is among the folder's, and then, where that is wanted, among those of the folder above."""
+    looked = [*names, *(f"../{name}" for name in names if beside)]
+    return next((found for name in looked if (found := files.find(name)) is not None), None)
 
 
 def _annotation(where: str, row: Mapping[str, Any], label: _Label, image: Image, ours: bool) -> Annotation | None:

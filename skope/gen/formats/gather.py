@@ -104,7 +104,7 @@ def plain(name: str) -> str:
     parts = PurePosixPath(name).parts
     after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
     if after:
-        return "/".join(parts[after:]).replace(".depth.", ".")
+        return re.sub(r"(?<=[^/])\.depth(?=\.\w+$)", "", "/".join(parts[after:]))
     return "/".join(parts[1:] if parts[0] in ("images", "depth") else parts)
 
 

@@ -2,7 +2,8 @@
 
     scene_K/original.avi
     scene_K/<frame>/keypoint_<v>.csv    row 0: the crop's origin x, y; rows 1-2: the box's corners; then 33 rows x, y,
-                                        visible, relative to the crop's origin
+                                        visible, relative to the crop's origin; rows 0 to 2 may have a third value, 0
+                                        or -1, as a whole array written at once has
     scene_K/<frame>/metadata_<v>.csv    row 0: track id, model id; rows 1-8: the 3D box's corners x, y
 
 All in pixels of the image. What is wrong with a file is told with its archive, its name and the line.
@@ -22,11 +23,13 @@ from numpy.typing import NDArray
 from skope.errors import UserError
 from skope.gen.formats.archive import Archive
 from skope.keypoints import K
+from skope.names import name as check_name
 
 VIDEO: Final = "original.avi"
 
 _CSV_BYTES: Final = 1 << 16
 _MEMBER: Final = re.compile(r"([^/]+)/(\d+)/(keypoint|metadata)_([^/]+)\.csv")
+_FILLING: Final = re.compile(r"(0|-1)(\.0*)?")
 _FRAME: Final = re.compile(r"[^/]+/(\d+)")
 
 Array = NDArray[np.float64]
@@ -89,6 +92,7 @@ def scene_of(archive: Archive) -> Scene:
     if len(names) != 1:
         raise UserError(f"{archive.path}: expected one folder with {VIDEO} and frames, got {len(names)}")
     (name,) = names
+    check_name(f"{archive.path}: folder", name)
     if f"{name}/{VIDEO}" not in archive:
         raise UserError(f"{archive.path}: has no member {name}/{VIDEO}")
     if not found:
@@ -106,6 +110,7 @@ def scene_of(archive: Archive) -> Scene:
 
 def _vehicle(archive: Archive, keypoint: str, metadata: str) -> Vehicle:
     rows = _rows(archive, keypoint, 3 + K)
+    rows[:3] = map(_unfilled, rows[:3])
     origin = _numbers(archive, keypoint, rows, slice(0, 1), 2)[0]
     corners = _numbers(archive, keypoint, rows, slice(1, 3), 2)
     points = _numbers(archive, keypoint, rows, slice(3, None), 3)
@@ -136,6 +141,11 @@ def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
     if len(rows) != count:
         raise UserError(f"{archive.path}: {member}: expected {count} rows, got {len(rows)}")
     return rows
+
+
+def _unfilled(row: list[str]) -> list[str]:
+    """A row of two values without the 0 or -1 that fills the third column of an array."""
+    return row[:2] if len(row) == 3 and _FILLING.fullmatch(row[2].strip()) else row
 
 
 def _cells(archive: Archive, member: str, rows: list[list[str]], row: int, count: int) -> list[str]:

@@ -7,7 +7,6 @@ ours (scheme `skope3d`); a map by name makes `skope33` of those it names.
 import csv
 import io
 import itertools
-import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.gather import Gathered, frame_rate, licence_beside
 from skope.gen.formats.scenes import VIDEO, Array, Scene, Vehicle, archives, scene_of
 from skope.keypoints import PUBLISHED, SKOPE33, K
+from skope.names import name as check_name
 from skope.schema import Annotation, Image
 from skope.video import write_video
 
@@ -93,9 +93,9 @@ def _places(path: Path) -> dict[str, Place]:
             places[row["scene"]] = Place(row["split"], row["site"], row["recording"])
     except (KeyError, UnicodeDecodeError, csv.Error):
         raise UserError(f"{path}: expected the columns scene, split, site, recording") from None
-    for place in places.values():
-        if not all(re.fullmatch(r"[\w.-]*\w", text or "") for text in (place.split, place.site, place.recording)):
-            raise UserError(f"{path}: split, site and recording are names of letters, digits, _, . and -")
+    for scene, place in places.items():
+        for field, value in vars(place).items():
+            check_name(f"{path}: {scene}: {field}", value)
     return places
 
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope import names
 from skope.camera import Camera
 
 Image = NDArray[np.uint8]
@@ -46,6 +47,9 @@ class Place:
     occluders: tuple[Occluder, ...] = ()
     shades: tuple[Outline, ...] = ()
     """Ground that lies in shadow in the photograph, pixels of the camera's image."""
+
+    def __post_init__(self) -> None:
+        names.name("title", self.title)
 
     @property
     def name(self) -> str:

@@ -18,6 +18,7 @@ from skope.gen.vehicles.markers import Marked
 from skope.gen.vehicles.model import Derived
 from skope.gen.vehicles.shape import Dimensions
 from skope.gen.vehicles.sidecar import Sidecar
+from skope.names import name as check_name
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def save(vehicle: AddedVehicle) -> Path:
 @cache
 def load(name: str) -> AddedVehicle:
     """A model that was added under that name."""
-    path = folder() / name
+    path = folder() / check_name("model", name)
     if not (path / "vehicle.json").is_file():
         there = ", ".join(names()) or "none yet: skope gen vehicles add"
         raise UserError(f"--vehicles: no model {name!r} was added; there are: {there}")

@@ -96,6 +96,19 @@ def test_frames_may_be_counted_from_one(skope: Any, members: Members) -> None:
     assert [int(np.rint(data.image(image).mean() / 10)) * 10 for image in file.images] == [40, 100, 160]
 
 
+@pytest.mark.parametrize("filling", ["0", "-1", "0.0", "-1.000"])
+def test_files_written_as_whole_arrays_are_read_alike(skope: Any, members: Members, filling: str) -> None:
+    write_zip(Path("plain.zip"), members)
+    rows = KEYPOINT.split("\n")
+    members[K0] = "\n".join([*(f"{row},{filling}" for row in rows[:3]), *rows[3:]])
+    write_zip(Path("whole.zip"), members)
+    for name in ("plain", "whole"):
+        assert skope("gen", "convert", f"{name}.zip", name, "--from", "skope3d", "-q")[0] == 0
+    plain, whole = (open_dataset(Path(name)).read("train").annotations for name in ("plain", "whole"))
+    assert np.array_equal(plain[0].keypoints, whole[0].keypoints)
+    assert np.array_equal(plain[0].bbox, whole[0].bbox)
+
+
 def test_points_are_mapped_by_name(skope: Any, members: Members) -> None:
     write_zip(Path("scene_5.zip"), members)
     write_json(Path("map.json"), {"skope3d_16": "wheel_rear_left", "skope3d_03": "roof_rear_left"})
@@ -161,6 +174,10 @@ K0, M0 = "scene_5/1/keypoint_0.csv", "scene_5/1/metadata_0.csv"
         (put(K0, KEYPOINT.rsplit("\n", 1)[0]), f"{K0}: expected 36 rows, got 35"),
         (put(K0, KEYPOINT + "\n1,2,1"), f"{K0}: expected 36 rows, got 37"),
         (put(K0, line(KEYPOINT, 5, "1,2")), f"{K0}: line 5: expected 3 values, got '1,2'"),
+        (put(K0, line(KEYPOINT, 1, "1,2,1")), f"{K0}: line 1: expected 2 values, got '1,2,1'"),
+        (put(K0, line(KEYPOINT, 2, "1,2,0,0")), f"{K0}: line 2: expected 2 values, got '1,2,0,0'"),
+        (put(K0, line(KEYPOINT, 5, "1,2,-1")), f"{K0}: line 5: visible is 0 or 1, got -1"),
+        (put(M0, line(METADATA, 2, "1,2,0")), f"{M0}: line 2: expected 2 values, got '1,2,0'"),
         (put(K0, line(KEYPOINT, 1, "1,2,3")), f"{K0}: line 1: expected 2 values, got '1,2,3'"),
         (put(K0, line(KEYPOINT, 5, "1,two,1")), f"{K0}: line 5: expected numbers, got '1,two,1'"),
         (put(K0, line(KEYPOINT, 5, "1,nan,1")), f"{K0}: line 5: expected numbers"),
@@ -310,4 +327,4 @@ def test_splits_and_sites_return_with_all_scenes(skope: Any) -> None:
     # Its own places are not taken from anybody who writes paths into them.
     (Path("zips") / "scenes.csv").write_text("scene,split,site,recording\nscene_1,../up,x,00\n")
     code, _, err = skope("gen", "convert", "zips", "again", "--from", "skope3d", "-q")
-    assert (code, "zips/scenes.csv: split, site and recording are names" in err) == (2, True)
+    assert (code, "zips/scenes.csv: scene_1: split: expected a name" in err) == (2, True)

@@ -1,0 +1,59 @@
+"""What files of others call things: a name is never a path, and a relative path never leaves its folder.
+
+Whatever a file says of sites, recordings, splits or other files is checked here before it becomes part of a path.
+"""
+
+import os
+import re
+from pathlib import PurePosixPath
+from typing import Any, Final
+
+from skope.errors import UserError
+
+NAME_BYTES: Final = 100
+"""Of the longest name: two of them and a suffix fit into a file's name."""
+_PART_BYTES: Final = 255
+_PATH_BYTES: Final = 2000
+_REFUSED: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2028\u2029/\\]")
+"""Nothing, a folder itself or the one above it, a drive; control characters, ends of lines and separators."""
+
+
+def name(field: str, value: Any) -> str:
+    """Return `value` when it can be a file's name and nothing else, or raise a UserError that names the field.
+
+    Hidden names, which begin with a dot, are refused too.
+    """
+    if not isinstance(value, str) or value.startswith(".") or not _is_part(value, NAME_BYTES):
+        raise UserError(
+            f"{field}: expected a name of up to {NAME_BYTES} bytes without slashes, control characters or a leading "
+            f"dot, got {_short(value)}"
+        )
+    return value
+
+
+def relative(field: str, value: Any) -> str:
+    """Return `value` when it is a path inside a dataset folder, or raise a UserError that names the field."""
+    if not is_relative(value):
+        raise UserError(f"{field}: expected a path inside the dataset folder, got {_short(value)}")
+    return str(value)
+
+
+def is_relative(value: Any) -> bool:
+    """Whether `value` is a path with forward slashes that stays inside whatever folder it is relative to."""
+    if not isinstance(value, str) or len(value) > _PATH_BYTES:
+        return False
+    parts = PurePosixPath(value).parts
+    return bool(parts) and all(_is_part(part, _PART_BYTES) for part in parts)
+
+
+def _is_part(text: str, most: int) -> bool:
+    """Whether text can be one part of a path of at most so many bytes."""
+    try:
+        return not _REFUSED.search(text) and len(os.fsencode(text)) <= most
+    except UnicodeEncodeError:  # half a character, which no file system can hold
+        return False
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
