@@ -116,11 +116,13 @@ def video(
     version: VersionOption = False,
 ) -> None:
     """Make footage of a site, with labels of every frame."""
+    from skope.files import sha256_of
     from skope.gen.annotate import Rules
     from skope.gen.conditions import ranges
     from skope.gen.own.site import read_site
     from skope.gen.plan import from_preset
     from skope.gen.render import choose_renderer
+    from skope.gen.simulate import versions
     from skope.gen.video import plan_of, write_footage
 
     chosen, driver, _ = choose_renderer(renderer)
@@ -146,7 +148,19 @@ def video(
     )
     ranges(here.weather, here.time_of_day)  # knows their names
     console = Console(quiet)
-    made = write_footage(replace(plan, site=here), chosen, out, with_overlay=overlay, console=console)
+    options = {
+        "site": sha256_of(own.path) if own else site,
+        "fps": fps,
+        "seconds": seconds,
+        "size": parameters.size,
+        "fov": parameters.fov_deg,
+        "weather": here.weather,
+        "time_of_day": here.time_of_day,
+        "seed": seed,
+        "renderer": driver,
+        "versions": versions(),
+    }
+    made = write_footage(replace(plan, site=here), chosen, out, options=options, with_overlay=overlay, console=console)
     for path in (made.video, made.labels, made.overlay):
         if path:
             console.result(f"wrote {path}")

@@ -1,10 +1,10 @@
 """Footage of a site with its labels: a video file, and the annotation file of its frames."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from skope import draw
 from skope.coco import write
 from skope.console import Console
 from skope.errors import UserError
-from skope.files import replacing
+from skope.files import read_json, replacing
 from skope.gen.annotate import Rules, annotate
 from skope.gen.frames import image_of
 from skope.gen.recording import Recording, RecordingPlan
@@ -50,9 +50,38 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
     return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
 
 
-def write_footage(plan: RecordingPlan, renderer: str, out: Path, *, with_overlay: bool, console: Console) -> Footage:
-    """Simulate and render a plan into `out`/<site>.mp4 with <site>.json, and <site>_labels.mp4 when asked for."""
+def check_free(out: Path, site: str, options: Mapping[str, Any]) -> None:
+    """Raise a UserError where footage of a site with other options is in the folder already."""
+    video, labels = out / f"{site}.mp4", out / f"{site}.json"
+    if not video.exists() and not labels.exists():
+        return
+    info = read_json(labels).get("info") if labels.is_file() else None
+    told = info.get("options") if isinstance(info, dict) else None
+    held: Mapping[str, Any] = told if isinstance(told, dict) else {}
+    if held == options:
+        return
+    names = sorted({*held, *options}) if held else []
+    pairs = [(name, held.get(name), options.get(name)) for name in names]
+    other = [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]
+    what = f"of other footage ({', '.join(other)})" if other else "and nothing says what it is of"
+    raise UserError(f"{video}: is there already, {what}; choose another folder with --out, or remove it")
+
+
+def write_footage(
+    plan: RecordingPlan,
+    renderer: str,
+    out: Path,
+    *,
+    options: Mapping[str, Any],
+    with_overlay: bool,
+    console: Console,
+) -> Footage:
+    """Simulate and render a plan into `out`/<site>.mp4 with <site>.json, and <site>_labels.mp4 when asked for.
+
+    `options` (JSON values) are what the footage was asked for with, kept in the labels' `info`.
+    """
     name = plan.site.name
+    check_free(out, name, options)
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
     footage = Footage(out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None)
@@ -70,7 +99,7 @@ def write_footage(plan: RecordingPlan, renderer: str, out: Path, *, with_overlay
                 drawn.add(draw.annotations(pixels, numbered))
             images.append(image)
             annotations += numbered
-    info = {"split": recording.split, "video": footage.video.name, "fps": fps}
+    info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
     write(footage.labels, AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name))
     return footage
 

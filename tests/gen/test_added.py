@@ -51,6 +51,18 @@ def test_an_added_model_drives(tmp_path: Path, own_folder: Path) -> None:
     assert "--vehicles my_car" in dataset.card["command"]
 
 
+def test_another_model_of_the_same_name_is_refused(tmp_path: Path, own_folder: Path) -> None:
+    path = written(tmp_path / "car.glb", nodes())
+    for _ in range(2):  # the same one is added again
+        code, text = run("vehicles", "add", str(path), "--mass", "1500")
+        assert code == 0, text
+    before = {file.name: file.read_bytes() for file in (own_folder / "car").iterdir()}
+    code, text = run("vehicles", "add", str(path), "--mass", "1600")
+    assert code != 0
+    assert f"{own_folder / 'car'}: another model of that name was added already" in text
+    assert {file.name: file.read_bytes() for file in (own_folder / "car").iterdir()} == before
+
+
 def test_what_is_wrong_is_said_and_nothing_is_added(tmp_path: Path, own_folder: Path) -> None:
     for change, said in (
         (without("kp_24"), "no marker for hood_front_right"),

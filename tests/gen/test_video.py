@@ -35,3 +35,17 @@ def test_an_odd_camera_of_a_site_file_is_refused(skope: Any, tmp_path: Path) -> 
     code, out, error = skope("gen", "video", "site.toml", *SHORT)
     assert (code, out, error.count("\n")) == (2, "", 1)
     assert error.startswith("skope: site.toml: camera.size: a video's width and height are even")
+
+
+def test_footage_is_made_again_and_other_footage_refused(skope: Any) -> None:
+    call = ("gen", "video", "t01_main_west", "--size", "96x54", *SHORT)
+    assert skope(*call)[0] == 0
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    assert skope(*call)[0] == 0
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+    code, _, error = skope(*call, "--seed", "1")
+    assert (code, error.count("\n")) == (2, 1)
+    assert "out/t01_main_west.mp4: is there already, of other footage (seed = 0, now 1)" in error
+    Path("out/t01_main_west.json").unlink()
+    assert skope(*call)[0] == 2
+    assert Path("out/t01_main_west.mp4").read_bytes() == before["t01_main_west.mp4"]

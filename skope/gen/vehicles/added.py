@@ -1,6 +1,8 @@
 """Vehicle models that users add: kept in a folder of their own, one subfolder each."""
 
 import hashlib
+import io
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.files import read_json, replacing, write_json
+from skope.files import read_json, write_bytes
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.markers import Marked
 from skope.gen.vehicles.model import Derived
@@ -78,23 +80,26 @@ def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None)
 
 
 def save(vehicle: AddedVehicle) -> Path:
-    """Write a model's files; returns their folder."""
+    """Write a model's files; returns their folder. Raises UserError where another model has that name."""
     path = folder() / vehicle.model
     arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in _MESHES for field in _FIELDS}
-    with replacing(path / "mesh.npz") as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
-    write_json(
-        path / "vehicle.json",
-        {
-            "version": _VERSION,
-            "vehicle_type": vehicle.vehicle_type,
-            "shape": asdict(vehicle.shape),
-            "mass": vehicle.mass,
-            "keypoints": vehicle.points.tolist(),
-            "materials": {name: getattr(vehicle, name).materials for name in _MESHES},
-            "sidecar": vehicle.sidecar.to_dict(),
-        },
-    )
+    mesh = io.BytesIO()
+    np.savez_compressed(mesh, **arrays)
+    row = {
+        "version": _VERSION,
+        "vehicle_type": vehicle.vehicle_type,
+        "shape": asdict(vehicle.shape),
+        "mass": vehicle.mass,
+        "keypoints": vehicle.points.tolist(),
+        "materials": {name: getattr(vehicle, name).materials for name in _MESHES},
+        "sidecar": vehicle.sidecar.to_dict(),
+    }
+    row_bytes = (json.dumps(row, indent=1, allow_nan=False) + "\n").encode()
+    files = {path / "mesh.npz": mesh.getvalue(), path / "vehicle.json": row_bytes}
+    if any(file.is_file() and file.read_bytes() != data for file, data in files.items()):
+        raise UserError(f"{path}: another model of that name was added already; choose another --name, or remove it")
+    for file, data in files.items():
+        write_bytes(file, data)
     return path
 
 
