@@ -13,7 +13,6 @@ how often these photographs were looked at: what development has looked at is no
 """
 
 import argparse
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -36,7 +35,7 @@ from skope.eval.match import Matches, match
 from skope.eval.predict import Predictor
 from skope.eval.settings import PRECISIONS, Settings
 from skope.eval.tally import Options, judge, lengths
-from skope.files import read_bytes, read_json, write_json
+from skope.files import read_json, sha256_of, write_json
 from skope.schema import Annotation, AnnotationFile, Result
 
 IOU: Final = 0.5
@@ -389,7 +388,7 @@ def run(options: argparse.Namespace) -> None:
         "annotations": str(photographs.source),
         "checkpoint": str(weights) if weights else None,
         "predictions": str(options.predictions) if options.predictions else None,
-        "sha256": hashlib.sha256(read_bytes(weights or options.predictions)).hexdigest(),
+        "sha256": sha256_of(weights or options.predictions),
         "number_format": options.precision if weights else None,
         "score": options.score,
         "detections": len(results),

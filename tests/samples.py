@@ -1,6 +1,9 @@
 """Small annotated images that tests train on and score, drawn here without any renderer."""
 
+import importlib.util
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -106,3 +109,14 @@ def make_dataset(
         coco.write(root / "annotations" / f"{split}.json", file)
     write_json(root / "dataset.json", {"version": 1, "keypoint_scheme": scheme.name, "seed": seed})
     return root
+
+
+def load_script(name: str) -> ModuleType:
+    """The module in `scripts/NAME.py`."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parents[1] / "scripts" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

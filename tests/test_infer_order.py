@@ -1,6 +1,5 @@
 """What the script proposes for keypoints whose order was shuffled: most names, and no wrong one."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +20,7 @@ from skope.gen.formats.skope3d import CORNERS
 from skope.gen.vehicles import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
+from tests.samples import load_script
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "infer_order.py"
 CAMERA = Camera.looking([0, 0, 7.0], yaw=0, pitch_down=0.3, size=(320, 180))
@@ -30,13 +30,7 @@ ORDER = np.array([*range(4), *np.random.default_rng(5).permutation(np.arange(4, 
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("infer_order", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["infer_order"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("infer_order")
 
 
 @pytest.fixture(scope="module")

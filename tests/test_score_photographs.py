@@ -1,6 +1,5 @@
 """Labelled photographs made up here, whose figures can be worked out by hand."""
 
-import importlib.util
 import json
 import sys
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from skope import coco, detector, keypoints
 from skope.files import read_json, write_json
 from skope.keypoints import INDEX
 from skope.schema import Annotation, AnnotationFile, Result, category
-from tests.samples import make_annotation, make_image
+from tests.samples import load_script, make_annotation, make_image
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "score_photographs.py"
 SIZE = (160, 120)
@@ -30,13 +29,7 @@ Box = tuple[float, float, float, float]
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("score_photographs", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["score_photographs"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("score_photographs")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from hashlib import file_digest
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Final, Protocol
@@ -13,7 +12,7 @@ import orjson
 from skope import coco, names, shards
 from skope.dataset import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
-from skope.files import json_bytes, read_bytes, read_json, write_bytes
+from skope.files import json_bytes, read_bytes, read_json, sha256_of, write_bytes
 from skope.gen.counts import Kind, kind_of
 
 FORMATS: Final = ("folder", "shards")
@@ -59,7 +58,7 @@ class _Manifest:
         self.tallies: dict[str, Any] = {}
 
     def add_file(self, path: Path) -> None:
-        self.sums[str(path)] = checksum_of(self.root / path)
+        self.sums[str(path)] = sha256_of(self.root / path)
 
     def finish(self) -> None:
         content = {"sha256": dict(sorted(self.sums.items())), "tallies": self.tallies}
@@ -180,17 +179,6 @@ def numbered(row: bytes, id_: int, image_id: int) -> bytes:
 def writer_of(form: str, root: Path) -> Writer:
     """The writer of a format."""
     return Shards(root) if form == "shards" else Folder(root)
-
-
-def checksum_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    try:
-        with path.open("rb") as file:
-            return file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
