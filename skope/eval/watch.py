@@ -101,7 +101,9 @@ def _claim(job: Job, weights: Path) -> None:
     footage, cut, settings = job.footage, job.footage.cut, job.settings
     options = {
         "source": footage.clip.address if footage.clip else [str(path) for path in footage.images],
-        "cut": [cut.every, cut.start_s, cut.end_s if math.isfinite(cut.end_s) else None],
+        "every": cut.every,
+        "start": cut.start_s,
+        "end": cut.end_s if math.isfinite(cut.end_s) else None,
         "score": job.score,
         "precision": settings.precision,
         "calibrated": settings.calibrated,

@@ -443,3 +443,17 @@ def test_too_few_vehicles_are_no_camera(skope: Any) -> None:
     code, _, err = skope("eval", "camera", "--annotations", "road.json")
     assert code == 2
     assert "a camera needs 5" in err
+
+
+def test_other_footage_is_refused_in_a_folder_of_its_own(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    video = numbered_video(tmp_path / "site.mp4", 3)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--quiet")
+    assert skope(*call, "--every", 2)[0] == 0
+    out = Path("runs/predict/site")  # named after its source
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    code, _, err = skope(*call, "--every", 3)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{out} holds other work (every = 2, now 3)" in err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert skope(*call, "--every", 2, "--overlay")[0] == 0  # the same work, with more to look at
+    assert (out / "overlay.mp4").is_file()
