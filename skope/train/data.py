@@ -146,9 +146,10 @@ def batches(
 
 
 def _begin_loading(worker: int) -> None:
-    """In a loading process: one thread, since there are as many processes as the machine has cores for."""
+    """In a loading process: no threads of OpenCV's, since there are as many processes as the machine has cores for."""
     left_to_the_parent(worker)
-    cv2.setNumThreads(1)
+    # Not 1, which waits for the end of threads that the fork has left in the parent.
+    cv2.setNumThreads(0)
 
 
 def share_inside(samples: Sequence[Sample]) -> float | None:

@@ -1,5 +1,8 @@
 """Training samples: their order, what is supervised, what is ignored, and what is refused."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +148,29 @@ def test_a_broken_image_is_one_line_from_any_worker(tmp_path: Path, workers: int
     with pytest.raises(UserError, match=rf"{broken.name}: not an image") as caught:
         list(data.batches(images, [[(0, i, 0)] for i in range(3)], workers=workers))
     assert "\n" not in str(caught.value)
+
+
+def test_loading_begins_after_this_process_has_used_opencvs_threads(tmp_path: Path) -> None:
+    """Which a loading process, a fork, does not have: whoever waits for them there waits for ever."""
+    samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
+    code = (
+        "import cv2, numpy as np; from pathlib import Path; from skope.train import data; from tests.train.test_data "
+        "import training_set\n"
+        "cv2.setNumThreads(4); cv2.GaussianBlur(np.zeros((3000, 3000, 3), np.uint8), (0, 0), 5)\n"
+        "images = training_set(Path('data'))\n"
+        "print(sum(map(len, data.batches(images, [[(0, 0, 0)], [(0, 1, 0)]], workers=2))))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout == "2\n", done.stderr
 
 
 def test_share_of_keypoints_inside_their_box() -> None:

@@ -41,7 +41,12 @@ def little_room() -> None:
 
 
 @pytest.mark.parametrize(
-    ("to", "out"), [("compact", "full/a.bin"), ("torchscript", "full/a.bin"), ("compact", "/proc/a.bin")]
+    ("to", "out"),
+    [
+        ("compact", "full/a.bin"),
+        pytest.param("torchscript", "full/a.bin", marks=pytest.mark.slow),
+        pytest.param("compact", "/proc/a.bin", marks=pytest.mark.slow),
+    ],
 )
 def test_an_export_without_room_leaves_nothing(to: str, out: str, checkpoint: Path, tmp_path: Path) -> None:
     path = tmp_path / out
