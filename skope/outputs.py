@@ -38,7 +38,6 @@ def claim(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[s
             raise UserError(
                 f"--out: {folder} holds other work ({different}); choose another folder, or remove what is there"
             )
-        return dict(found)
     work |= {"skope": __version__, "date": datetime.now(UTC).date().isoformat()}
     write_json(held, work)
     return work

@@ -1,8 +1,10 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
+import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -12,12 +14,13 @@ from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.blur import blurred
+from skope.eval.calibration import path_beside
 from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
 from skope.eval.progress import Progress
 from skope.eval.scene import with_camera
 from skope.eval.settings import Settings
-from skope.files import replacing
+from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
 from skope.outputs import claim
 from skope.schema import AnnotationFile, Image, Result
@@ -60,7 +63,7 @@ def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
     _claim(job, predictor.weights)
-    progress = Progress(job.out / _PROGRESS, fresh=job.footage.live)
+    progress = Progress(job.out / _PROGRESS, ("image", "results"))
     done = _resumed(job, progress, console)
     frames = job.footage.frames(done.last)
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
@@ -98,18 +101,29 @@ def _note(done: _Done, progress: Progress, image: Image, found: list[Result]) ->
 
 def _claim(job: Job, weights: Path) -> None:
     """Take the output folder for this footage, these weights and settings; overlays may come later."""
-    footage, cut, settings = job.footage, job.footage.cut, job.settings
+    cut, settings = job.footage.cut, job.settings
+    beside = path_beside(weights)
     options = {
-        "source": footage.clip.address if footage.clip else [str(path) for path in footage.images],
+        "source": _content(job.footage),
         "every": cut.every,
         "start": cut.start_s,
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
         "score": job.score,
         "precision": settings.precision,
-        "calibrated": settings.calibrated,
         "camera": job.camera.to_dict() if job.camera else None,
     }
-    claim(job.out, "skope eval predict", [weights], options)
+    inputs = [weights, *([beside] if settings.calibrated and beside.is_file() else [])]
+    claim(job.out, "skope eval predict", inputs, options)
+
+
+def _content(footage: Footage) -> str:
+    """What the frames are, wherever their files lie: a checksum; of a live stream, which comes only once, its begin."""
+    if footage.live:
+        return f"{footage.name} of {datetime.now(UTC).isoformat()}"
+    if footage.clip and "://" in footage.clip.address:
+        return footage.clip.address
+    files = [Path(footage.clip.address)] if footage.clip else footage.images
+    return hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
 
 
 def _resumed(job: Job, progress: Progress, console: Console) -> _Done:

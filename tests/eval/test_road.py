@@ -457,3 +457,30 @@ def test_other_footage_is_refused_in_a_folder_of_its_own(skope: Any, random_run:
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert skope(*call, "--every", 2, "--overlay")[0] == 0  # the same work, with more to look at
     assert (out / "overlay.mp4").is_file()
+
+
+def test_the_frames_themselves_say_what_footage_it_is(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    for folder, shade in (("a", 0), ("b", 90)):
+        (tmp_path / folder / "imgs").mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / folder / "imgs" / "1.png"), np.full((48, 64, 3), shade, np.uint8))
+    call = ("--checkpoint", random_run, "--out", tmp_path / "out", "--quiet")
+    assert skope("eval", "predict", "a/imgs", *call)[0] == 0
+    assert skope("eval", "predict", tmp_path / "a" / "imgs", *call)[0] == 0  # the same, named otherwise
+    (tmp_path / "b" / "imgs").rename(tmp_path / "imgs")
+    (tmp_path / "a" / "imgs").rename(tmp_path / "others")
+    (tmp_path / "imgs").rename(tmp_path / "a" / "imgs")  # others under the same name
+    code, _, err = skope("eval", "predict", "a/imgs", *call)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "holds other work (source = " in err
+
+
+@pytest.mark.parametrize("left", [b"\xff\xfe garbage", b"123\n", b'{"image": {"id": 1}}\n', b'{"image"'])
+def test_damaged_progress_is_begun_anew(left: bytes, skope: Any, random_run: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((48, 64, 3), np.uint8))
+    call = ("eval", "predict", tmp_path / "1.png", "--checkpoint", random_run, "--out", "out", "--quiet")
+    assert skope(*call)[0] == 0
+    before = Path("out/predictions.json").read_bytes()
+    Path("out/.predict.jsonl").write_bytes(left)
+    assert skope(*call)[0] == 0
+    assert Path("out/predictions.json").read_bytes() == before
+    assert not Path("out/.predict.jsonl").exists()
