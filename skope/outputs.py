@@ -53,12 +53,13 @@ def _differences(held: Any, wanted: Mapping[str, Any]) -> str:
     words = [f"not of {path}" for path, digest in wanted["inputs"].items() if digest not in inputs.values()]
     if not words and len(inputs) != len(wanted["inputs"]):
         words.append("of more files")
-    words += [
-        f"{name} = {options.get(name)}, now {wanted['options'].get(name)}"
-        for name in sorted({*options, *wanted["options"]})
-        if options.get(name) != wanted["options"].get(name)
-    ]
-    return "; ".join(words)
+    return "; ".join([*words, *changed(options, wanted["options"])])
+
+
+def changed(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """The options that differ, in words, by name; one that is missing on a side is None there."""
+    pairs = [(name, held.get(name), wanted.get(name)) for name in sorted({*held, *wanted})]
+    return [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]
 
 
 def write_new(path: Path, data: bytes) -> None:

@@ -64,6 +64,11 @@ class Predictor:
         """Whether keypoint scores are probabilities that were fitted for these weights."""
         return self._calibration is not None
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
+        return (self.weights, calibration.path_beside(self.weights)) if self.calibrated else (self.weights,)
+
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
         """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""
         return tuple(result for _, found in self.by_image(file, root) for result in found)

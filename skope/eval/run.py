@@ -10,7 +10,7 @@ from skope import coco, draw, keypoints, shards
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
-from skope.eval import calibration, inputs, metrics, report, table
+from skope.eval import inputs, metrics, report, table
 from skope.eval.inputs import Truth
 from skope.eval.measure import measure, to_tallies
 from skope.eval.progress import Progress
@@ -103,10 +103,7 @@ def _predictor(job: Job, console: Console) -> "Predictor":
 
 def _claimed(job: Job, predictor: "Predictor | None") -> dict[str, Any]:
     """The output folder, taken for this evaluation; what `work.json` says of it."""
-    scored = [job.predictions] if job.predictions else []
-    if predictor:
-        beside = calibration.path_beside(predictor.weights)
-        scored += [predictor.weights, *([beside] if predictor.calibrated else [])]
+    scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
     options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
     settings = {name: getattr(job.settings, name) for name in ("given", "precision")}
     splits = [file.name for file in job.truth.splits]

@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,6 @@ from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.blur import blurred
-from skope.eval.calibration import path_beside
 from skope.eval.footage import Footage, Pixels
 from skope.eval.predict import Predictor
 from skope.eval.progress import Progress
@@ -62,7 +61,7 @@ class _Done:
 def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
-    _claim(job, predictor.weights)
+    _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results"))
     done = _resumed(job, progress, console)
     frames = job.footage.frames(done.last)
@@ -99,10 +98,9 @@ def _note(done: _Done, progress: Progress, image: Image, found: list[Result]) ->
     progress.add({"image": coco.image_to_dict(image), "results": [coco.result_to_dict(r) for r in found]})
 
 
-def _claim(job: Job, weights: Path) -> None:
-    """Take the output folder for this footage, these weights and settings; overlays may come later."""
+def _claim(job: Job, files: Sequence[Path]) -> None:
+    """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
     cut, settings = job.footage.cut, job.settings
-    beside = path_beside(weights)
     options = {
         "source": _content(job.footage),
         "every": cut.every,
@@ -112,8 +110,7 @@ def _claim(job: Job, weights: Path) -> None:
         "precision": settings.precision,
         "camera": job.camera.to_dict() if job.camera else None,
     }
-    inputs = [weights, *([beside] if settings.calibrated and beside.is_file() else [])]
-    claim(job.out, "skope eval predict", inputs, options)
+    claim(job.out, "skope eval predict", files, options)
 
 
 def _content(footage: Footage) -> str:

@@ -20,6 +20,7 @@ from skope.gen.frames import image_of
 from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import make_renderer
 from skope.gen.simulate import simulate
+from skope.outputs import changed
 from skope.schema import Annotation, AnnotationFile, Image
 
 FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
@@ -60,10 +61,7 @@ def check_free(out: Path, site: str, options: Mapping[str, Any]) -> None:
     held: Mapping[str, Any] = told if isinstance(told, dict) else {}
     if held == options:
         return
-    names = sorted({*held, *options}) if held else []
-    pairs = [(name, held.get(name), options.get(name)) for name in names]
-    other = [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]
-    what = f"of other footage ({', '.join(other)})" if other else "and nothing says what it is of"
+    what = f"of other footage ({', '.join(changed(held, options))})" if held else "and nothing says what it is of"
     raise UserError(f"{video}: is there already, {what}; choose another folder with --out, or remove it")
 
 
