@@ -4,7 +4,7 @@
 #   make test        set up, run the tests (make test-slow: those that take minutes)
 #   make lint        ruff and mypy
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
-#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file or run
+#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) reference
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/
@@ -18,7 +18,7 @@ DATA    ?= data/skope
 RUN     ?= runs/skope
 EPOCHS  ?= 10
 RECIPE  ?= paper
-CHECKPOINT ?= $(RUN)
+CHECKPOINT ?= reference
 
 .PHONY: setup demo paper real test test-slow lint data model report bench clean
 

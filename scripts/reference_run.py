@@ -1,7 +1,6 @@
 """Train a detector from random weights in one of two ways, pack its weights, and measure them before and after.
 
-    skope gen simulate --preset paper --frames 240 --interval 2 --no-depth --out data/paper       # varied: the same
-    skope gen simulate --preset extra --frames 20 --interval 4 --no-depth --out data/extra
+    skope gen simulate --preset paper --no-depth --out data/paper       # varied and extra: the same
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
 
@@ -128,7 +127,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the presets' folders")
     parser.add_argument("--out", type=Path, help="by default runs/reference/TRAINING")
     parser.add_argument("--gpus", default="0", help="numbers, separated by commas")
-    parser.add_argument("--images", type=int, default=2400, help="images to learn from, each seen in every epoch")
+    parser.add_argument("--images", type=int, default=10_500, help="images to learn from, each seen in every epoch")
     parser.add_argument("--workers", type=int, default=8, help="processes that load images, a GPU")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop, resumably, after so many")
     options = parser.parse_args()

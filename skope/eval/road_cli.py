@@ -11,8 +11,8 @@ from skope.console import Console, QuietOption, VersionOption
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.outputs import claim
+from skope.weights import REFERENCE
 
-RUN = Path("runs/skope")
 _FITTED = ("auto", "fit")
 PREDICTED = Path("runs/predict")
 
@@ -58,7 +58,9 @@ def predict(
     source: Annotated[
         str, typer.Argument(help="Image, folder, glob (quoted), video file or rtsp:// / http:// stream.")
     ],
-    checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
+    checkpoint: Annotated[
+        Path, typer.Option(help="Checkpoint file, run folder for its newest one, or weights that come with skope.")
+    ] = Path(REFERENCE),
     out: Annotated[
         Path | None, typer.Option(help="Where to write.", show_default="runs/predict/ and the source's name")
     ] = None,
@@ -75,7 +77,7 @@ def predict(
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
-    """Run a checkpoint on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
+    """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
     from skope.eval.footage import Cut, open_footage
     from skope.eval.scene import read_camera
     from skope.eval.settings import Settings

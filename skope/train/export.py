@@ -9,6 +9,7 @@ import importlib.util
 import io
 import tempfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -62,7 +63,9 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
     model, config, metadata = detector.load_weights(path, "cpu")
     if to == "compact":
-        write_new(out, detector.checkpoint_bytes(model, config, metadata, packed=True))
+        # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
+        frozen = replace(config, norm="frozen")
+        write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True))
         return out
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
