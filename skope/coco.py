@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +11,7 @@ import numpy as np
 from skope import __version__, keypoints, schema
 from skope.camera import Camera
 from skope.errors import UserError, one_of
-from skope.files import json_bytes, read_json, replacing, write_bytes
+from skope.files import json_bytes, parse_json, read_json, replacing
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 
@@ -66,19 +67,22 @@ def _records(path: Path, document: Mapping[str, Any], key: str, parse: Callable[
 
 
 def _parse_rows(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]) -> tuple[T, ...]:
-    out = []
+    return tuple(_parsed(path, key, rows, parse))
+
+
+def _parsed(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]) -> Iterator[T]:
     for i, row in enumerate(rows):
         try:
             if not isinstance(row, dict):
                 raise UserError(f"expected an object, got {str(row)[:40]!r}")
-            out.append(parse(row))
+            record = parse(row)
         except UserError as error:
             raise UserError(f"{path}: {key}[{i}]: {error}") from None
         except KeyError as error:
             raise UserError(f"{path}: {key}[{i}]: field {error.args[0]} is missing") from None
         except (TypeError, ValueError, AttributeError) as error:
             raise UserError(f"{path}: {key}[{i}]: {error}") from None
-    return tuple(out)
+        yield record
 
 
 def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
@@ -125,8 +129,19 @@ def image_from_dict(row: Mapping[str, Any]) -> Image:
     for name in ("id", "file_name", "width", "height"):
         values[name] = row[name]
     if values.get("camera") is not None:
-        values["camera"] = Camera.from_dict(row["camera"], row["width"], row["height"])
+        values["camera"] = _camera(row["camera"], row["width"], row["height"])
     return Image(**values)
+
+
+def _camera(row: Any, width: int, height: int) -> Camera:
+    """The camera of an image; those of footage are all the same one, which is kept once."""
+    return _known_camera(json_bytes([row, width, height]))
+
+
+@lru_cache(maxsize=256)
+def _known_camera(told: bytes) -> Camera:
+    row, width, height = parse_json(told)
+    return Camera.from_dict(row, width, height)
 
 
 def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
@@ -150,10 +165,37 @@ def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
     Of a `foreign` scheme, one of `keypoints.FOREIGN_SCHEMES`, the points that mean the same as ours are taken over; the
     others are 0.
     """
+    return tuple(iter_results(path, foreign))
+
+
+def iter_results(path: Path, foreign: str | None = None) -> Iterator[Result]:
+    """The results of `read_results` one by one; of a file with a line for each, as ours, no more is ever in memory."""
+    return _parsed(path, "results", _result_rows(path), lambda row: result_from_dict(row, foreign))
+
+
+def _result_rows(path: Path) -> Iterator[Any]:
+    """The elements of a list, line by line as long as a line holds one, with the rest at once."""
+    count = 0
+    if path.is_file():
+        with path.open("rb") as file:
+            more = file.readline().strip() == b"["
+            for line in file if more else ():
+                text = line.strip()
+                if text == b"]" and not more and not file.read().strip():
+                    return
+                try:
+                    row = parse_json(text.removesuffix(b","))
+                except ValueError:
+                    break
+                if not more:
+                    break
+                more = text.endswith(b",")
+                yield row
+                count += 1
     document = read_json(path)
     if not isinstance(document, list):
         raise UserError(f"{path}: expected a list of results, got a {type(document).__name__}")
-    return _parse_rows(path, "results", document, lambda row: result_from_dict(row, foreign))
+    yield from document[count:]
 
 
 def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:
@@ -288,4 +330,12 @@ def result_to_dict(result: Result) -> dict[str, Any]:
 
 def write_results(path: Path, results: Iterable[Result]) -> None:
     """Write a COCO results file, one result a line."""
-    write_bytes(path, b"[\n" + b",\n".join(json_bytes(result_to_dict(result)) for result in results) + b"\n]\n")
+    write_result_rows(path, map(result_to_dict, results))
+
+
+def write_result_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write already serialised results (see `result_to_dict`) as a COCO results file, one a line as they come."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(b"[\n")
+        file.writelines(_separated(map(json_bytes, rows)))
+        file.write(b"\n]\n")

@@ -8,6 +8,7 @@ direction on the map cannot be known so: the camera hangs over (0, 0) and looks 
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -76,21 +77,24 @@ def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: fl
     if not scene.file.images:
         raise UserError(f"{scene.file.name}: no images")
     size = (scene.file.images[0].width, scene.file.images[0].height)
-    found, sigma = [], []
-    for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
-        if (view.image.width, view.image.height) != size:
-            raise UserError(f"{scene.file.name}: {view.image.file_name}: images of one camera have one size")
-        large = view.boxes[:, 2:].max(axis=1, initial=0) >= _EDGE
-        good = large & ((view.found[..., 2] > LEAST_PROBABILITY).sum(axis=1) >= _POINTS)
-        found += list(view.found[good])
-        sigma += view.sigma_px[good].tolist()
-    if len(found) < FEWEST:
+
+    def shown() -> Iterator[tuple[Array, float]]:
+        for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
+            if (view.image.width, view.image.height) != size:
+                raise UserError(f"{scene.file.name}: {view.image.file_name}: images of one camera have one size")
+            large = view.boxes[:, 2:].max(axis=1, initial=0) >= _EDGE
+            good = large & ((view.found[..., 2] > LEAST_PROBABILITY).sum(axis=1) >= _POINTS)
+            yield from zip(view.found[good], view.sigma_px[good].tolist(), strict=True)
+
+    many = sum(1 for _ in shown())  # an hour of footage shows more than fits into memory
+    if many < FEWEST:
         raise UserError(
-            f"{scene.file.name}: {len(found)} vehicles show {_POINTS} keypoints on {_EDGE:g} px or more; a camera "
+            f"{scene.file.name}: {many} vehicles show {_POINTS} keypoints on {_EDGE:g} px or more; a camera "
             f"needs {FEWEST}"
         )
-    chosen = np.sort(np.random.default_rng(0).permutation(len(found))[:count])
-    return Sample(np.array(found)[chosen], np.array(sigma)[chosen], size)
+    chosen = set(np.random.default_rng(0).permutation(many)[:count].tolist())
+    taken = [one for i, one in enumerate(shown()) if i in chosen]
+    return Sample(np.array([found for found, _ in taken]), np.array([sigma for _, sigma in taken]), size)
 
 
 def fit_camera(vehicles: Sample) -> CameraFit:

@@ -1,9 +1,12 @@
 """Frames of images, folders, globs, videos and streams, one after another, with their times."""
 
+import bisect
 import contextlib
 import glob
+import itertools
 import math
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -21,6 +24,10 @@ Pixels = NDArray[np.uint8]
 
 IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB: Final = frozenset("*?[")
+_SAME_S: Final = 5e-4
+"""Times that differ by less are the same: containers count in thousandths of a second, or finer."""
+_FAR: Final = 50
+"""Frames that are as soon decoded as jumped over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +51,11 @@ class Clip:
 
     address: str
     count: float
-    """Frames, 0 or less where nobody knows."""
+    """Frames as the container says, 0 or less where it does not."""
     rate: float
-    """Frames a second."""
+    """Frames a second, in the mean."""
+    times_s: tuple[float, ...] = ()
+    """Of all frames of a file on this machine, from the first; empty: each frame says its own when it is read."""
 
     @property
     def live(self) -> bool:
@@ -76,9 +85,11 @@ class Footage:
         """How many frames there are, as far as the file says; 0: unknown."""
         if self.clip is None:
             return len(self.images[:: self.cut.every])
+        if self.clip.times_s:
+            return len(self._wanted(self.clip))
         count, fps = self.clip.count, self.clip.rate
         last = min(count, self.cut.end_s * fps)
-        return max(0, math.ceil((last - math.floor(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
+        return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
 
     @property
     def fps(self) -> float | None:
@@ -92,7 +103,9 @@ class Footage:
         """
         if self.clip is None:
             return self._of_images(first)
-        return self._of_stream(self.clip) if self.clip.live else self._of_video(self.clip, first)
+        if self.clip.live:
+            return self._of_stream(self.clip)
+        return self._of_file(self.clip, first) if self.clip.times_s else self._of_video(self.clip, first)
 
     def _of_images(self, first: int) -> Iterator[tuple[Image, Pixels]]:
         folder = self.images[0].parent
@@ -105,23 +118,56 @@ class Footage:
             name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
             yield _image(number, name, pixels, number - 1, None), pixels
 
-    def _of_video(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
-        with _opened(clip.address) as capture:
-            begin = math.floor(self.cut.start_s * clip.rate) + first * self.cut.every
-            at = begin if begin and capture.set(cv2.CAP_PROP_POS_FRAMES, begin) else 0
-            number = first
-            while at / clip.rate < self.cut.end_s:
-                wanted = at >= begin and (at - begin) % self.cut.every == 0
-                good, bgr = capture.read() if wanted else (capture.grab(), None)
-                if not good:
+    def _wanted(self, clip: Clip) -> range:
+        """Which frames of a file whose times are known."""
+        edges = (self.cut.start_s - _SAME_S, self.cut.end_s - _SAME_S)
+        first, last = (bisect.bisect_left(clip.times_s, edge) for edge in edges)
+        return range(first, last, self.cut.every)
+
+    def _of_file(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
+        wanted = self._wanted(clip)
+        left = deque(enumerate(wanted[first:], start=first + 1))
+        if not left:
+            return
+        with contextlib.closing(_decoded(clip, left[0][1])) as decoded:
+            for at, retrieve in decoded:
+                while left and left[0][1] < at:  # not to be decoded
+                    self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
+                    left.popleft()
+                if left and left[0][1] == at:
+                    yield self._frame(left.popleft()[0], at, clip.times_s[at], retrieve())
+                if not left:
                     break
-                if bgr is not None:
+        if left:
+            self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
+        elif self.cut.end_s > clip.times_s[-1]:
+            self._note_missing(clip, len(clip.times_s))
+
+    def _note_missing(self, clip: Clip, count: int) -> None:
+        """Say that a file ends early: containers round their counts, but not by half a second."""
+        if count < clip.count - max(2.0, clip.rate / 2):
+            self._skip(f"{clip.address}: frame {count} of {clip.count:.0f} cannot be decoded")
+
+    def _of_video(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
+        """A file on a server: it comes once from its begin, and each frame says its time."""
+        with _opened(clip.address) as capture:
+            number, at, begin, time_s = 0, 0, 0, -1 / clip.rate
+            while capture.grab():
+                told = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                time_s = told if told > time_s else time_s + 1 / clip.rate
+                if time_s >= self.cut.end_s - _SAME_S:
+                    return
+                if time_s < self.cut.start_s - _SAME_S:
+                    begin = at + 1
+                elif (at - begin) % self.cut.every == 0:
                     number += 1
-                    yield self._frame(number, at, at / clip.rate, bgr)
+                    if number > first:
+                        good, bgr = capture.retrieve()
+                        if not good:
+                            break
+                        yield self._frame(number, at, time_s, bgr)
                 at += 1
-            # Containers round their counts; half a second less is a file that ends early.
-            if at < min(clip.count, self.cut.end_s * clip.rate) - max(2.0, clip.rate / 2):
-                self._skip(f"{clip.address}: frame {at} of {clip.count:.0f} cannot be decoded")
+            self._note_missing(clip, at)
 
     def _of_stream(self, clip: Clip) -> Iterator[tuple[Image, Pixels]]:
         frames = live.frames(
@@ -129,10 +175,13 @@ class Footage:
         )
         with contextlib.closing(frames):
             wanted = (f for f in frames if f.time_s >= self.cut.start_s)
-            for number, (at, time_s, bgr) in enumerate(wanted, start=1):
-                if time_s >= self.cut.end_s:
-                    return
-                yield self._frame(number, at, time_s, bgr)
+            try:
+                for number, (at, time_s, bgr) in enumerate(wanted, start=1):
+                    if time_s >= self.cut.end_s:
+                        return
+                    yield self._frame(number, at, time_s, bgr)
+            except live.BrokenOffError as error:
+                self._skip(f"{clip.address}: {error}")
 
     def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
         pixels = np.asarray(cv2.cvtColor(_three(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -171,7 +220,55 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
 
 def _looked_at(video: str) -> Clip:
     with _opened(video) as capture:
-        return Clip(video, capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture))
+        count, rate = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture)
+    if "://" in video:
+        return Clip(video, count, rate)
+    times_s = _times(video)
+    if len(times_s) < 2:
+        return Clip(video, count, rate, times_s)
+    return Clip(video, count, (len(times_s) - 1) / times_s[-1], times_s)
+
+
+def _times(video: str) -> tuple[float, ...]:
+    """When each frame of a file is shown, from the first: as its packets say, none of which is decoded.
+
+    Empty where they do not say it, or two frames at once.
+    """
+    capture = cv2.VideoCapture(video, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    try:
+        times = []
+        while capture.grab():
+            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    finally:
+        capture.release()
+    times.sort()  # packets come in the order in which they are decoded
+    rises = all(b - a > _SAME_S for a, b in itertools.pairwise(times))
+    return tuple(time_s - times[0] for time_s in times) if rises else ()
+
+
+def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArray[np.generic]]]]:
+    """Numbers of the frames of a file from `first` on or somewhat before, each with what gives its pixels."""
+    with _opened(clip.address) as capture:
+        at = -1
+        if first >= _FAR and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
+            at = _number(clip, capture) if capture.grab() else len(clip.times_s)
+            if at > first:  # where frames last differently long, the decoder can only guess
+                capture.release()
+                capture.open(clip.address)
+                at = -1
+            else:
+                yield at, lambda: capture.retrieve()[1]
+        while capture.grab():
+            at = max(at + 1, _number(clip, capture))
+            yield at, lambda: capture.retrieve()[1]
+
+
+def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
+    """Of the frame that was read last, by its time."""
+    time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+    after = bisect.bisect_left(clip.times_s, time_s)
+    around = range(max(0, after - 1), min(len(clip.times_s), after + 1))
+    return min(around, key=lambda i: abs(clip.times_s[i] - time_s))
 
 
 @contextlib.contextmanager

@@ -1,6 +1,7 @@
 """What is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -80,16 +81,39 @@ def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) ->
 
     A UserError names a result that is for none of them.
     """
-    results = coco.read_results(path, None if scheme == file.scheme.name else scheme)
+    return tuple(_for_file(path, file, scheme))
+
+
+@dataclass(frozen=True)
+class ResultsFile:
+    """Results that lie in the order of the images of `file`, read again each time: an hour of footage has a million."""
+
+    path: Path
+    file: AnnotationFile
+
+    def __iter__(self) -> Iterator[Result]:
+        return _for_file(self.path, self.file, None)
+
+
+def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
+    """What `read_results` reads, all checked, in memory only where they do not lie in the order of the images."""
+    place = {image.id: i for i, image in enumerate(file.images)}
+    places = (place[result.image_id] for result in _for_file(path, file, None))
+    if all(a <= b for a, b in itertools.pairwise(places)):
+        return ResultsFile(path, file)
+    return read_results(path, file)
+
+
+def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[Result]:
     images = {image.id for image in file.images}
     categories = {a.category_id for a in file.annotations}
-    for i, result in enumerate(results):
+    for i, result in enumerate(coco.iter_results(path, None if scheme == file.scheme.name else scheme)):
         if result.image_id not in images:
             raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
         if categories and result.category_id not in categories:
             known = ", ".join(map(str, sorted(categories)))
             raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {known}")
-    return results
+        yield result
 
 
 def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:

@@ -1,5 +1,6 @@
 """Frames of a live stream: the newest whenever one is asked for, so that a slow reader does not fall behind."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -10,8 +11,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.errors import UserError
+
+RETURN_S = 10.0
+"""How long a stream that broke off is waited for."""
+_PAUSE_S: Final = 1.0
 _PATIENCE_S: Final = 5.0
 """How long the end waits for a reader that waits for the network."""
+
+
+class BrokenOffError(Exception):
+    """A stream is gone; says since when."""
 
 
 class Frame(NamedTuple):
@@ -58,7 +68,8 @@ def frames(
 ) -> Generator[Frame]:
     """Every so many-th frame of a stream as far as the caller keeps up: what comes meanwhile is passed over.
 
-    Times are those that the frames carry where `camera_clock` says that they are worth it, else those of arrival.
+    Times are those that the frames carry where `camera_clock` says that they are worth it, else those of arrival. A
+    stream that breaks off is opened again; raises BrokenOffError where it does not come back.
     """
     newest = _Newest()
     reader = threading.Thread(target=_read, args=(opened, every, camera_clock, newest), daemon=True)
@@ -74,19 +85,56 @@ def frames(
 def _read(
     opened: Callable[[], AbstractContextManager[cv2.VideoCapture]], every: int, camera_clock: bool, newest: _Newest
 ) -> None:
-    """Empty the stream until it ends or nobody wants it; the capture belongs to this thread alone."""
+    """Read until nobody wants the stream, or it is gone."""
+    stream = _Stream(every, camera_clock, newest)
     try:
         with opened() as capture:
-            index, first, last = 0, 0.0, -1.0
-            while not newest.ended and capture.grab():
-                now = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 if camera_clock else time.monotonic()
-                first = now if index == 0 else first
-                if index % every == 0 and now - first > last:  # trackers need times that rise
-                    good, bgr = capture.retrieve()
-                    if good:
-                        last = now - first
-                        newest.put(Frame(index, last, bgr))
-                index += 1
+            stream.drain(capture)
+        while not newest.ended:
+            _again(opened, stream)
         newest.end()
     except Exception as error:  # raised again where the frames are taken
         newest.end(error)
+
+
+def _again(opened: Callable[[], AbstractContextManager[cv2.VideoCapture]], stream: "_Stream") -> None:
+    """Open a stream that broke off again, and go on; a BrokenOffError where it sends nothing within `RETURN_S`."""
+    begun, before = time.monotonic(), stream.count
+    while time.monotonic() - begun < RETURN_S and not stream.newest.ended:
+        with contextlib.suppress(UserError), opened() as capture:
+            stream.drain(capture)
+        if stream.count > before:
+            return
+        time.sleep(min(_PAUSE_S, RETURN_S / 4))
+    if not stream.newest.ended:
+        raise BrokenOffError(f"broke off after {stream.last:.1f} s and {stream.count} frames, and did not come back")
+
+
+class _Stream:
+    """What goes on from one opening of a stream to the next: the count of its frames and their time."""
+
+    def __init__(self, every: int, camera_clock: bool, newest: _Newest) -> None:
+        self.newest = newest
+        self.count = 0
+        self.last = -1.0
+        """Time of the last frame that was passed on, seconds since the first frame of all."""
+        self._every, self._camera_clock = every, camera_clock
+        self._begun = 0.0
+
+    def drain(self, capture: cv2.VideoCapture) -> None:
+        """Empty the stream until it ends or nobody wants it; the capture belongs to this thread alone."""
+        offset: float | None = None
+        while not self.newest.ended and capture.grab():
+            arrived = time.monotonic()
+            if self.count == 0:
+                self._begun = arrived
+            own = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 if self._camera_clock else arrived
+            # A camera's clock begins anew with each opening; ours says how long the gap was.
+            offset = arrived - self._begun - own if offset is None else offset
+            time_s = own + offset
+            if self.count % self._every == 0 and time_s > self.last:  # trackers need times that rise
+                good, bgr = capture.retrieve()
+                if good:
+                    self.last = time_s
+                    self.newest.put(Frame(self.count, time_s, bgr))
+            self.count += 1

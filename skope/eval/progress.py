@@ -1,6 +1,8 @@
 """What a run has found so far, line by line, so that a stopped one goes on."""
 
+import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +18,36 @@ class Progress:
 
     def __init__(self, path: Path, fields: tuple[str, ...]) -> None:
         self._path = path
-        self.rows: list[dict[str, Any]] = []
-        """Those that an earlier run left behind, objects with these `fields`, up to the first damaged one."""
-        whole = []
-        for line in path.read_bytes().splitlines() if path.is_file() else []:
-            try:
-                row = json.loads(line)
-            except ValueError:  # the line that was being written
-                break
-            if not isinstance(row, dict) or set(row) != set(fields):
-                break
-            self.rows.append(row)
-            whole.append(line + b"\n")
+        self._fields = set(fields)
+        self.count = 0
+        """How many rows an earlier run left behind: objects with these `fields`, up to the first damaged one."""
+        whole = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(b"".join(whole))
+            path.touch()
+            with path.open("r+b") as file:
+                for line in file:
+                    if self._row(line) is None:
+                        break
+                    self.count += 1
+                    whole += len(line)
+                file.truncate(whole)
         except OSError as error:
             raise UserError(f"{path.parent}: cannot be written: {error.strerror or error}") from None
+
+    def _row(self, line: bytes) -> dict[str, Any] | None:
+        try:
+            row = json.loads(line) if line.endswith(b"\n") else None
+        except ValueError:  # the line that was being written
+            return None
+        return row if isinstance(row, dict) and set(row) == self._fields else None
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """All rows so far, from the file: of an hour of footage they are more than fits into memory."""
+        with self._path.open("rb") as file:
+            for row in itertools.takewhile(lambda row: row is not None, map(self._row, file)):
+                assert row is not None
+                yield row
 
     def add(self, row: dict[str, Any]) -> None:
         """Write a row down."""

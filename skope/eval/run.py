@@ -117,7 +117,7 @@ def _predicted(job: Job, predictor: "Predictor", splits: Sequence[AnnotationFile
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
         progress = Progress(job.out / f".predictions_{file.name}.jsonl", ("image_id", "results"))
-        rows = {row["image_id"]: row["results"] for row in progress.rows}
+        rows = {row["image_id"]: row["results"] for row in progress.rows()}
         for image_id, results in predictor.by_image(file, job.truth.root, rows):
             rows[image_id] = [coco.result_to_dict(result) for result in results]
             progress.add({"image_id": image_id, "results": rows[image_id]})

@@ -1,6 +1,7 @@
 """Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -49,8 +50,8 @@ class Scene:
     """A sequence of images."""
 
     file: AnnotationFile
-    results: tuple[Result, ...] | None
-    """None: the annotations' own keypoints are taken."""
+    results: Iterable[Result] | None
+    """Read more than once; a file's lie in the order of the images. None: the annotations' own keypoints are taken."""
     camera: Camera | None
     """In place of those of the images."""
     ground: Ground | None
@@ -74,15 +75,25 @@ class Scene:
         `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
         """
         rng = np.random.default_rng(seed)
-        results: dict[int, list[tuple[Result, Annotation | None]]] = {}
-        for result, vehicle in self._matched(score):
-            results.setdefault(result.image_id, []).append((result, vehicle))
-        labelled = self.file.by_image()
-        for image in self.file.images:
-            if self.results is None:
+        if self.results is None:
+            labelled = self.file.by_image()
+            for image in self.file.images:
                 yield _labelled(image, labelled[image.id], noise, sigma_px, rng)
-            else:
+        elif isinstance(self.results, tuple) or self.file.annotations:
+            results: dict[int, list[tuple[Result, Annotation | None]]] = {}
+            for result, vehicle in self._matched(score):
+                results.setdefault(result.image_id, []).append((result, vehicle))
+            for image in self.file.images:
                 yield _predicted(image, results.get(image.id, []), sigma_px)
+        else:
+            own = itertools.groupby(self.results, lambda result: result.image_id)
+            image_id, found = next(own, (None, ()))
+            for image in self.file.images:
+                if image.id == image_id:
+                    yield _predicted(image, [(result, None) for result in found if result.score > score], sigma_px)
+                    image_id, found = next(own, (None, ()))
+                else:
+                    yield _predicted(image, [], sigma_px)
 
     def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
         """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
@@ -139,7 +150,7 @@ def read_scene(
     file = coco.read(annotations)
     if file.scheme is not keypoints.SKOPE33:
         raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
-    results = inputs.read_results(predictions, file) if predictions else None
+    results = inputs.stream_results(predictions, file) if predictions else None
     if camera is None:
         return Scene(file, results, None, None if ground is None else Ground(height=ground))
     read, posed = read_camera(camera, _size(file))

@@ -1,16 +1,19 @@
 """Vehicles followed through a video on the ground: association, smoothing, speed and acceleration.
 
 Each vehicle is a point that moves with a slowly changing acceleration (a Kalman filter; Rauch, Tung and Striebel's
-smoother afterwards, so that speeds know what came later). A detection joins the track whose predicted place it fits
-best (Jonker and Volgenant's assignment, as scipy has it); for a vehicle that lost its pose the box in the image keeps
-the track. Trackers of boxes alone would lose what the poses know: metres, headings and how certain they are.
+smoother afterwards, so that speeds know what came later). A detection joins the track from which it more likely comes
+than from a vehicle that nobody has seen before (Jonker and Volgenant's assignment, as scipy has it): what counts is how
+certain track and pose are and how much time has passed, not how many frames. For a vehicle without a pose, or whose
+pose is elsewhere all of a sudden, the box in the image keeps the track. Trackers of boxes alone would lose what the
+poses know: metres, headings and how certain they are.
 """
 
-import cmath
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Final
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,28 +28,56 @@ _JERK: Final = 1.0
 """Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
 _MEMORY_S: Final = 1.5
 """How long an acceleration lasts."""
-_REACH: Final = 5.0
-"""Metres beyond which a detection is another vehicle's, however uncertain the track; uncertain by more, it ends."""
 _FLOOR: Final = 0.05
 """Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""
+_SPEED: Final = 15.0
+"""Standard deviation of the speed, m/s, along its heading, of a vehicle that is seen for the first time ..."""
+_ASIDE: Final = 2.0
+"""... and to its sides."""
+_SLIDE: Final = 0.5
+"""Standard deviation of a vehicle's speed to its side, m/s ..."""
+_SLIP: Final = 0.15
+"""... and as a share of its speed: in a turn its middle does not move where its front points."""
+_BRAKES: Final = 2.0
+"""Of its acceleration, m/s^2."""
 _GATE: Final = 16.0
 """Squared distance, in variances, beyond which a detection is another vehicle's."""
+_NEW: Final = 2 * math.log(20_000.0)
+"""What it costs, as twice a negative log likelihood, to take a detection for a new vehicle: one in 20 000 m^2."""
 _SLACK: Final = 0.5
-"""Metres added to every prediction's standard deviation when vehicles are told apart."""
+"""Metres added to every prediction's standard deviation when vehicles are told apart ..."""
+_SWERVE: Final = 6.0
+"""... and how suddenly it may have turned or braked since it was last seen, m/s^2 ..."""
+_SWERVE_S: Final = 1.0
+"""... for so long."""
 _OVERLAP: Final = 0.3
-"""Least IoU by which a box without a pose continues a track."""
+"""Least IoU by which a box without a pose continues a track ..."""
+_JUMP: Final = 0.5
+"""... and one whose pose says that it is elsewhere."""
+_BOX_S: Final = 0.5
+"""For how long an unseen vehicle's last box says where it is in the image."""
+_JUMPS: Final = 3
+"""After so many poses elsewhere that is where the vehicle is."""
 _LOST_S: Final = 3.0
 """A track ends when nothing was seen of it for so long."""
 _CONFIRMED: Final = 3
 """Fewer poses than this are no track."""
 _MOVING: Final = 1.5
 """Speed from which the direction of travel says where the front is, m/s."""
-_WINDOW: Final = 12
-"""Frames to either side over which headings are averaged."""
+_TURN: Final = 0.35
+"""How much the rate of turn of a driving vehicle changes in a second, radians a second ..."""
+_TURNING: Final = 5.0
+"""... from this speed on, m/s; below it in proportion."""
+_TREMOR: Final = math.radians(0.5)
+"""Least standard deviation of a measured heading."""
+_OUTLYING: Final = 9.0
+"""Squared distance, in variances, from which a heading counts less."""
+_LAG_S: Final = 20.0
+"""What was seen so long ago is not changed by what is seen now."""
 _ELSEWHERE: Final = 1e6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Measured:
     """What a detection's pose says."""
 
@@ -63,11 +94,12 @@ class Measured:
     """Body type."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Sight:
     """One detection."""
 
     bbox: Array
+    """(4,) x, y, width, height, pixels."""
     score: float
     truth_id: int | None
     """The track of the ground-truth vehicle that it is, or matches."""
@@ -93,15 +125,24 @@ class Track:
     """(M, 2) m/s^2."""
     heading: Array
     """(M,) radians, counter-clockwise from world x."""
-    sights: tuple[Sight | None, ...]
-    """(M,) what was seen, None where it was missed."""
+    boxes: Array
+    """(M, 4) of what was seen, x, y, width, height in pixels; NaN where it was missed."""
+    scores: Array
+    """(M,) NaN where it was missed."""
+    truth_ids: NDArray[np.int64]
+    """(M,) the ground-truth track that the detection is, or matches; -1 where there is none."""
 
-    @property
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(M,) in which frames it was detected."""
+        return np.isfinite(self.scores)
+
+    @cached_property
     def speed(self) -> Array:
         """(M,) m/s."""
         return np.asarray(np.linalg.norm(self.velocity, axis=1))
 
-    @property
+    @cached_property
     def along(self) -> Array:
         """(M,) acceleration in the direction of travel, m/s^2; 0 for a vehicle that stands."""
         speed = self.speed
@@ -109,55 +150,66 @@ class Track:
         return np.asarray(np.divide(dot, speed, out=np.zeros_like(speed), where=speed > 0.1))
 
 
+@dataclass(eq=False, slots=True)
+class _Step:
+    """A frame of a track: state x, y, vx, vy, ax, ay with covariance, before and after its measurement."""
+
+    frame: int
+    time_s: float
+    transition: Array
+    """(6, 6) from the frame before."""
+    predicted: tuple[Array, Array]
+    filtered: tuple[Array, Array]
+    sight: Sight | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Consecutive frames of a track, smoothed, a row each; what was not seen is NaN."""
+
+    frames: NDArray[np.intp]
+    times_s: Array
+    states: Array
+    """(M, 6)"""
+    heights: Array
+    headings: Array
+    """(M,) as measured."""
+    heading_sigmas: Array
+    sizes: Array
+    """(M, 3)"""
+    boxes: Array
+    scores: Array
+    truth_ids: NDArray[np.int64]
+
+
 @dataclass(eq=False)
 class _Open:
-    """A track that is being followed: state x, y, vx, vy, ax, ay of every frame, before and after its measurement."""
+    """A track that is being followed."""
 
-    sights: list[Sight | None]
-    first: int
-    predicted: list[tuple[Array, Array]] = field(default_factory=list)
-    filtered: list[tuple[Array, Array]] = field(default_factory=list)
-    steps: list[Array] = field(default_factory=list)
-    """Transition into each frame."""
-    last_pose: int = 0
-    """Index of the last sight with a pose."""
+    steps: list[_Step]
+    """The frames that can still change."""
+    parts: list[_Part] = field(default_factory=list)
+    """Those before."""
+    kinds: Counter[str] = field(default_factory=Counter)
+    last_pose_s: float = 0.0
+    jumps: int = 0
 
     @property
     def state(self) -> tuple[Array, Array]:
-        return self.filtered[-1]
+        return self.steps[-1].filtered
 
-    @property
-    def spread(self) -> float:
-        """Standard deviation of the place, metres."""
-        return math.sqrt(max(self.state[1][0, 0], self.state[1][1, 1]))
-
-    @property
-    def last_sight(self) -> Sight:
-        return next(s for s in reversed(self.sights) if s is not None)
-
-    def poses(self) -> list[Measured | None]:
-        return [None if s is None else s.pose for s in self.sights]
+    def box(self, time_s: float) -> Array | None:
+        """The last one, unless it is old."""
+        for step in reversed(self.steps):
+            if time_s - step.time_s > _BOX_S:
+                break
+            if step.sight is not None:
+                return step.sight.bbox
+        return self.steps[-2].sight.bbox if len(self.steps) > 1 and self.steps[-2].sight is not None else None
 
 
-def follow(images: Sequence[Located], times_s: Sequence[float]) -> list[Track]:
-    """Tracks of the vehicles in consecutive images of one camera; `times_s` rise."""
-    live: list[_Open] = []
-    done: list[_Open] = []
-    for frame, (image, time) in enumerate(zip(images, times_s, strict=True)):
-        if frame and time <= times_s[frame - 1]:
-            raise ValueError("times must rise")
-        for track in live:
-            _predict(track, time - times_s[frame - 1])
-        left = _associate(live, _sights(image))
-        ended = [t for t in live if time - times_s[t.first + t.last_pose] > _LOST_S or t.spread > _REACH]
-        done += ended
-        live = [t for t in live if t not in ended] + [_born(frame, sight, pose) for sight, pose in left]
-    whole = [t for t in done + live if sum(pose is not None for pose in t.poses()) >= _CONFIRMED]
-    whole.sort(key=lambda t: t.first)
-    return [_smoothed(track, number, times_s) for number, track in enumerate(whole, start=1)]
-
-
-def _sights(image: Located) -> list[Sight]:
+def sights(image: Located) -> list[Sight]:
+    """The vehicles of an image as a tracker sees them."""
     view, poses = image.view, image.poses
     out = []
     for i, good in enumerate(image.good):
@@ -176,18 +228,74 @@ def _sights(image: Located) -> list[Sight]:
     return out
 
 
-def _born(frame: int, sight: Sight, pose: Measured) -> _Open:
+def sight_to_dict(sight: Sight) -> dict[str, Any]:
+    """JSON values of a sight, not rounded."""
+    told = {"bbox": sight.bbox.tolist(), "score": sight.score, "truth_id": sight.truth_id, "pose": None}
+    if (pose := sight.pose) is not None:
+        arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
+        told["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
+    return told
+
+
+def sight_from_dict(told: Mapping[str, Any]) -> Sight:
+    """What `sight_to_dict` was given."""
+    pose = told["pose"]
+    if pose is not None:
+        pose = Measured(**{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}})
+    return Sight(np.array(told["bbox"]), told["score"], told["truth_id"], pose)
+
+
+def follow(images: Iterable[Sequence[Sight]], times_s: Sequence[float]) -> list[Track]:
+    """Tracks of the vehicles in consecutive images of one camera; `times_s` rise.
+
+    Images are taken one at a time; memory grows by 150 bytes for each vehicle and image.
+    """
+    live: list[_Open] = []
+    done: list[_Open] = []
+    before = -math.inf
+    for frame, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
+        if time_s <= before:
+            raise ValueError("times must rise")
+        for track in live:
+            _predict(track, frame, time_s)
+        left = _associate(live, image, time_s)
+        ended = {id(track) for track in live if time_s - track.last_pose_s > _LOST_S}
+        for track in live:
+            if id(track) in ended:
+                _end(track)
+                done.append(track)
+            elif time_s - track.steps[0].time_s > 2 * _LAG_S:
+                _settle(track, time_s - _LAG_S)
+        live = [track for track in live if id(track) not in ended] + [_born(frame, time_s, *pair) for pair in left]
+        before = time_s
+    for track in live:
+        _end(track)
+    whole = [track for track in done + live if track.kinds.total() >= _CONFIRMED]
+    whole.sort(key=lambda track: track.parts[0].frames[0])
+    return [_whole(track, number) for number, track in enumerate(whole, start=1)]
+
+
+# ----------------------------------------------------------------------------------------------------- frame by frame
+
+
+def _born(frame: int, time_s: float, sight: Sight, pose: Measured) -> _Open:
     mean = np.array([*pose.place, 0, 0, 0, 0], dtype=np.float64)
-    spread = np.diag([0, 0, 15.0**2, 15.0**2, 2.0**2, 2.0**2]).astype(np.float64)
+    spread = np.zeros((6, 6))
     spread[:2, :2] = pose.covariance
-    return _Open([sight], frame, [(mean, spread)], [(mean, spread)], [np.eye(6)])
+    ahead = np.array([math.cos(pose.heading), math.sin(pose.heading)])
+    aside = math.hypot(_ASIDE, _SPEED * min(pose.heading_sigma, 1.0))
+    spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
+    spread[4:, 4:] = _BRAKES**2 * np.eye(2)
+    begin = _Step(frame, time_s, np.eye(6), (mean, spread), (mean, spread), sight)
+    return _Open([begin], kinds=Counter([pose.kind]), last_pose_s=time_s)
 
 
-def _predict(track: _Open, dt: float) -> None:
+def _predict(track: _Open, frame: int, time_s: float) -> None:
     """One step of Singer's model (IEEE Trans. AES, 1970): acceleration fades away, so that what is unseen rolls on.
 
     The noise is that of constant acceleration (Bar-Shalom et al. 2001, section 6.2.3), the model's own for short steps.
     """
+    dt = time_s - track.steps[-1].time_s
     fade = math.exp(-dt / _MEMORY_S)
     to_speed = _MEMORY_S * (1 - fade)
     F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
@@ -197,103 +305,249 @@ def _predict(track: _Open, dt: float) -> None:
     F, Q = np.kron(F1, np.eye(2)), np.kron(Q1, np.eye(2))
     mean, spread = track.state
     ahead = (F @ mean, F @ spread @ F.T + Q)
-    track.steps.append(F)
-    track.predicted.append(ahead)
-    track.filtered.append(ahead)
-    track.sights.append(None)
+    track.steps.append(_Step(frame, time_s, F, ahead, ahead))
 
 
-def _associate(live: list[_Open], sights: list[Sight]) -> list[tuple[Sight, Measured]]:
+def _associate(live: list[_Open], image: Sequence[Sight], time_s: float) -> list[tuple[Sight, Measured]]:
     """Give sights to tracks, first by place, then by box; returns those with a pose that nobody took."""
-    posed = [(sight, sight.pose) for sight in sights if sight.pose is not None]
-    rest = [sight for sight in sights if sight.pose is None]
-    cost = np.array([[_distance(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
-    taken = set()
+    posed = [(sight, sight.pose) for sight in image if sight.pose is not None]
+    cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
+    left = dict(enumerate(posed))
     for t, s in zip(*linear_sum_assignment(np.minimum(cost, _ELSEWHERE)), strict=True):
-        if cost[t, s] < _GATE:
+        if cost[t, s] < _NEW:
             _update(live[t], *posed[s])
-            taken.add(s)
-    free = [track for track in live if track.sights[-1] is None]
-    if free and rest:
-        overlap = box_math.iou(
-            box_math.xywh_to_xyxy(np.array([track.last_sight.bbox for track in free])),
-            box_math.xywh_to_xyxy(np.array([sight.bbox for sight in rest])),
-        )
-        for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
-            if overlap[t, s] >= _OVERLAP:
-                free[t].sights[-1] = rest[s]
-    return [pair for i, pair in enumerate(posed) if i not in taken]
+            del left[s]
+    _by_box(live, [sight for sight in image if sight.pose is None], _OVERLAP, time_s)
+    for sight in _by_box(live, [sight for sight, _ in left.values()], _JUMP, time_s):
+        del left[next(s for s, (own, _) in left.items() if own is sight)]
+    return list(left.values())
 
 
-def _distance(track: _Open, pose: Measured) -> float:
-    """Squared distance of a pose from where the track should be, in variances."""
+def _cost(track: _Open, pose: Measured) -> float:
+    """Twice the negative log likelihood of a pose where the track should be; infinite out of its reach."""
     mean, spread = track.state
     away = pose.place - mean[:2]
-    if away @ away > _REACH**2:
-        return _ELSEWHERE
-    S = spread[:2, :2] + pose.covariance + _SLACK**2 * np.eye(2)
-    return float(away @ np.linalg.solve(S, away))
+    unseen_s = min(_SWERVE_S, track.steps[-1].time_s - track.last_pose_s)
+    S = spread[:2, :2] + pose.covariance + (_SLACK**2 + (_SWERVE * unseen_s**2 / 2) ** 2) * np.eye(2)
+    (a, b), (_, d) = S.tolist()
+    x, y = away.tolist()
+    det = a * d - b * b
+    squared = (d * x * x - 2 * b * x * y + a * y * y) / det
+    return squared + math.log(4 * math.pi**2 * det) if squared < _GATE else math.inf
+
+
+def _by_box(live: list[_Open], rest: list[Sight], least: float, time_s: float) -> list[Sight]:
+    """Give sights to tracks that have none yet by the overlap with their last boxes; returns those that were given."""
+    free = [(track, box) for track in live if track.steps[-1].sight is None and (box := track.box(time_s)) is not None]
+    if not free or not rest:
+        return []
+    overlap = box_math.iou(
+        box_math.xywh_to_xyxy(np.array([box for _, box in free])),
+        box_math.xywh_to_xyxy(np.array([sight.bbox for sight in rest])),
+    )
+    given = []
+    for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
+        if overlap[t, s] >= least:
+            _seen_elsewhere(free[t][0], rest[s])
+            given.append(rest[s])
+    return given
+
+
+def _seen_elsewhere(track: _Open, sight: Sight) -> None:
+    """Note a sight by its box; where it keeps saying that the vehicle is elsewhere, believe it."""
+    track.jumps += sight.pose is not None
+    if sight.pose is None or track.jumps < _JUMPS:
+        track.steps[-1].sight = replace(sight, pose=None)
+        return
+    step = track.steps[-1]
+    mean, spread = step.filtered
+    away = sight.pose.place - mean[:2]
+    wider = spread.copy()
+    wider[:2, :2] += away @ away * np.eye(2)
+    wider[2:4, 2:4] += _SPEED**2 * np.eye(2)
+    step.predicted = step.filtered = (mean, wider)
+    _update(track, sight, sight.pose)
 
 
 def _update(track: _Open, sight: Sight, pose: Measured) -> None:
-    mean, spread = track.state
+    step = track.steps[-1]
+    mean, spread = step.filtered
     gain = np.linalg.solve(spread[:2, :2] + pose.covariance, spread[:2]).T
     kept = np.eye(len(mean))
     kept[:, :2] -= gain
     # Joseph's form stays symmetric and positive over any number of steps.
     after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
-    track.filtered[-1] = (mean + gain @ (pose.place - mean[:2]), after)
-    track.sights[-1] = sight
-    track.last_pose = len(track.sights) - 1
+    step.filtered = _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
+    step.sight = sight
+    track.kinds[pose.kind] += 1
+    track.last_pose_s = step.time_s
+    track.jumps = 0
 
 
-def _smoothed(track: _Open, number: int, times_s: Sequence[float]) -> Track:
-    count = track.last_pose + 1
-    means = np.array([mean for mean, _ in track.filtered[:count]])
-    for k in range(count - 2, -1, -1):
-        ahead, spread_ahead = track.predicted[k + 1]
-        gain = np.linalg.solve(spread_ahead, track.steps[k + 1] @ track.filtered[k][1]).T
-        means[k] += gain @ (means[k + 1] - ahead)
-    poses = track.poses()[:count]
-    frames = np.arange(track.first, track.first + count)
-    known = [(frame, pose) for frame, pose in zip(frames, poses, strict=True) if pose is not None]
-    kinds = [pose.kind for _, pose in known]
-    z = np.interp(frames, [frame for frame, _ in known], [pose.height for _, pose in known])
-    return Track(
-        number=number,
-        kind=max(set(kinds), key=kinds.count),
-        size_lwh=np.median([pose.size_lwh for _, pose in known], axis=0),
-        frames=frames,
-        times_s=np.asarray(times_s)[frames],
-        position=np.column_stack([means[:, :2], z]),
-        velocity=means[:, 2:4],
-        acceleration=means[:, 4:6],
-        heading=_headings(poses, means[:, 2:4]),
-        sights=tuple(track.sights[:count]),
+def _rolling(mean: Array, spread: Array, pose: Measured) -> tuple[Array, Array]:
+    """State and covariance, knowing that wheels roll where the vehicle heads, or back: it hardly slides to its side."""
+    aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
+    speed = float(np.linalg.norm(mean[2:4]))
+    slides = float(aside @ mean)
+    variance = _SLIDE**2 + (speed * math.hypot(_SLIP, pose.heading_sigma)) ** 2
+    across = spread @ aside
+    total = float(aside @ across) + variance
+    if slides**2 > _GATE * total:  # the pose is turned
+        return mean, spread
+    gain = across / total
+    kept = np.eye(len(mean)) - np.outer(gain, aside)
+    return mean - gain * slides, kept @ spread @ kept.T + variance * np.outer(gain, gain)
+
+
+# ---------------------------------------------------------------------------------------------------------- smoothing
+
+
+def _settle(track: _Open, until_s: float) -> None:
+    """Smooth a long track and keep what came before `until_s` for good."""
+    count = sum(step.time_s < until_s for step in track.steps)
+    track.parts.append(_part(track.steps[:count], _smoothed(track.steps)[:count]))
+    del track.steps[:count]
+
+
+def _end(track: _Open) -> None:
+    """Smooth the rest of a track, up to its last pose."""
+    track.steps = [step for step in track.steps if step.time_s <= track.last_pose_s]
+    track.parts.append(_part(track.steps, _smoothed(track.steps)))
+    track.steps = []
+
+
+def _smoothed(steps: Sequence[_Step]) -> Array:
+    """(M, 6)"""
+    states = np.array([step.filtered[0] for step in steps])
+    for k in range(len(steps) - 2, -1, -1):
+        ahead, spread_ahead = steps[k + 1].predicted
+        gain = np.linalg.solve(spread_ahead, steps[k + 1].transition @ steps[k].filtered[1]).T
+        states[k] += gain @ (states[k + 1] - ahead)
+    return states
+
+
+def _part(steps: Sequence[_Step], states: Array) -> _Part:
+    count = len(steps)
+    heights, headings, heading_sigmas, scores = np.full((4, count), np.nan)
+    sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
+    truth_ids = np.full(count, -1, dtype=np.int64)
+    for i, step in enumerate(steps):
+        if step.sight is None:
+            continue
+        boxes[i], scores[i] = step.sight.bbox, step.sight.score
+        truth_ids[i] = -1 if step.sight.truth_id is None else step.sight.truth_id
+        if (pose := step.sight.pose) is not None:
+            heights[i], headings[i], sizes[i] = pose.height, pose.heading, pose.size_lwh
+            heading_sigmas[i] = pose.heading_sigma
+    return _Part(
+        frames=np.array([step.frame for step in steps], dtype=np.intp),
+        times_s=np.array([step.time_s for step in steps]),
+        states=states,
+        heights=heights,
+        headings=headings,
+        heading_sigmas=heading_sigmas,
+        sizes=sizes,
+        boxes=boxes,
+        scores=scores,
+        truth_ids=truth_ids,
     )
 
 
-def _headings(poses: Sequence[Measured | None], velocity: Array) -> Array:
-    """(M,) measured headings, front and rear as travel has them, averaged over a second; travel's where none was seen.
+def _whole(track: _Open, number: int) -> Track:
+    names = [one.name for one in fields(_Part)]
+    all_of = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
+    track.parts = []  # twice the memory otherwise
+    states, known = all_of["states"], np.isfinite(all_of["headings"])
+    times = all_of["times_s"]
+    z = np.interp(times, times[known], all_of["heights"][known])
+    return Track(
+        number=number,
+        kind=track.kinds.most_common(1)[0][0],
+        size_lwh=np.median(all_of["sizes"][known], axis=0),
+        frames=all_of["frames"],
+        times_s=times,
+        position=np.column_stack([states[:, :2], z]),
+        velocity=states[:, 2:4],
+        acceleration=states[:, 4:6],
+        heading=_headings(times, all_of["headings"], all_of["heading_sigmas"], states[:, 2:4]),
+        boxes=all_of["boxes"],
+        scores=all_of["scores"],
+        truth_ids=all_of["truth_ids"],
+    )
+
+
+def _headings(times_s: Array, measured: Array, sigma: Array, velocity: Array) -> Array:
+    """(M,) headings, front and rear as travel has them, smoothed; `measured` is NaN where none was seen.
 
     Vehicles drive forwards. One that stands keeps the sense that it has when it moves next, or moved last; one that
     never moves that of most of its poses.
     """
-    known = np.array([pose is not None for pose in poses])
-    weight = np.array([0.0 if pose is None else 1 / pose.heading_sigma**2 for pose in poses])
-    unit = np.array([0j if pose is None else cmath.rect(1, pose.heading) for pose in poses])
+    known = np.isfinite(measured)
+    unit = np.where(known, np.exp(1j * np.where(known, measured, 0.0)), 0)
     travel: NDArray[np.complex128] = velocity[:, 0] + 1j * velocity[:, 1]
     moving = np.flatnonzero(known & (np.abs(travel) > _MOVING))
     if moving.size:
         unit[moving] = unit[moving] * _sense(unit[moving], travel[moving])
-        nearest = moving[np.abs(np.arange(len(unit))[:, None] - moving).argmin(axis=1)]
-        unit = unit * _sense(unit, unit[nearest])
+        unit = unit * _sense(unit, unit[_nearest(moving, len(unit))])
     else:
-        sense = _sense(unit, unit[weight.argmax()])
+        sense = _sense(unit, unit[np.nanargmin(np.where(known, sigma, np.nan))])
         unit = unit * sense * (1 if sense[known].sum() >= 0 else -1)
-    window = np.abs(np.arange(len(unit))[:, None] - np.arange(len(unit))) <= _WINDOW
-    smooth = (window * weight) @ unit
-    return np.asarray(np.angle(np.where(np.abs(smooth) > 0, smooth, travel)))
+    return _turning(times_s, np.where(known, np.angle(unit), np.nan), sigma, np.abs(travel))
+
+
+def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Array:
+    """(M,) headings, smoothed as of a body whose turning changes slowly, and only while it moves.
+
+    State: heading and rate of turn, which fades as accelerations do. The first heading is known, others may be NaN.
+    """
+    ahead, after, moves = [], [], []
+    mean, spread = (float(measured[0]), 0.0), (float(sigma[0]) ** 2, 0.0, _TURN**2)
+    before = float(times_s[0])
+    for time_s, z, error, v in zip(times_s.tolist(), measured.tolist(), sigma.tolist(), speed.tolist(), strict=True):
+        dt, before = time_s - before, time_s
+        fade = math.exp(-dt / _MEMORY_S)
+        reach = _MEMORY_S * (1 - fade)
+        q = (_TURN * min(1.0, max(v / _TURNING, 0.02))) ** 2 * dt
+        (h, w), (a, b, c) = mean, spread
+        mean = (h + reach * w, fade * w)
+        spread = (
+            a + 2 * reach * b + reach**2 * c + q * dt**2 / 3,
+            fade * (b + reach * c) + q * dt / 2,
+            fade**2 * c + q,
+        )
+        ahead.append((mean, spread))
+        moves.append((reach, fade))
+        if not math.isnan(z):
+            (h, w), (a, b, c) = mean, spread
+            off = (z - h + math.pi) % (2 * math.pi) - math.pi
+            noise = error**2 + _TREMOR**2
+            noise *= max(1.0, off**2 / (_OUTLYING * (a + noise)))  # what is far off pulls less
+            gain, turn = a / (a + noise), b / (a + noise)
+            mean = (h + gain * off, w + turn * off)
+            spread = (a * (1 - gain), b * (1 - gain), c - turn * b)
+        after.append((mean, spread))
+    out = [after[-1][0]]
+    for k in range(len(after) - 2, -1, -1):
+        (h, w), (a, b, c) = after[k]
+        (h1, w1), (a1, b1, c1) = ahead[k + 1]
+        reach, fade = moves[k + 1]
+        # Gain: spread F^T of this frame times the inverse of the spread ahead.
+        m00, m01, m10, m11 = a + reach * b, fade * b, b + reach * c, fade * c
+        det = a1 * c1 - b1 * b1
+        dh, dw = out[-1][0] - h1, out[-1][1] - w1
+        u, v = (c1 * dh - b1 * dw) / det, (a1 * dw - b1 * dh) / det
+        out.append((h + m00 * u + m01 * v, w + m10 * u + m11 * v))
+    headings = np.array([h for h, _ in reversed(out)])
+    return np.asarray(np.angle(np.exp(1j * headings)))
+
+
+def _nearest(chosen: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """(count,) for each index the nearest of the rising indices `chosen`; of two the earlier."""
+    index = np.arange(count)
+    after = np.minimum(np.searchsorted(chosen, index), len(chosen) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(chosen[before] - index) <= np.abs(chosen[after] - index)
+    return np.where(nearer, chosen[before], chosen[after])
 
 
 def _sense(unit: NDArray[np.complex128], reference: NDArray[np.complex128] | complex) -> Array:

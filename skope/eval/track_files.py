@@ -2,9 +2,8 @@
 traffic."""
 
 import csv
-import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.eval.track import Track
-from skope.files import write_text
+from skope.files import replacing
 
 _COLUMNS: Final = (
     *("track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration"),
@@ -24,28 +23,27 @@ _SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "
 
 def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -> None:
     """One row a frame and vehicle: metres, seconds, m/s, m/s^2, degrees counter-clockwise from world x."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for track in tracks:
-        for i, frame in enumerate(track.frames):
-            sight = track.sights[i]
-            writer.writerow(
-                [
-                    track.number,
-                    track.kind,
-                    frame_index[frame],
-                    f"{track.times_s[i]:.4f}",
-                    int(sight is not None),
-                    *(f"{v:.3f}" for v in track.position[i]),
-                    f"{math.degrees(track.heading[i]):.2f}",
-                    f"{track.speed[i]:.3f}",
-                    *(f"{v:.3f}" for v in track.velocity[i]),
-                    f"{track.along[i]:.3f}",
-                    *(f"{v:.2f}" for v in track.size_lwh),
-                ]
-            )
-    write_text(path, text.getvalue())
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for track in tracks:
+            seen, speed, along = track.seen, track.speed, track.along
+            for i, frame in enumerate(track.frames):
+                writer.writerow(
+                    [
+                        track.number,
+                        track.kind,
+                        frame_index[frame],
+                        f"{track.times_s[i]:.4f}",
+                        int(seen[i]),
+                        *(f"{v:.3f}" for v in track.position[i]),
+                        f"{math.degrees(track.heading[i]):.2f}",
+                        f"{speed[i]:.3f}",
+                        *(f"{v:.3f}" for v in track.velocity[i]),
+                        f"{along[i]:.3f}",
+                        *(f"{v:.2f}" for v in track.size_lwh),
+                    ]
+                )
 
 
 def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
@@ -59,13 +57,12 @@ def write_mot(path: Path, tracks: Sequence[Track]) -> None:
 
     TrackEval takes the column of the place's x for a class.
     """
-    rows = []
-    for track in tracks:
-        for i, sight in enumerate(track.sights):
-            if sight is not None:
-                row = mot_row(int(track.frames[i]) + 1, track.number, sight.bbox, f"{sight.score:.4f},-1,-1,-1")
-                rows.append((int(track.frames[i]), row))
-    write_text(path, "".join(row for _, row in sorted(rows, key=lambda pair: pair[0])))
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        last = max((int(track.frames[-1]) for track in tracks), default=-1)
+        for frame, present in _by_frame(tracks, last + 1):
+            for track, i in present:
+                if not math.isnan(track.scores[i]):
+                    file.write(mot_row(frame + 1, track.number, track.boxes[i], f"{track.scores[i]:.4f},-1,-1,-1"))
 
 
 def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> None:
@@ -73,26 +70,38 @@ def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> 
 
     There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise.
     """
-    steps: list[list[str]] = [[] for _ in times_s]
-    for track in tracks:
-        kind = _SUMO_CLASS.get(track.kind, "passenger")
-        for i, frame in enumerate(track.frames):
-            heading = track.heading[i]
-            x, y = track.position[i, :2] + track.size_lwh[0] / 2 * np.array([math.cos(heading), math.sin(heading)])
-            values = {
-                "id": str(track.number),
-                "x": f"{x:.3f}",
-                "y": f"{y:.3f}",
-                "z": f"{track.position[i, 2]:.3f}",
-                "angle": f"{(90 - math.degrees(heading)) % 360:.2f}",
-                "type": kind,
-                "speed": f"{track.speed[i]:.3f}",
-                "acceleration": f"{track.along[i]:.3f}",
-            }
-            cells = " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
-            steps[frame].append(f"        <vehicle {cells}/>\n")
-    body = "".join(
-        f'    <timestep time="{time:.3f}">\n{"".join(rows)}    </timestep>\n'
-        for time, rows in zip(times_s, steps, strict=True)
-    )
-    write_text(path, f'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n{body}</fcd-export>\n')
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write('<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
+        for (_, present), time_s in zip(_by_frame(tracks, len(times_s)), times_s, strict=True):
+            file.write(f'    <timestep time="{time_s:.3f}">\n')
+            file.writelines(_fcd_vehicle(track, i) for track, i in present)
+            file.write("    </timestep>\n")
+        file.write("</fcd-export>\n")
+
+
+def _fcd_vehicle(track: Track, i: int) -> str:
+    heading = float(track.heading[i])
+    x, y = track.position[i, :2] + track.size_lwh[0] / 2 * np.array([math.cos(heading), math.sin(heading)])
+    values = {
+        "id": str(track.number),
+        "x": f"{x:.3f}",
+        "y": f"{y:.3f}",
+        "z": f"{track.position[i, 2]:.3f}",
+        "angle": f"{(90 - math.degrees(heading)) % 360:.2f}",
+        "type": _SUMO_CLASS.get(track.kind, "passenger"),
+        "speed": f"{track.speed[i]:.3f}",
+        "acceleration": f"{track.along[i]:.3f}",
+    }
+    cells = " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
+    return f"        <vehicle {cells}/>\n"
+
+
+def _by_frame(tracks: Sequence[Track], count: int) -> Iterator[tuple[int, list[tuple[Track, int]]]]:
+    """Each of `count` frames with the tracks that are there, which rise in their first frames, and their rows."""
+    waiting = list(reversed(tracks))
+    present: list[Track] = []
+    for frame in range(count):
+        present = [track for track in present if track.frames[-1] >= frame]
+        while waiting and waiting[-1].frames[0] <= frame:
+            present.append(waiting.pop())
+        yield frame, [(track, frame - int(track.frames[0])) for track in present]

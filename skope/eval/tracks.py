@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -11,10 +12,13 @@ from skope.console import Console
 from skope.errors import UserError
 from skope.eval import birdseye, track_files
 from skope.eval.located import locate_view
+from skope.eval.progress import Progress
 from skope.eval.scene import Scene
-from skope.eval.track import Track, follow
+from skope.eval.track import Sight, Track, follow, sight_from_dict, sight_to_dict, sights
 from skope.files import replacing, write_text
 from skope.video import write_video
+
+_PROGRESS: Final = ".poses.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +38,10 @@ def run(job: Job, console: Console) -> Iterator[str]:
     """Write everything; yields lines that say what."""
     scene = job.scene
     times = _times(scene, job.fps)
-    views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise)
-    bar = console.bar(views, total=len(times), unit="image", label="poses")
-    located = [locate_view(view, scene) for view in bar]
-    tracks = follow(located, times)
+    progress = Progress(job.out / _PROGRESS, ("sights",))
+    if progress.count:
+        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+    tracks = follow(console.bar(_seen(job, progress), total=len(times), unit="image", label="poses"), times)
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     track_files.write_csv(job.out / "tracks.csv", tracks, index)
     track_files.write_mot(job.out / "mot.txt", tracks)
@@ -51,12 +55,25 @@ def run(job: Job, console: Console) -> Iterator[str]:
         with replacing(job.out / "birdseye.mp4") as temporary:
             write_video(temporary, birdseye.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
+    progress.end()
     for name in written:
         yield f"wrote {job.out / name}"
     seconds = times[-1] - times[0]
     yield f"{len(tracks)} tracks over {seconds:.1f} s"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
+
+
+def _seen(job: Job, progress: Progress) -> Iterator[list[Sight]]:
+    """The vehicles of each image: as an earlier run noted them down, or located now."""
+    noted = itertools.islice(progress.rows(), progress.count)
+    for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
+        if (row := next(noted, None)) is not None:
+            yield [sight_from_dict(told) for told in row["sights"]]
+            continue
+        found = sights(locate_view(view, job.scene))
+        progress.add({"sights": [sight_to_dict(sight) for sight in found]})
+        yield found
 
 
 def _times(scene: Scene, fps: float | None) -> list[float]:
@@ -67,7 +84,10 @@ def _times(scene: Scene, fps: float | None) -> list[float]:
     if fps is not None:
         if not 0 < fps <= 1000:
             raise UserError(f"--fps: expected a number from 0 to 1000, got {fps:g}")
-        return [i / fps for i in range(len(images))]
+        index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(images)]
+        if any(b <= a for a, b in itertools.pairwise(index)):
+            index = list(range(len(images)))
+        return [(i - index[0]) / fps for i in index]
     times = [image.time_s for image in images]
     if any(time is None for time in times):
         raise UserError(f"{scene.file.name}: its images carry no times; give --fps")
@@ -101,10 +121,10 @@ def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
     ids = [image.id for image in scene.file.images]
     share = []
     for track in tracks:
-        for i, sight in enumerate(track.sights):
-            real = truth.get((ids[track.frames[i]], sight.truth_id)) if sight is not None else None
+        for frame, truth_id, speed in zip(track.frames, track.truth_ids.tolist(), track.speed, strict=True):
+            real = truth.get((ids[frame], truth_id))
             if real is not None and real >= 2.0:
-                share.append(abs(float(track.speed[i]) - real) / real)
+                share.append(abs(float(speed) - real) / real)
     if share:
         most = np.percentile(share, 90)
         yield f"speed: {np.median(share):.1%} off in the median, 90% within {most:.1%} ({len(share)} speeds)"

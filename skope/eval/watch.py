@@ -22,7 +22,7 @@ from skope.eval.settings import Settings
 from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
 from skope.outputs import claim
-from skope.schema import AnnotationFile, Image, Result
+from skope.schema import AnnotationFile, Image
 from skope.video import write_video
 
 _PROGRESS: Final = ".predict.jsonl"
@@ -45,57 +45,42 @@ class Job:
     blur: bool = False
 
 
-@dataclass
-class _Done:
-    """What a run has found so far."""
-
-    images: list[Image] = field(default_factory=list)
-    results: list[Result] = field(default_factory=list)
-
-    @property
-    def last(self) -> int:
-        """Number of the last frame."""
-        return self.images[-1].id if self.images else 0
-
-
 def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results"))
-    done = _resumed(job, progress, console)
-    frames = job.footage.frames(done.last)
+    images = [coco.image_from_dict(row["image"]) for row in progress.rows()]
+    last = images[-1].id if images else 0
+    if images:
+        console.say(f"{job.footage.name}: going on after frame {last}")
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
-        bar.update(done.last)
+        bar.update(last)
         try:
-            for image, found in predictor.each(frames):
-                _note(done, progress, with_camera(image, job.camera), found)
+            for bare, found in predictor.each(job.footage.frames(last)):
+                image = with_camera(bare, job.camera)
+                progress.add({"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))})
+                images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
             if not job.footage.live:
                 raise
-            console.say(f"{job.footage.name}: stopped after {len(done.images)} images")
-    if not done.images:
+            console.say(f"{job.footage.name}: stopped after {len(images)} images")
+    if not images:
         progress.end()
         why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
         raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
     written = [job.out / PREDICTIONS, job.out / FRAMES]
-    coco.write_results(written[0], done.results)
+    coco.write_result_rows(written[0], (result for row in progress.rows() for result in row["results"]))
     info = {"source": job.footage.name, "fps": job.footage.fps}
     frames_file = AnnotationFile(
-        images=tuple(done.images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
+        images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
     coco.write(written[1], frames_file)
     if job.overlay:
-        written.append(_overlay(job, done, predictor.scheme, console))
+        written.append(_overlay(job, progress, len(images), predictor.scheme, console))
     progress.end()
     return written
-
-
-def _note(done: _Done, progress: Progress, image: Image, found: list[Result]) -> None:
-    done.images.append(image)
-    done.results += found
-    progress.add({"image": coco.image_to_dict(image), "results": [coco.result_to_dict(r) for r in found]})
 
 
 def _claim(job: Job, files: Sequence[Path]) -> None:
@@ -123,23 +108,9 @@ def _content(footage: Footage) -> str:
     return hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
 
 
-def _resumed(job: Job, progress: Progress, console: Console) -> _Done:
-    """What an interrupted run of the same work left behind; else nothing yet."""
-    done = _Done()
-    for row in progress.rows:
-        done.images.append(coco.image_from_dict(row["image"]))
-        done.results += [coco.result_from_dict(r) for r in row["results"]]
-    if done.images:
-        console.say(f"{job.footage.name}: going on after frame {done.last}")
-    return done
-
-
-def _overlay(job: Job, done: _Done, scheme: Scheme, console: Console) -> Path:
+def _overlay(job: Job, progress: Progress, count: int, scheme: Scheme, console: Console) -> Path:
     """Draw what was found: a video of a video, images of images."""
-    by_image: dict[int, list[Result]] = {image.id: [] for image in done.images}
-    for result in done.results:
-        by_image[result.image_id].append(result)
-    drawn = _drawn(job, by_image, scheme, console)
+    drawn = console.bar(_drawn(job, progress, scheme), total=count, unit="image", label="overlay")
     if job.footage.clip is None:
         folder = job.out / OVERLAYS
         for image, pixels in drawn:
@@ -151,10 +122,13 @@ def _overlay(job: Job, done: _Done, scheme: Scheme, console: Console) -> Path:
     return path
 
 
-def _drawn(
-    job: Job, found: dict[int, list[Result]], scheme: Scheme, console: Console
-) -> Iterator[tuple[Image, Pixels]]:
-    frames = ((image, pixels) for image, pixels in job.footage.frames() if image.id in found)
-    for image, pixels in console.bar(frames, total=len(found), unit="image", label="overlay"):
-        results = found[image.id]
-        yield image, draw.results(blurred(pixels, results) if job.blur else pixels, results, scheme=scheme)
+def _drawn(job: Job, progress: Progress, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
+    rows = progress.rows()
+    row = next(rows, None)
+    for image, pixels in job.footage.frames():
+        if row is None:
+            return
+        if row["image"]["id"] == image.id:  # others were not to be read
+            found = [coco.result_from_dict(result) for result in row["results"]]
+            yield image, draw.results(blurred(pixels, found) if job.blur else pixels, found, scheme=scheme)
+            row = next(rows, None)

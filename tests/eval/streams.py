@@ -1,11 +1,14 @@
-"""Cameras on this machine: an RTSP server (RFC 2326; RFC 3551's payload 33, a transport stream), MJPEG over HTTP."""
+"""Footage as it comes: an RTSP server (RFC 2326; RFC 3551's payload 33, a transport stream), MJPEG over HTTP, and
+files whose frames last differently long (ISO/IEC 14496-12)."""
 
 import contextlib
+import itertools
+import math
 import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -16,12 +19,14 @@ SDP = b"v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=-\r\nt=0 0\r\nm=video 0 RTP/AVP 33\
 
 
 @contextlib.contextmanager
-def _served(answer: Callable[[socket.socket], None]) -> Iterator[int]:
-    """The port of a server that `answer`s each client in a thread."""
+def _served(answer: Callable[[socket.socket], None], times: float = math.inf) -> Iterator[int]:
+    """The port of a server that `answer`s each client in a thread; after so many it hangs up at once."""
+    served = itertools.count()
 
     def one(client: socket.socket) -> None:
         with client, contextlib.suppress(OSError):
-            answer(client)
+            if next(served) < times:
+                answer(client)
 
     def clients() -> None:
         with contextlib.suppress(OSError):
@@ -35,8 +40,11 @@ def _served(answer: Callable[[socket.socket], None]) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def rtsp(video: Path) -> Iterator[str]:
-    """The address of a camera that sends a transport stream (.ts) over TCP, as fast as it is taken, and hangs up."""
+def rtsp(video: Path, times: float = math.inf) -> Iterator[str]:
+    """The address of a camera that sends a transport stream (.ts) over TCP, as fast as it is taken, and hangs up.
+
+    It answers so many `times`.
+    """
     data = video.read_bytes()
 
     def answer(client: socket.socket) -> None:
@@ -56,13 +64,16 @@ def rtsp(video: Path) -> Iterator[str]:
                     client.sendall(b"$\0" + struct.pack("!H", len(packet)) + packet)
                 return
 
-    with _served(answer) as port:
+    with _served(answer, times) as port:
         yield f"rtsp://127.0.0.1:{port}/camera"
 
 
 @contextlib.contextmanager
-def mjpeg(count: int, fps: float) -> Iterator[str]:
-    """The address of a web camera that sends `count` pictures in real time; picture i has brightness 8 i."""
+def mjpeg(count: int, fps: float, times: float = math.inf) -> Iterator[str]:
+    """The address of a web camera that sends `count` pictures in real time; picture i has brightness 8 i.
+
+    In the midst of the next one it hangs up; it answers so many `times`.
+    """
 
     def answer(client: socket.socket) -> None:
         client.recv(4096)
@@ -72,6 +83,41 @@ def mjpeg(count: int, fps: float) -> Iterator[str]:
             head = f"--next\r\nContent-Type: image/jpeg\r\nContent-Length: {len(picture)}\r\n\r\n"
             client.sendall(head.encode() + picture + b"\r\n")
             time.sleep(1 / fps)
+        client.sendall(head.encode() + picture[: len(picture) // 2])
 
-    with _served(answer) as port:
+    with _served(answer, times) as port:
         yield f"http://127.0.0.1:{port}/camera.mjpg"
+
+
+def vary(video: Path, lengths: Sequence[int]) -> list[float]:
+    """Let the frames of an .mp4 of OpenCV's last `lengths` times as long as now, each; returns when each is shown."""
+    data = bytearray(video.read_bytes())
+    where: dict[bytes, int] = {}
+
+    def walk(at: int, end: int) -> None:
+        while at < end:
+            size, name = struct.unpack(">I4s", data[at : at + 8])
+            where[name] = at
+            if name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts"):
+                walk(at + 8, at + size)
+            at += size
+
+    walk(0, len(data))
+    assert where[b"moov"] > where[b"mdat"]  # so that nothing else moves
+    at = where[b"stts"]
+    entries, count, delta = struct.unpack(">III", data[at + 12 : at + 24])
+    assert (entries, count) == (1, len(lengths))
+    (scale,) = struct.unpack(">I", data[where[b"mdhd"] + 20 : where[b"mdhd"] + 24])
+    for name, place in ((b"mvhd", 24), (b"tkhd", 28), (b"mdhd", 24), (b"elst", 16)):
+        field = slice(where[name] + place, where[name] + place + 4)
+        (length,) = struct.unpack(">I", data[field])
+        data[field] = struct.pack(">I", length * sum(lengths) // count)
+    table = b"".join(struct.pack(">II", 1, delta * length) for length in lengths)
+    whole = b"\0" * 4 + struct.pack(">I", count) + table
+    grown = len(whole) + 8 - 24
+    data[at : at + 24] = struct.pack(">I4s", len(whole) + 8, b"stts") + whole
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        (size,) = struct.unpack(">I", data[where[name] : where[name] + 4])
+        data[where[name] : where[name] + 4] = struct.pack(">I", size + grown)
+    video.write_bytes(data)
+    return [sum(lengths[:i]) * delta / scale for i in range(count)]

@@ -17,7 +17,7 @@ import sumolib
 
 from skope import coco
 from skope.camera import Camera
-from skope.eval import camera_fit, pose_errors
+from skope.eval import camera_fit, live, pose_errors
 from skope.eval.blur import blurred
 from skope.eval.footage import Cut, open_footage
 from skope.eval.refine import Ground
@@ -33,9 +33,9 @@ def rows_of(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
-def numbered_video(path: Path, count: int) -> Path:
+def numbered_video(path: Path, count: int, codec: str = "mp4v") -> Path:
     """A video whose frame i has brightness 8 i."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (96, 64))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, (96, 64))
     for i in range(count):
         writer.write(np.full((64, 96, 3), 8 * i, dtype=np.uint8))
     writer.release()
@@ -56,10 +56,15 @@ def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
     assert [(i.id, i.frame_index) for i, _ in later] == [(i.id, i.frame_index) for i, _ in frames[2:]]
 
 
-def test_a_camera_on_the_network_is_read_until_it_hangs_up(skope: Any, random_run: Path, tmp_path: Path) -> None:
-    with streams.rtsp(numbered_video(tmp_path / "v.ts", 30)) as address:
+def test_a_camera_on_the_network_is_read_until_it_hangs_up(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "RETURN_S", 0.5)
+    with streams.rtsp(numbered_video(tmp_path / "v.ts", 30), times=2) as address:  # it is looked at, then read
         code, _, err = skope("eval", "predict", address, "--checkpoint", random_run, "--every", 3, "--out", "p")
-        assert code == 0, err
+        assert code == 1
+        assert "broke off after" in err
+    with streams.rtsp(tmp_path / "v.ts") as address:
         assert skope("eval", "predict", address, "--checkpoint", random_run, "--overlay", "--out", "o")[0] == 2
     images = coco.read(Path("p/frames.json")).images
     assert images
@@ -69,8 +74,9 @@ def test_a_camera_on_the_network_is_read_until_it_hangs_up(skope: Any, random_ru
         assert image.time_s == pytest.approx(image.frame_index / 10)
 
 
-def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames() -> None:
-    with streams.mjpeg(24, 20) as address:
+def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "RETURN_S", 0.5)
+    with streams.mjpeg(24, 20, times=2) as address:
         footage = open_footage(address, Cut())
         assert footage.live
         taken = []
@@ -83,6 +89,59 @@ def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames() -> None:
     assert indices[-1] == 23
     times = [image.time_s or 0.0 for image, _ in taken]
     assert times == sorted(set(times))
+
+
+def test_a_stream_that_breaks_off_in_the_midst_of_a_frame_is_opened_again() -> None:
+    with streams.mjpeg(6, 20, times=4) as address:
+        begun = time.monotonic()
+        footage = open_footage(address, Cut(end_s=0.7))
+        images = [image for image, _ in footage.frames()]
+        lasted = time.monotonic() - begun
+    assert not footage.skipped  # three openings hold enough
+    assert len(images) >= 7  # more than one opening holds
+    times = [image.time_s or 0.0 for image in images]
+    assert times == sorted(set(times))
+    assert times[-1] < lasted
+
+
+def test_times_are_those_of_the_frames_however_long_each_lasts(tmp_path: Path) -> None:
+    path = numbered_video(tmp_path / "v.mp4", 30)
+    shown = streams.vary(path, [1 + 7 * i % 5 for i in range(30)])
+    whole = list(open_footage(str(path)).frames())
+    assert [image.time_s for image, _ in whole] == pytest.approx(shown, abs=1e-3)
+    assert np.allclose([pixels.mean() / 8 for _, pixels in whole], range(30), atol=0.5)
+    for start, end, every in ((0.05, 3.0, 1), (4.0, 7.1, 3), (8.05, 100.0, 2)):
+        footage = open_footage(str(path), Cut(start_s=start, end_s=end, every=every))
+        wanted = [i for i, at in enumerate(shown) if start <= at < end][::every]
+        frames = list(footage.frames())
+        assert [image.frame_index for image, _ in frames] == wanted
+        assert len(footage) == len(wanted)
+        assert np.allclose([pixels.mean() / 8 for _, pixels in frames], wanted, atol=0.5)
+        later = [(image.id, image.time_s) for image, _ in footage.frames(first=2)]
+        assert later == [(image.id, image.time_s) for image, _ in frames[2:]]
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_jumping_into_a_long_video_lands_on_the_frame_that_is_meant(
+    varied: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = numbered_video(tmp_path / "v.mp4", 30)
+    if varied:
+        streams.vary(path, [1] * 15 + [9] * 15)
+    monkeypatch.setattr("skope.eval.footage._FAR", 3)
+    for first in range(30):
+        image, pixels = next(open_footage(str(path)).frames(first))
+        assert image.frame_index == first
+        assert pixels.mean() / 8 == pytest.approx(first, abs=0.5)
+
+
+def test_a_video_that_is_cut_off_names_the_frame_from_which_it_is(tmp_path: Path) -> None:
+    path = numbered_video(tmp_path / "v.avi", 30, "MJPG")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    footage = open_footage(str(path))
+    got = len(list(footage.frames()))
+    assert 3 <= got < 30
+    assert f"frame {got} of" in footage.skipped[0]
 
 
 def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
