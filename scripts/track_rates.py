@@ -96,7 +96,8 @@ def judged(file: AnnotationFile, folder: Path) -> Row:
         truth = [a for a in labelled[image.id] if not a.ignored and a.track_id is not None]
         taken = matched(truth, seen[at])
         for vehicle in truth:
-            assert vehicle.track_id is not None and image.time_s is not None
+            assert vehicle.track_id is not None
+            assert image.time_s is not None
             number = taken.get(vehicle.id)
             who[vehicle.track_id].append(number)
             times[vehicle.track_id].append(image.time_s)
@@ -187,9 +188,8 @@ def main() -> None:
             row = measure(*thinned(file, results, fps), Path(folder))
         told = [f"{np.median(v):.3g} ({np.percentile(v, 90):.3g})" if v else "-" for v in (row.speed, row.heading)]
         names = "".join(f"{row.scores[name]:7.3f}" if name in row.scores else "      -" for name in ("HOTA", "IDF1"))
-        print(
-            f"{fps:5g}  {row.tracked:3d}/{row.vehicles:<3d}  {row.tracks:6d}  {row.switches:8d}  {told[0]:>14} {told[1]:>18}  {names}"
-        )
+        followed = f"{row.tracked:3d}/{row.vehicles:<3d}  {row.tracks:6d}  {row.switches:8d}"
+        print(f"{fps:5g}  {followed}  {told[0]:>14} {told[1]:>18}  {names}")
 
 
 if __name__ == "__main__":

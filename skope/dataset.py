@@ -48,6 +48,12 @@ class Dataset:
         return tuple(sorted(path.stem for path in (self.root / "annotations").glob("[!.]*.json")))
 
     @property
+    def sources(self) -> tuple[Path, ...]:
+        """The files that say what is in it: annotations, and the manifest, where there is one, for all others."""
+        files = [] if self.sharded else [self.root / "annotations" / f"{split}.json" for split in self.splits]
+        return tuple(path for path in (self.root / MANIFEST, *files) if path.is_file())
+
+    @property
     def sharded(self) -> bool:
         """Whether the frames are in tar shards (see `skope.shards`)."""
         return self.card.get("format") == "shards"

@@ -36,23 +36,39 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`, which must be empty or missing; on success it takes its place.
+    """Yield a temporary folder beside `path`; on success it takes its place, unless the same is there already.
 
-    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file or not empty.
+    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file, or holds anything else.
     """
     whole = path.absolute()
     temporary = whole.with_name(f".{whole.name}.{os.getpid()}.part")
     try:
-        if keep and path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise UserError(f"{path}: is {'not empty' if path.is_dir() else 'a file'}; choose another folder")
+        if keep and path.exists() and not path.is_dir():
+            raise UserError(f"{path}: is a file; choose another folder")
         temporary.mkdir(parents=True)
         yield temporary
-        if keep:
-            temporary.replace(whole)
+        if not keep or same_content(path, temporary):
+            return
+        if path.is_dir() and any(path.iterdir()):
+            raise UserError(f"{path}: holds other files than these; choose another folder, or remove what is there")
+        temporary.replace(whole)
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def same_content(one: Path, other: Path) -> bool:
+    """Whether two files have the same bytes, or two folders the same files and folders with the same bytes."""
+    if one.is_file() and other.is_file():
+        same_size = one.stat().st_size == other.stat().st_size
+        return one.samefile(other) or (same_size and sha256_of(one) == sha256_of(other))
+    if not (one.is_dir() and other.is_dir()):
+        return False
+    names = {path.name for path in one.iterdir()}
+    return names == {path.name for path in other.iterdir()} and all(
+        same_content(one / name, other / name) for name in names
+    )
 
 
 @contextlib.contextmanager

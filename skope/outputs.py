@@ -3,16 +3,29 @@
 `work.json` in such a folder says which command made it, of what, with which version of skope and when.
 """
 
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from skope import __version__
 from skope.errors import UserError
-from skope.files import json_bytes, parse_json, read_json, sha256_of, write_bytes, write_json
+from skope.files import (
+    json_bytes,
+    parse_json,
+    read_json,
+    replacing_folder,
+    same_content,
+    sha256_of,
+    write_bytes,
+    write_json,
+)
 
 WORK: Final = "work.json"
+_CHOICE: Final = "choose another folder, or remove what is there"
+_OTHER_FILE: Final = "is there already, with other content; choose another file, or remove it"
 
 
 def claim(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -24,30 +37,67 @@ def claim(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[s
     Returns what `work.json` holds. Raises UserError for a file, and for a folder with other work or other files in it;
     nothing is written then.
     """
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"--out: {folder} is a file, expected a folder")
+    work = work_of(command, inputs, options)
+    found = _held(folder, "--out")
+    if found is not None and (different := differences(found, work)):
+        raise UserError(f"--out: {folder} holds other work ({different}); {_CHOICE}")
+    return _signed(folder, work)
+
+
+@contextmanager
+def look(
+    folder: Path,
+    command: str,
+    of: str | Path,
+    *,
+    inputs: Iterable[Path] = (),
+    options: Mapping[str, Any] | None = None,
+    flag: str = "--out",
+) -> Iterator[Path]:
+    """Yield an empty folder for pictures and pages to look at, which move to `folder` together when all are drawn.
+
+    They take the place of an earlier look of the same command at the same thing, and of nothing else; `of` is the
+    thing: the path of a file or folder, or what it is called. With `options` (JSON values) the earlier look's files
+    stay beside the new ones where it had the same `options`, contents of `inputs` and version of skope; else they go.
+
+    Raises UserError, naming `flag`, for a file, and for a folder with other work or other files in it; nothing is
+    changed then, nor where drawing fails.
+    """
+    work = work_of(command, inputs, options or {})
+    # Beside each other, the two may be moved; where they lie on this machine is nobody's business.
+    work["of"] = os.path.relpath(of.resolve(), folder.resolve()) if isinstance(of, Path) else of
+    found = _held(folder, flag)
+    if found is not None and [found.get(name) for name in ("command", "of")] != [command, work["of"]]:
+        raise UserError(f"{flag}: {folder} holds other work ({_named(found)}); {_CHOICE}")
+    earlier = {name for name in _files(found or {}) if (folder / name).is_file()}
+    same = options is not None and found is not None and found.get("skope") == __version__
+    stale = set() if same and not differences(found, work) else earlier
+    with replacing_folder(folder, keep=False) as drawn:
+        yield drawn
+        new = {path.name for path in drawn.iterdir()}
+        for name in sorted(new - earlier):
+            if (folder / name).exists():
+                raise UserError(f"{flag}: {folder / name} is there already, and is no earlier look's; {_CHOICE}")
+        # Whenever this is interrupted, the files that lie there are among those that the record names.
+        _signed(folder, {**work, "files": sorted(earlier | new)})
+        for name in stale - new:
+            (folder / name).unlink(missing_ok=True)
+        for name in new:
+            (drawn / name).replace(folder / name)
+        _signed(folder, {**work, "files": sorted((earlier - stale) | new)})
+
+
+def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
+    """What says which work something is: the command, contents of `inputs` (files) and `options` (JSON values)."""
     told = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
     work: dict[str, Any] = parse_json(json_bytes(told))
-    held = folder / WORK
-    if folder.is_dir() and any(path.name != WORK for path in folder.iterdir()):
-        if not held.is_file():
-            raise UserError(f"--out: {folder} holds other files; choose another folder, or remove what is there")
-        found = read_json(held)
-        different = _differences(found, work)
-        if different:
-            raise UserError(
-                f"--out: {folder} holds other work ({different}); choose another folder, or remove what is there"
-            )
-    work |= {"skope": __version__, "date": datetime.now(UTC).date().isoformat()}
-    write_json(held, work)
     return work
 
 
-def _differences(held: Any, wanted: Mapping[str, Any]) -> str:
-    """What of `wanted` a folder was not made with, in words; empty where it was made with all of it."""
+def differences(held: Any, wanted: Mapping[str, Any]) -> str:
+    """In words, what of `wanted` (as `work_of` gives it) is different in `held`; empty where they are the same work."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
-        command = held.get("command") if isinstance(held, dict) else None
-        return f"of `{command}`" if command else "of another command"
+        return _named(held)
     inputs, options = (held[name] if isinstance(held.get(name), dict) else {} for name in ("inputs", "options"))
     # Files may have moved: what they hold decides.
     words = [f"not of {path}" for path, digest in wanted["inputs"].items() if digest not in inputs.values()]
@@ -64,8 +114,56 @@ def changed(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
 
 def write_new(path: Path, data: bytes) -> None:
     """Write a file where there is none; one of the same content is left as it is, and another one a UserError."""
-    if path.is_file():
-        if path.read_bytes() == data:
-            return
-        raise UserError(f"{path}: is there already, with other content; choose another file with --out, or remove it")
-    write_bytes(path, data)
+    if not path.exists():
+        write_bytes(path, data)
+    elif not path.is_file() or path.read_bytes() != data:
+        raise UserError(f"{path}: {_OTHER_FILE}")
+
+
+def move_new(source: Path, target: Path) -> None:
+    """Move a file to where none is; one of the same content is left as it is, and another one a UserError."""
+    if not target.exists():
+        source.replace(target)
+    elif not same_content(source, target):
+        raise UserError(f"{target}: {_OTHER_FILE}")
+
+
+def _held(folder: Path, flag: str) -> Any:
+    """What `work.json` says of a folder; None where the folder is missing or holds nothing else.
+
+    Raises UserError for a file, and for a folder with files of which no `work.json` says what they are.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{flag}: {folder} is a file, expected a folder")
+    if not folder.is_dir() or all(path.name == WORK for path in folder.iterdir()):
+        return None
+    if not (folder / WORK).is_file():
+        raise UserError(f"{flag}: {folder} holds other files; {_CHOICE}")
+    try:
+        found = read_json(folder / WORK)
+    except UserError as error:
+        raise UserError(f"{flag}: {folder} holds other work ({error}); {_CHOICE}") from None
+    return found if isinstance(found, dict) else {}
+
+
+def _signed(folder: Path, work: Mapping[str, Any]) -> dict[str, Any]:
+    """Write `work.json`; returns what it holds."""
+    signed = {**work, "skope": __version__, "date": datetime.now(UTC).date().isoformat()}
+    write_json(folder / WORK, signed)
+    return signed
+
+
+def _named(held: Any) -> str:
+    """Whose work it is, in words."""
+    command, of = (held.get(name) if isinstance(held, dict) else None for name in ("command", "of"))
+    return (f"of `{command}`" if command else "of another command") + (f", a look at {of}" if of else "")
+
+
+def _files(held: Mapping[str, Any]) -> set[str]:
+    """Files of an earlier look; a record that leads out of its folder names none."""
+    told = held.get("files")
+    return (
+        {name for name in told if isinstance(name, str) and name == Path(name).name}
+        if isinstance(told, list)
+        else set()
+    )

@@ -24,7 +24,7 @@ from skope.gen.pack import Labels
 from skope.gen.plan import from_preset
 from skope.gen.produce import finish_rendering
 from skope.gen.recording import Recording
-from skope.gen.render import View
+from skope.gen.render import Silhouette, View
 from skope.gen.store import Store
 from skope.gen.towns import network
 from tests.gen.scenes import standing
@@ -36,22 +36,23 @@ SITES = {"train": "t01_mill_corner", "val": "t01_main_west"}
 
 
 class FlatRenderer:
-    """Draws grey frames of nothing, at once."""
+    """Draws grey frames in which no vehicle is seen, at once."""
 
     def __init__(self, _name: str, recording: Recording) -> None:
         network(recording.town)  # as whoever grows scenery does
-        self._shape = (recording.camera.height, recording.camera.width)
+        self._recording = recording
 
-    def render(self, _frame: int) -> View:
-        """A grey wall 20 m away."""
-        height, width = self._shape
+    def render(self, frame: int) -> View:
+        """A grey wall 20 m away, and everything else behind it."""
+        height, width = self._recording.camera.height, self._recording.camera.width
+        count = len(self._recording.moment(frame).vehicles)
         return View(
             rgb=np.full((height, width, 3), 90, dtype=np.uint8),
             depth=np.full((height, width), 20.0, dtype=np.float32),
             slope=np.zeros((height, width, 2), dtype=np.float32),
             ids=np.zeros((height, width), dtype=np.int32),
-            silhouettes=(),
-            contrast=np.zeros(0),
+            silhouettes=(Silhouette(0, 0, np.zeros((1, 1), dtype=np.bool_)),) * count,
+            contrast=np.zeros(count),
         )
 
 
@@ -61,9 +62,9 @@ def recording(split: str) -> Recording:
     return replace(standing(camera, []), site=SITES[split], split=split)
 
 
-def begun(root: Path) -> Path:
-    """The folder that `skope gen simulate` leaves: parameters and recordings."""
-    parameters = from_preset(
+def parameters() -> dict[str, Any]:
+    """Those of a dataset of `SITES`, as its card holds them."""
+    made = from_preset(
         "demo",
         seed=0,
         renderer="pybullet",
@@ -72,9 +73,14 @@ def begun(root: Path) -> Path:
         frames=1,
         sites=tuple(SITES.values()),
         size=f"{SIZE[0]}x{SIZE[1]}",
-    ).to_dict()
+    )
+    return dict(json.loads(json.dumps(made.to_dict())))
+
+
+def begun(root: Path) -> Path:
+    """The folder that `skope gen simulate` leaves: parameters and recordings."""
     takes = [[site, "00", split, 1] for split, site in SITES.items()]
-    write_json(root / ".work" / "parameters.json", json.loads(json.dumps({"parameters": parameters, "takes": takes})))
+    write_json(root / ".work" / "parameters.json", {"parameters": parameters(), "takes": takes})
     for split, site in SITES.items():
         recordings.save(root / "recordings" / f"{site}_00.npz", recording(split))
     return root

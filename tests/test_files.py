@@ -36,12 +36,45 @@ def test_what_is_there_is_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a").write_text("x")
-    for name, said in (("file", "file: is a file; choose"), ("full", "full: is not empty; choose")):
-        with pytest.raises(UserError, match=said), replacing_folder(tmp_path / name):
-            pass
+    for name, said in (("file", "file: is a file; choose"), ("full", "full: holds other files than these; choose")):
+        with pytest.raises(UserError, match=said), replacing_folder(tmp_path / name) as folder:
+            (folder / "a").write_text("y")
     with pytest.raises(UserError, match="cannot be written"), replacing_folder(tmp_path / "file" / "below"):
         pass
     assert (tmp_path / "full" / "a").read_text() == (tmp_path / "file").read_text() == "x"
+
+
+@pytest.mark.parametrize("change", ["more", "fewer", "kind", "deep", None])
+def test_what_is_there_is_the_same_only_where_all_of_it_is(tmp_path: Path, change: str | None) -> None:
+    def fill(folder: Path) -> None:
+        (folder / "b").mkdir(parents=True)
+        (folder / "a").write_text("x")
+        (folder / "b" / "c").write_text("y")
+
+    def again() -> None:
+        with replacing_folder(out) as folder:
+            fill(folder)
+
+    out = tmp_path / "out"
+    fill(out)
+    match change:
+        case "more":
+            (out / "d").mkdir()
+        case "fewer":
+            (out / "a").unlink()
+        case "kind":
+            (out / "a").unlink()
+            (out / "a").mkdir()
+        case "deep":
+            (out / "b" / "c").write_text("z")
+    before = [(path, path.stat().st_mtime_ns) for path in sorted(out.rglob("*"))]
+    if change:
+        with pytest.raises(UserError, match="out: holds other files than these; choose another folder, or remove"):
+            again()
+    else:
+        again()
+    assert [(path, path.stat().st_mtime_ns) for path in sorted(out.rglob("*"))] == before
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_links_become_copies_where_they_must(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,6 +84,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
     Run("reference_table.py", "{metrics}", says="| easy | 0.6 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
+    Run("track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )

@@ -1,5 +1,6 @@
 """`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its keypoint scores to the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,7 @@ from skope.eval.match import match
 from skope.eval.predict import Predictor
 from skope.eval.settings import Settings
 from skope.eval.tally import Options, judge
+from skope.outputs import work_of
 from skope.schema import AnnotationFile
 from skope.weights import shipped
 
@@ -36,7 +38,10 @@ class Job:
 
 
 def calibrate(job: Job, console: Console) -> Path:
-    """Fit and write the calibration beside the weights; returns its path."""
+    """Fit and write the calibration beside the weights; returns its path.
+
+    Raises UserError where another calibration lies there: of other weights, data or options.
+    """
     weights = find_checkpoint(job.checkpoint)
     if shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
@@ -44,6 +49,8 @@ def calibrate(job: Job, console: Console) -> Path:
     truth = inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)
+    work = _work(job, [weights, *truth.sources], share)
+    calibration.check_free(weights, work)
     file = inputs.limit(last_part(truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
@@ -69,12 +76,18 @@ def calibrate(job: Job, console: Console) -> Path:
         "score": job.score,
     }
     fitted = calibration.fit(calibration.raw_maxima(points[..., 2]), right, fitted_on)
-    path = calibration.write(predictor.weights, fitted, predictor.scheme.name)
+    path = calibration.write(weights, fitted, work, predictor.scheme.name)
     after = fitted(points)
     for words, p in (("before", points[..., 2]), ("after", after[..., 2])):
         error = confidence.calibration_error(confidence.reliability(p.ravel(), right.ravel()))
         console.say(f"{words}: log loss {calibration.log_loss(p, right):.3f}, calibration error {error:.3f}")
     return path
+
+
+def _work(job: Job, files: Sequence[Path], share: float) -> dict[str, Any]:
+    """What says which calibration it is."""
+    options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
+    return work_of("skope eval calibrate", files, {**options, "precision": job.settings.precision})
 
 
 def _share(job: Job, metadata: dict[str, Any]) -> float:

@@ -5,6 +5,7 @@ is there. Platt's method (1999): the logistic regression of "visible and near en
 validation data, per keypoint. The fit lies in a file beside the weights and names them by digest.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints, schema
 from skope.errors import UserError
 from skope.files import read_json, sha256_of, write_json
+from skope.outputs import differences
 
 VERSION: Final = 1
 ALPHA: Final = 0.1
@@ -129,13 +131,30 @@ def path_beside(weights: Path) -> Path:
     return weights.with_suffix(".calibration.json")
 
 
-def write(weights: Path, calibration: Calibration, scheme: str = keypoints.SCHEME) -> Path:
-    """Write a calibration beside the checkpoint, of a keypoint scheme, that it is for; returns its path."""
+def check_free(weights: Path, work: Mapping[str, Any]) -> None:
+    """Raise a UserError where the calibration beside a checkpoint is of other work (see `skope.outputs.work_of`)."""
+    path = path_beside(weights)
+    if not path.exists():
+        return
+    try:
+        document = read_json(path)
+        held = document.get("work") if isinstance(document, dict) else None
+        different = differences(held, work) if held else "it does not say of what"
+    except UserError as error:
+        different = str(error)
+    if different:
+        raise UserError(
+            f"{path}: is there already, of other work ({different}); remove it, or calibrate a copy of the checkpoint"
+        )
+
+
+def write(weights: Path, calibration: Calibration, work: Mapping[str, Any], scheme: str = keypoints.SCHEME) -> Path:
+    """Write a calibration, and the `work` that it is, beside the checkpoint that it is for; returns its path."""
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
     head = {"version": VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
-    write_json(path, {**head, "fitted_on": calibration.fitted_on, **numbers})
+    write_json(path, {**head, "work": dict(work), "fitted_on": calibration.fitted_on, **numbers})
     return path
 
 
@@ -151,7 +170,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> Calibration | None:
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
-                "remove it or run `skope eval calibrate` again"
+                "remove it, and run `skope eval calibrate` again"
             )
     return _parsed(path, document)
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 from skope import keypoints, schema
 from skope.dataset import CARD, read_manifest
 from skope.depth import DEPTH_SCALE
+from skope.errors import UserError
 from skope.files import write_json, write_text
 from skope.gen import annotate, describe, licences
 from skope.gen.annotate import Rules
@@ -19,6 +20,13 @@ from skope.gen.vehicles import fleet
 
 CROISSANT: Final = "croissant.json"
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
+_PARAMETERS: Final[dict[str, type]] = {
+    **dict.fromkeys(("preset", "size", "renderer", "driver", "format"), str),
+    **dict.fromkeys(("rules", "encoding", "frames", "settings", "cameras", "vehicles", "versions"), dict),
+    **{"seed": int, "sites": list, "shape_jitter": bool, "interval_s": float, "fov_deg": float},
+}
+"""What is needed of the parameters, but `own`, which may be null."""
+_KINDS: Final = {str: "text", dict: "an object", int: "a whole number", list: "a list", bool: "true or false"}
 
 
 def card(
@@ -56,6 +64,29 @@ def card(
         "takes": takes,
         "licence": PHOTOGRAPH.format(_licence(values)) if own and own["photograph"] else _licence(values),
     }
+
+
+def check_parameters(path: Path, values: Any) -> None:
+    """Raise a UserError, naming their file and the field, unless `values` are what `Parameters.to_dict` gives."""
+    if not isinstance(values, dict):
+        raise UserError(f"{path}: parameters: expected an object, got {_told(values)}")
+    for name, kind in _PARAMETERS.items():
+        if not isinstance(values.get(name), int | float if kind is float else kind):
+            expected = _KINDS.get(kind, "a number")
+            raise UserError(f"{path}: parameters.{name}: expected {expected}, got {_told(values.get(name))}")
+    if not all(isinstance(site, str) for site in values["sites"]):
+        raise UserError(f"{path}: parameters.sites: expected names, got {_told(values['sites'])}")
+    if not isinstance(values.get("own"), dict | None):
+        raise UserError(f"{path}: parameters.own: expected an object or null, got {_told(values['own'])}")
+    for name, example in (("rules", Rules()), ("encoding", Encoding())):
+        if values[name].keys() != asdict(example).keys():
+            raise UserError(
+                f"{path}: parameters.{name}: expected {', '.join(asdict(example))}, got {_told(values[name])}"
+            )
+
+
+def _told(value: Any) -> str:
+    return "nothing" if value is None else f"{value!r:.60}"
 
 
 def command(p: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from skope.gen import look_cli, sites_cli, vehicles_cli
 from skope.gen.formats import cli as formats_cli
 from skope.gen.hire import AddressOption, EngineOption, WorkersOption, hired
 from skope.gen.options import asks_for_a_dataset
+from skope.outputs import look
 
 if TYPE_CHECKING:
     from skope.gen.plan import Parameters
@@ -123,10 +125,14 @@ def doctor(
 
     console = Console(quiet)
     broken = []
-    for finding in examine(pictures):
-        if not finding.works:
-            broken.append(finding.part)
-        console.result(f"{'ok ' if finding.works else 'NOT'} {finding.part:<18} {finding.text}")
+    shown = look(pictures, "skope gen doctor", "the renderers", flag="--pictures") if pictures else nullcontext()
+    with shown as drawn:
+        for finding in examine(drawn):
+            if not finding.works:
+                broken.append(finding.part)
+            console.result(f"{'ok ' if finding.works else 'NOT'} {finding.part:<18} {finding.text}")
+    if pictures:
+        console.result(f"wrote what the renderers drew to {pictures}")
     console.result(f"not working: {', '.join(broken)}" if broken else "everything works; next: skope gen")
     if broken:
         raise typer.Exit(1)

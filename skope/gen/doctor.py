@@ -25,7 +25,7 @@ class Finding:
 
 
 def examine(pictures: Path | None) -> Iterator[Finding]:
-    """Try every part that generation and training need; test images go to the folder `pictures`, if given."""
+    """Try every part that generation and training need; test images go to `pictures`, a folder, if given."""
     yield Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.platform()}")
     yield _try("SUMO", _sumo, "reinstall libsumo; on Debian its library needs libgl1 libx11-6 libxext6 libxrender1")
     yield _try("pybullet", _pybullet, "reinstall pybullet; Python 3.11 has wheels, later ones compile it")
@@ -77,10 +77,9 @@ def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> 
     _refuse_blank(view.rgb, recordings[0].camera)
     if pictures is None:
         return driver
-    pictures.mkdir(parents=True, exist_ok=True)
     path = pictures / f"doctor_{name}.png"
     cv2.imwrite(str(path), cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR))
-    return f"{driver}; drew {path}"
+    return f"{driver}; drew {path.name}"
 
 
 def _refuse_blank(rgb: Any, camera: Camera) -> None:

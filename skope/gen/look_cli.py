@@ -1,17 +1,34 @@
 """`skope gen check`, `stats`, `show`, `report` and `video`: what is in a dataset, and what a site looks like."""
 
 import shlex
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.gen.hire import WorkersOption, hired
+from skope.outputs import look
+
+if TYPE_CHECKING:
+    from skope.dataset import Dataset
 
 DatasetArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
 DEFAULT = Path("data/skope")
+SHOWN = Path("runs/show")
+REPORTED = Path("runs/gallery")
+
+
+def _named(folder: Path, dataset: Path) -> Path:
+    """A folder for what is made of a dataset, called as the dataset is."""
+    return folder / dataset.resolve().name
+
+
+def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractContextManager[Path]:
+    """`skope.outputs.look` at a dataset."""
+    return look(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
 
 
 def check(
@@ -57,7 +74,9 @@ def stats(
     for line in table({split: split_stats(folder, folder.read(split)) for split in folder.splits}):
         console.result(line)
     if plots:
-        console.result(f"wrote {plot(folder, plots)}")
+        with _look(folder, "stats", plots, flag="--plots") as drawn:
+            path = plot(folder, drawn)
+        console.result(f"wrote {plots / path.name}")
 
 
 def show(
@@ -69,7 +88,9 @@ def show(
     mask: Annotated[bool, typer.Option("--mask", help="Visible pixels.")] = False,
     depth: Annotated[bool, typer.Option("--depth", help="Depth, by colour.")] = False,
     occlusion: Annotated[bool, typer.Option("--occlusion", help="Hidden shares and reasons to ignore.")] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("runs/show"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the pictures.", show_default="runs/show/ and the dataset's name")
+    ] = None,
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
@@ -80,15 +101,19 @@ def show(
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
     layers = [name for name, wanted in zip(LAYERS, flags, strict=True) if wanted] or ["keypoints"]
     console, folder = Console(quiet), open_dataset(dataset)
-    paths = [one_image(folder, image, layers, out)] if image is not None else sheets(folder, site, layers, out)
+    out = out or _named(SHOWN, dataset)
+    with _look(folder, "show", out, options={"layers": layers}) as drawn:
+        paths = [one_image(folder, image, layers, drawn)] if image is not None else sheets(folder, site, layers, drawn)
     for path in paths:
-        console.result(f"wrote {path}")
+        console.result(f"wrote {out / path.name}")
 
 
 def report(
     dataset: DatasetArgument = DEFAULT,
     images: Annotated[int, typer.Option(help="At most so many images, spread over splits, sites and recordings.")] = 48,
-    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("runs/gallery"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the page.", show_default="runs/gallery/ and the dataset's name")
+    ] = None,
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
@@ -96,8 +121,11 @@ def report(
     from skope.dataset import open_dataset
     from skope.gen.report import write_report
 
-    console = Console(quiet)
-    console.result(f"wrote {write_report(open_dataset(dataset), images, out / 'index.html', console)}")
+    console, folder = Console(quiet), open_dataset(dataset)
+    out = out or _named(REPORTED, dataset)
+    with _look(folder, "report", out) as drawn:
+        page = write_report(folder, images, drawn / "index.html", console)
+    console.result(f"wrote {out / page.name}")
 
 
 def video(

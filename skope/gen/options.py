@@ -82,7 +82,7 @@ def parameters(
         size=size,
         fov_deg=fov,
         settings=parse_settings(settings or []),
-        vehicles={name: load(name).digest for name in vehicles.split(",")} if vehicles else {},
+        vehicles={name: load(name).digest for name in _models(vehicles)},
         shape_jitter=shape_jitter,
         format=format_,
         licence=named(licence),
@@ -90,6 +90,14 @@ def parameters(
         camera_jitter=camera_jitter,
     )
     return wanted, why
+
+
+def _models(text: str | None) -> list[str]:
+    """The names that `--vehicles` gives; none without the flag."""
+    names = text.split(",") if text is not None else []
+    if not all(names) or len(set(names)) < len(names):
+        raise UserError("--vehicles: expected one or more different models, separated by commas")
+    return names
 
 
 def asks_for_a_dataset(command: C) -> C:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from skope.console import Console
 from skope.dataset import MANIFEST, Dataset
 from skope.errors import UserError
+from skope.gen.card import command
 from skope.gen.check import Finding
 from skope.gen.produce import Hire, finish_rendering
 from skope.gen.store import Store
@@ -24,6 +25,8 @@ def repair(dataset: Dataset, findings: Sequence[Finding], hire: Hire, console: C
         raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")
     store = Store(dataset.root)
     with store.locked():
+        begun = store.begun()
+        assert begun is not None
         for finding in findings:
             if finding.stray:
                 (dataset.root / finding.where).unlink(missing_ok=True)
@@ -34,6 +37,6 @@ def repair(dataset: Dataset, findings: Sequence[Finding], hire: Hire, console: C
             for path in lost:
                 path.unlink(missing_ok=True)
             raise UserError(
-                f"{lost[0]}: has to be simulated again; go on with: {dataset.card['command']} --out {store.root}"
+                f"{lost[0]}: has to be simulated again; go on with: {command(begun['parameters'])} --out {store.root}"
             )
-        finish_rendering(store, dataset.card["renderer"], hire, console)
+        finish_rendering(store, begun["parameters"]["renderer"], hire, console)

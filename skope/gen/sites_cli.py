@@ -6,6 +6,9 @@ from typing import Annotated
 import typer
 
 from skope.console import Console, QuietOption, VersionOption
+from skope.outputs import look
+
+DRAWN = Path("runs/sites")
 
 
 def sites(
@@ -13,7 +16,12 @@ def sites(
     site: Annotated[
         Path | None, typer.Option(help="Check a site file, and draw its lanes over its photograph to a PNG file.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("runs/sites"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the pictures.", show_default="runs/sites/towns, or runs/sites/ and the site's name"
+        ),
+    ] = None,
     quiet: QuietOption = False,
     version: VersionOption = False,
 ) -> None:
@@ -30,9 +38,11 @@ def sites(
         from skope import draw
         from skope.gen.towns.maps import town_map
 
-        for town in towns():
-            draw.write(out / f"{town}.png", town_map(town))
-            console.say(f"drew {out / f'{town}.png'}")
+        out = out or DRAWN / "towns"
+        with look(out, "skope gen sites --map", "the towns") as drawn:
+            for town in towns():
+                draw.write(drawn / f"{town}.png", town_map(town))
+                console.say(f"drew {out / f'{town}.png'}")
         console.result(f"wrote {len(towns())} plans to {out}")
         return
     console.result(f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees")
@@ -44,7 +54,7 @@ def sites(
     console.result(f"{len(all_sites())} sites; plans of the towns: skope gen sites --map")
 
 
-def _show(path: Path, out: Path, console: Console) -> None:
+def _show(path: Path, out: Path | None, console: Console) -> None:
     from skope import draw
     from skope.gen.own.overlay import overlay
     from skope.gen.own.site import read_site
@@ -53,8 +63,10 @@ def _show(path: Path, out: Path, console: Console) -> None:
     own = read_site(path)
     place, layout = own.place, Layout.of(own.place.name)
     height = place.camera.position[2] - layout.road_level(place.camera.position[:2])
+    out = out or DRAWN / place.title
     picture = out / f"{place.title}.png"
-    draw.write(picture, overlay(place))
+    with look(out, "skope gen sites --site", path) as drawn:
+        draw.write(drawn / picture.name, overlay(place))
     for line in own.said:
         console.result(line)
     traffic = "left" if layout.mirrored else "right"

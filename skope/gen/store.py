@@ -27,6 +27,7 @@ from skope.files import (
     write_json,
 )
 from skope.gen import recording as recordings
+from skope.gen.card import check_parameters
 from skope.gen.card import write as write_card
 from skope.gen.counts import Counts
 from skope.gen.frames import Frame
@@ -87,21 +88,24 @@ class Store:
             write_json(self._plan_path, wanted)
 
     def begun(self) -> dict[str, Any] | None:
-        """Parameters and takes ("takes": site, name, split, frames each) of what is here."""
-        if self._plan_path.is_file():
-            value = read_json(self._plan_path)
-            if not isinstance(value, dict) or not isinstance(value.get("parameters"), dict):
-                raise UserError(f"{self._plan_path}: expected an object with parameters and takes")
-            check_takes(self._plan_path, value.get("takes"))
-            return value
-        if (self.root / CARD).is_file():
-            card = read_card(self.root)
-            if "takes" not in card:
-                raise UserError(
-                    f"{self.root / CARD}: was made by a skope that named no takes: it cannot be gone on with"
-                )
-            return {"parameters": card["parameters"], "takes": card["takes"]}
-        return None
+        """Parameters and takes ("takes": site, name, split, frames each) of what is here; None where nothing is.
+
+        Raises UserError where that is damaged, or says neither.
+        """
+        path = self._plan_path if self._plan_path.is_file() else self.root / CARD
+        if not path.is_file():
+            return None
+        try:
+            value = read_json(path) if path == self._plan_path else read_card(self.root)
+            if not isinstance(value, dict):
+                raise UserError(f"{path}: expected an object with parameters and takes")
+            check_parameters(path, value.get("parameters"))
+            check_takes(path, value.get("takes"))
+        except UserError as error:
+            raise UserError(
+                f"{error}; {self.root} cannot be gone on with: choose another folder, or remove what is there"
+            ) from None
+        return {name: value[name] for name in ("parameters", "takes")}
 
     def settle(self, values: Mapping[str, Any]) -> None:
         """Write down parameters that were open."""
@@ -136,8 +140,8 @@ class Store:
 
         Left out, and so made again, are frames whose images are `broken` and all of splits that are `lost`.
         """
-        card = read_card(self.root)
-        sound = Dataset(self.root, card)
+        begun = self.begun()
+        sound = Dataset(self.root, read_card(self.root))
         if sound.sharded:
             raise UserError(
                 f"{self.root}: is complete and in shards; `skope gen convert` it to a folder to go on with it"
@@ -148,7 +152,7 @@ class Store:
                     continue
                 self._keep_labels(frame)
         # From here on the folder counts as begun.
-        write_json(self._plan_path, {"parameters": card["parameters"], "takes": card["takes"]})
+        write_json(self._plan_path, begun)
 
     # ---------------------------------------------------------------------------------------------------- going along
 

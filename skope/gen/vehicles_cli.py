@@ -8,6 +8,7 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError
+from skope.outputs import look
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
@@ -63,14 +64,17 @@ def show(
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
     from skope import draw
     from skope.gen.render import choose_renderer
+    from skope.gen.vehicles import added
     from skope.gen.vehicles.show import sheet
 
     console = Console(quiet)
-    engine, _, why = choose_renderer(renderer)
+    engine, driver, why = choose_renderer(renderer)
     console.say(why)
     models = _chosen(name)
-    for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
-        draw.write(out / f"{model}.png", sheet(vehicle, engine))
+    files = [added.folder() / model / "vehicle.json" for model in added.names()]
+    with look(out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}) as drawn:
+        for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
+            draw.write(drawn / f"{model}.png", sheet(vehicle, engine))
     console.result(f"wrote {len(models)} sheet{'' if len(models) == 1 else 's'} to {out}")
 
 

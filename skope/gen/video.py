@@ -51,18 +51,27 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
     return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
 
 
-def check_free(out: Path, site: str, options: Mapping[str, Any]) -> None:
-    """Raise a UserError where footage of a site with other options is in the folder already."""
-    video, labels = out / f"{site}.mp4", out / f"{site}.json"
-    if not video.exists() and not labels.exists():
+def check_free(footage: Footage, options: Mapping[str, Any]) -> None:
+    """Raise a UserError where one of the files is there, of footage with other options or of nobody knows what."""
+    there = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
+    if not there:
         return
-    info = read_json(labels).get("info") if labels.is_file() else None
-    told = info.get("options") if isinstance(info, dict) else None
-    held: Mapping[str, Any] = told if isinstance(told, dict) else {}
+    held = _options_of(footage.labels)
     if held == options:
         return
     what = f"of other footage ({', '.join(changed(held, options))})" if held else "and nothing says what it is of"
-    raise UserError(f"{video}: is there already, {what}; choose another folder with --out, or remove it")
+    raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or remove it")
+
+
+def _options_of(labels: Path) -> Mapping[str, Any]:
+    """What footage was asked for with, as its labels say; nothing where no file of labels says it."""
+    try:
+        document = read_json(labels)
+    except UserError:
+        return {}
+    info = document.get("info") if isinstance(document, dict) else None
+    told = info.get("options") if isinstance(info, dict) else None
+    return told if isinstance(told, dict) else {}
 
 
 def write_footage(
@@ -79,10 +88,10 @@ def write_footage(
     `options` (JSON values) are what the footage was asked for with, kept in the labels' `info`.
     """
     name = plan.site.name
-    check_free(out, name, options)
+    footage = Footage(out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None)
+    check_free(footage, options)
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
-    footage = Footage(out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None)
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
     images: list[Image] = []
     annotations: list[Annotation] = []
@@ -97,8 +106,10 @@ def write_footage(
                 drawn.add(draw.annotations(pixels, numbered))
             images.append(image)
             annotations += numbered
-    info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
-    write(footage.labels, AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name))
+        info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
+        file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name)
+        # Before the videos take their places: of what lies there, something says what it is of.
+        write(footage.labels, file)
     return footage
 
 

@@ -130,6 +130,9 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
     """Begin a run in a folder that holds none."""
     if resumable(run) or detector.checkpoints(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
+    # Of several processes the first one may have begun to write the configuration.
+    if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
+        raise UserError(f"{run}: holds other files and no run; choose another folder by --out, or remove what is there")
     recipe = config.recipe
     model, detector_config, origin = initial.initialise(
         recipe.init,
@@ -142,6 +145,15 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
     )
     model = placed(model, recipe, device)
     return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)
+
+
+def _begun(run: Path) -> bool:
+    """Whether a folder is that of a run that has saved nothing yet."""
+    try:
+        RunConfig.read(run)
+    except UserError:
+        return False
+    return True
 
 
 def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:

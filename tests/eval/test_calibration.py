@@ -88,7 +88,7 @@ def test_a_file_beside_the_weights(tmp_path: Path) -> None:
     weights.write_bytes(b"weights")
     assert calibration.read(weights) is None
     fitted = calibration.fit(*simulated(200), {"images": 3})
-    path = calibration.write(weights, fitted)
+    path = calibration.write(weights, fitted, {})
     assert path == tmp_path / "epoch_003.calibration.json"
     back = calibration.read(weights)
     assert back is not None

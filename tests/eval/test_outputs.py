@@ -1,6 +1,7 @@
 """Output folders: own work goes on or is made again, other work is refused and left as it is."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 
 from skope import coco
 from skope.errors import UserError
-from skope.outputs import WORK, claim, write_new
+from skope.outputs import WORK, claim, look, move_new, write_new
 from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_image
@@ -64,8 +65,137 @@ def test_other_work_is_refused(
 def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: Path) -> None:
     (tmp_path / WORK).write_text(content)
     (tmp_path / "figures").write_text("1")
-    with pytest.raises(UserError):
-        claim(tmp_path, "skope eval", [], {"score": 0.9})
+    before = files_of(tmp_path)
+    for taken in (lambda: claim(tmp_path, "skope eval", [], {"score": 0.9}), lambda: seen(tmp_path, "a", {"b": "b"})):
+        with pytest.raises(
+            UserError, match=r"--out: .* holds other work \(.*\); choose another folder, or remove what"
+        ):
+            taken()
+    assert files_of(tmp_path) == before
+
+
+# ---------------------------------------------------------------------------------------------------------------- looks
+
+
+def seen(folder: Path, of: str | Path, pictures: dict[str, str], **how: Any) -> None:
+    """A look at something."""
+    with look(folder, "skope gen show", of, **how) as drawn:
+        for name, content in pictures.items():
+            (drawn / name).write_text(content)
+
+
+def shown(folder: Path) -> dict[str, str]:
+    return {name: data.decode() for name, data in files_of(folder).items() if name != WORK}
+
+
+def test_a_look_replaces_an_earlier_look_at_the_same_thing_and_no_other(tmp_path: Path) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    seen(out, data, {"a": "1", "b": "1"})
+    seen(out, data, {"b": "2", "c": "2"})
+    assert shown(out) == {"b": "2", "c": "2"}
+    for command, of in (
+        ("skope gen show", tmp_path / "other"),
+        ("skope gen report", data),
+        ("skope gen show", "fleet"),
+    ):
+        with (
+            pytest.raises(UserError, match=r"holds other work \(of `skope gen show`, a look at \.\./data\)"),
+            look(out, command, of),
+        ):
+            pytest.fail("nothing is drawn")
+    assert shown(out) == {"b": "2", "c": "2"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+def test_pictures_stay_beside_new_ones_of_the_same_state(source: Path, tmp_path: Path) -> None:
+    out, how = tmp_path / "out", {"inputs": [source], "options": {"layers": ["mask"]}}
+    seen(out, source, {"a": "1"}, **how)
+    seen(out, source, {"b": "1"}, **how)
+    assert shown(out) == {"a": "1", "b": "1"}
+    seen(out, source, {"c": "2"}, **{**how, "options": {"layers": ["depth"]}})
+    assert shown(out) == {"c": "2"}
+    source.write_text("changed")
+    seen(out, source, {"d": "3"}, **{**how, "options": {"layers": ["depth"]}})
+    assert shown(out) == {"d": "3"}
+    work = json.loads((out / WORK).read_text())
+    (out / WORK).write_text(json.dumps({**work, "skope": "0.0.1"}))
+    seen(out, source, {"e": "3"}, **{**how, "options": {"layers": ["depth"]}})
+    assert shown(out) == {"e": "3"}
+
+
+def test_a_users_file_among_the_pictures_is_neither_removed_nor_written_over(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    seen(out, "fleet", {"a": "1"})
+    (out / "notes").write_text("mine")
+    seen(out, "fleet", {"b": "2"})
+    assert shown(out) == {"b": "2", "notes": "mine"}
+    before = files_of(out)
+    with pytest.raises(UserError, match="out/notes is there already, and is no earlier look's; choose another folder"):
+        seen(out, "fleet", {"c": "3", "notes": "3"})
+    assert files_of(out) == before
+
+
+def test_a_look_that_fails_leaves_the_earlier_one_whole(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    seen(out, "fleet", {"a": "1"})
+    before = files_of(out)
+
+    def broken() -> None:
+        with look(out, "skope gen show", "fleet") as drawn:
+            (drawn / "a").write_text("2")
+            raise UserError("a broken image")
+
+    with pytest.raises(UserError, match="a broken image"):
+        broken()
+    assert files_of(out) == before
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_look_that_was_killed_while_it_moved_its_pictures_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, move = tmp_path / "out", Path.replace
+    seen(out, "fleet", {"a": "1", "b": "1"})
+
+    def killed(path: Path, target: Path) -> Path:
+        if path.name == "d":
+            raise KeyboardInterrupt
+        return move(path, target)
+
+    monkeypatch.setattr(Path, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        seen(out, "fleet", {"c": "2", "d": "2"})
+    monkeypatch.setattr(Path, "replace", move)
+    seen(out, "fleet", {"e": "3"})
+    assert shown(out) == {"e": "3"}
+
+
+def test_a_look_goes_on_where_all_has_moved_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here" / "data").mkdir(parents=True)
+    seen(tmp_path / "here/out", tmp_path / "here/data", {"a": "1"})
+    (tmp_path / "here").rename(tmp_path / "there")
+    monkeypatch.chdir(tmp_path / "there" / "data")
+    seen(Path("../out"), Path(), {"a": "2"})
+    assert shown(tmp_path / "there/out") == {"a": "2"}
+
+
+@pytest.mark.parametrize("name", ["../victim", "/victim", "..", "", "deep/a", 3, None])
+def test_a_strangers_record_removes_nothing_elsewhere(name: Any, tmp_path: Path) -> None:
+    out, victim = tmp_path / "out", tmp_path / "victim"
+    seen(out, "fleet", {"a": "1"})
+    (out / "deep").mkdir()
+    for path in (victim, out / "deep" / "a"):
+        path.write_text("dear")
+    name = str(victim) if name == "/victim" else name
+    work = json.loads((out / WORK).read_text())
+    for files in ([name], name):
+        (out / "a").unlink(missing_ok=True)
+        (out / WORK).write_text(json.dumps({**work, "files": files}))
+        seen(out, "fleet", {"a": "2"})
+        assert (victim.read_text(), shown(out)) == ("dear", {"a": "2", "deep/a": "dear"})
+
+
+# ---------------------------------------------------------------------------------------------------- folders and files
 
 
 def test_folders_of_other_files_and_files_are_refused_and_begun_ones_without_results_taken(tmp_path: Path) -> None:
@@ -86,9 +216,18 @@ def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
     before = path.stat().st_mtime_ns
     write_new(path, b"1")
     assert path.stat().st_mtime_ns == before
-    with pytest.raises(UserError, match=r"camera.json: is there already"):
-        write_new(path, b"2")
-    assert path.read_bytes() == b"1"
+    for content in (b"1", b"2"):
+        (tmp_path / "made").write_bytes(content)
+        refused = pytest.raises(UserError, match=r"camera.json: is there already") if content == b"2" else nullcontext()
+        with refused:
+            write_new(path, content)
+        with refused:
+            move_new(tmp_path / "made", path)
+        assert path.read_bytes() == b"1"
+    with pytest.raises(UserError, match="a: is there already"):
+        write_new(path.parent, b"1")
+    move_new(tmp_path / "made", path.parent / "moved")
+    assert (path.parent / "moved").read_bytes() == b"2"
 
 
 def scene(folder: Path, name: str, x: float) -> tuple[Path, Path]:

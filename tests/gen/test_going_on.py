@@ -1,8 +1,10 @@
 """What is done of a dataset is not lost: recordings that broke, shards that were begun, two that write at once."""
 
 import fcntl
+import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 from skope import files
 from skope.errors import UserError
+from tests import hostile
 from tests.gen.small import content, gen
 
 SITES = "t01_mill_corner,t01_main_west"
@@ -66,6 +69,58 @@ def test_a_recording_that_broke_is_made_again(whole: Path, tmp_path: Path) -> No
     assert again.returncode == 0, again.stderr
     assert f"{path}: is broken, and is made again" in again.stdout
     assert content(out) == content(whole)
+
+
+ONE = ("--sites", "t01_mill_corner", "--frames", "1", "--size", "160x120", "--renderer", "pybullet", "--workers", "1")
+COMMANDS = {
+    "gen": ("gen", "--out", "d", *ONE),
+    "simulate": ("gen", "simulate", "--out", "d", *ONE),
+    "render": ("gen", "render", "d", "--renderer", "pybullet", "--workers", "1"),
+    "repair": ("gen", "check", "d", "--repair", "--workers", "1"),
+    "shards": ("gen", "convert", "d", "tars", "--to", "shards"),
+}
+OPTIONAL = {"licence", "recordings"}
+"""Parameters that folders need not have."""
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "commands"),
+    [
+        (hostile.begun, ".work/parameters.json", ("gen", "simulate", "render")),
+        (hostile.complete, "dataset.json", ("gen", "simulate", "render", "repair", "shards")),
+    ],
+)
+def test_damaged_parameters_are_one_line(
+    make: Callable[[Path], Path], name: str, commands: tuple[str, ...], skope: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever field is missing, or of another kind, the file and the field are named and nothing is written."""
+    monkeypatch.setattr("skope.gen.crew.make_renderer", hostile.FlatRenderer)
+    path = make(Path("d")) / name
+    for image in Path("d").glob("images/*/*.jpg"):
+        image.unlink()  # so that there is something to repair
+    whole = json.loads(path.read_text())
+    held = whole["parameters"]
+    damaged: list[tuple[str, Any]] = [
+        (field, {name: value for name, value in held.items() if name != field})
+        for field in held.keys() - OPTIONAL - {"own"}  # which is null where there is none
+    ]
+    damaged += [(field, {**held, field: 1.5}) for field in ("renderer", "rules", "own", "seed", "shape_jitter")]
+    damaged += [
+        ("fov_deg", {**held, "fov_deg": "x"}),
+        ("sites", {**held, "sites": [3]}),
+        ("rules", {**held, "rules": {}}),
+    ]
+    damaged += [("", None), ("", [])]
+    for field, parameters in damaged:
+        rest = {key: value for key, value in whole.items() if key != "parameters"}
+        path.write_text(json.dumps(rest if parameters is None else {**rest, "parameters": parameters}))
+        before = content(Path("d"))
+        for command in commands:
+            code, _, error = skope(*COMMANDS[command], "--quiet")
+            assert (code, error.count("\n")) == (2, 1), (field, parameters, command, error)
+            assert f"skope: d/{name}: " in error
+            assert (f" parameters.{field}: expected " if field else " parameters: ") in error, (command, error)
+        assert content(Path("d")) == before
 
 
 def test_whoever_holds_the_lock_holds_the_file_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -143,7 +143,7 @@ def test_one_dataset_is_not_enough(skope: Any) -> None:
     assert (code, "expected two or more datasets and a new folder, got 1 before out" in err) == (2, True)
     dataset("b", BY, {"train": "pole"})
     code, _, err = skope("gen", "merge", "a", "b", "a", "-q")
-    assert (code, "a: is not empty; choose another folder" in err) == (2, True)
+    assert (code, "a: holds other files than these; choose another folder" in err) == (2, True)
 
 
 def test_licences() -> None:

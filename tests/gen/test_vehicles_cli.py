@@ -19,7 +19,7 @@ def test_the_list_has_a_line_for_each_model() -> None:
 def test_a_sheet_shows_the_vehicle_from_all_sides(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["gen", "vehicles", "show", "sedan", "--out", str(tmp_path), "--quiet"])
     assert result.exit_code == 0, result.output
-    assert [path.name for path in tmp_path.iterdir()] == ["sedan.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sedan.png", "work.json"]
     sheet = cv2.imread(str(tmp_path / "sedan.png"))
     assert sheet is not None
     rows, columns = 4, 3

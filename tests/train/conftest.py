@@ -7,9 +7,8 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNN, KeypointRCN
 from skope import detector
 
 
-@pytest.fixture
-def small_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Detectors of the same parts with a quarter of the weights, for tests of what happens around a network.
+def shrink(patch: pytest.MonkeyPatch) -> None:
+    """Have detectors made of the same parts with a quarter of the weights.
 
     Most of a short run is else spent on drawing, moving and saving 59 million weights.
     """
@@ -28,5 +27,11 @@ def small_network(monkeypatch: pytest.MonkeyPatch) -> None:
             **options,
         )
 
-    monkeypatch.setattr(detector, "resnet_fpn_backbone", backbone)
-    monkeypatch.setattr(detector, "KeypointRCNN", network)
+    patch.setattr(detector, "resnet_fpn_backbone", backbone)
+    patch.setattr(detector, "KeypointRCNN", network)
+
+
+@pytest.fixture
+def small_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small detectors, for tests of what happens around a network."""
+    shrink(monkeypatch)

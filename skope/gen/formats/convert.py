@@ -16,6 +16,7 @@ from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at
 from skope.gen.pack import FORMATS
+from skope.outputs import move_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ def convert(
     """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
 
     Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one. CVAT takes archives:
-    there `out` may be a zip file.
+    there `out` may be a zip file. What is there already is left as it is: the same is fine, anything else a UserError.
     """
     if read_as is not None:
         one_of("--from", read_as, READERS)
@@ -76,9 +77,8 @@ def convert(
     if read_as is None and len(sources) != 1:
         raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
     archive = write_as == "cvat" and out.suffix == ".zip"
-    if archive and out.exists():
-        raise UserError(f"{out}: is there already; choose another name")
-    with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as folder:
+    with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as whole:
+        folder = whole / "content" if archive else whole
         if read_as is None:
             _write(dataset_at(sources[0]), write_as or "folder", folder, options, console)
         elif write_as in (None, "folder"):
@@ -88,7 +88,8 @@ def convert(
                 _read(sources, Path(between), read_as, options, console)
                 _write(dataset_at(Path(between)), write_as, folder, options, console)
         if archive:
-            zipped(folder, out)
+            zipped(folder, whole / out.name)
+            move_new(whole / out.name, out)
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:

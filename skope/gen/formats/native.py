@@ -18,6 +18,7 @@ def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     takes = dataset.card.get("takes")
     if not takes or "parameters" not in dataset.card:
         raise UserError(f"{dataset.root / CARD}: takes, parameters: missing")
+    card.check_parameters(dataset.root / CARD, dataset.card["parameters"])
     if form == dataset.card.get("format"):
         raise UserError(f"{dataset.root}: is in this format already ({form})")
     writer = writer_of(form, out)

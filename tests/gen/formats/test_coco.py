@@ -86,7 +86,9 @@ def test_cvat_returns_what_it_holds(skope: Any, ours: Path, target: str) -> None
     assert np.array_equal(
         back.image(back.read("easy").images[0]), open_dataset(ours).image(open_dataset(ours).read("easy").images[0])
     )
-    code, _, err = skope("gen", "convert", "ours", target, "--to", "cvat", "-q")
+    assert skope("gen", "convert", "ours", target, "--to", "cvat", "-q")[0] == 0  # and finds it the same
+    make_dataset(Path("others"), seed=1)
+    code, _, err = skope("gen", "convert", "others", target, "--to", "cvat", "-q")
     assert code == 2
     assert target in err
 

@@ -17,6 +17,7 @@ from skope.dataset import open_dataset
 from skope.files import read_json, write_json
 from skope.gen.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
+from tests import hostile
 from tests.samples import make_annotation, make_dataset
 
 # ----------------------------------------------------------------------------------------------------------------- YOLO
@@ -288,9 +289,14 @@ def test_exports_share_the_images_of_the_dataset(skope: Any, ours: Path) -> None
         ({}, None, "manifest.json: no such file: only what `skope gen` made can be converted"),
         ({}, {}, "dataset.json: takes, parameters: missing"),
         (
-            {"takes": [["site", "00", "train", 13]], "parameters": {}},
+            {"takes": [["site", "00", "train", 13]], "parameters": hostile.parameters()},
             None,
             "train: has fewer images than its card says",
+        ),
+        (
+            {"takes": [["site", "00", "train", 13]], "parameters": {**hostile.parameters(), "rules": {}}},
+            None,
+            "dataset.json: parameters.rules: expected occlusion, ",
         ),
     ],
 )

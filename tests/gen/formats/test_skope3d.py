@@ -291,7 +291,7 @@ def test_our_export_returns(skope: Any) -> None:
 def test_out_must_be_empty_and_flags_must_fit(skope: Any) -> None:
     make_dataset(Path("ours"))
     for arguments, said in (
-        (("ours", "ours", "--to", "skope3d"), "ours: is not empty; choose another folder"),
+        (("ours", "ours", "--to", "skope3d"), "ours: holds other files than these; choose another folder"),
         (("ours", "new"), "say --to which format, or --from which one"),
         (("ours", "new", "--to", "pascal"), "--to: 'pascal' is not one of folder, shards"),
         (("ours", "new", "--from", "pascal"), "--from: 'pascal' is not one of"),
