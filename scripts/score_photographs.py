@@ -9,13 +9,14 @@ have a box, so that it counts for keypoints only. A box with `iscrowd` 1 is a re
 nor wrong.
 
 Writes metrics.json, predictions.json, sheets of labels beside predictions, and adds a line to looks.jsonl, a record of
-how often these photographs were looked at: what development has looked at is no test.
+how often these photographs were looked at: what development has looked at is no test. A folder with other work in it, of
+other labels, weights or options, is refused.
 """
 
 import argparse
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, detector, draw, keypoints
+from skope import coco, dataset, draw, keypoints, names
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.coco_ap import average_precision
@@ -36,6 +37,7 @@ from skope.eval.predict import Predictor
 from skope.eval.settings import PRECISIONS, Settings
 from skope.eval.tally import Options, judge, lengths
 from skope.files import read_json, sha256_of, write_json
+from skope.outputs import claim
 from skope.schema import Annotation, AnnotationFile, Result
 
 IOU: Final = 0.5
@@ -53,6 +55,8 @@ EXCHANGES: Final = {
 """Kind of flip -> (33,) index of the keypoint that each keypoint is taken for."""
 FEWEST_POINTS: Final = 4
 """Labelled keypoints of a vehicle that it takes to call it flipped."""
+FARTHEST_PX: Final = 1e6
+"""Of boxes and keypoints that are taken for what they are."""
 RESAMPLES: Final = 2000
 PANEL_PX: Final = 1280
 """Width of a photograph on a sheet."""
@@ -102,23 +106,37 @@ def read_photographs(path: Path) -> Photographs:
     if path.is_dir():
         found = sorted(path.glob("*.json"))
         if len(found) != 1:
-            names = ", ".join(p.name for p in found) or "none"
-            raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {names}")
+            there = ", ".join(p.name for p in found) or "none"
+            raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {there}")
         (source,) = found
     file = coco.read(source)
     if file.scheme is not keypoints.SKOPE33:
         raise UserError(f"{source}: has keypoint scheme {file.scheme.name}, expected {keypoints.SCHEME}")
     images, complete = [], set()
     for i, (image, row) in enumerate(zip(file.images, read_json(source)["images"], strict=True)):
-        whole = row.get("boxes_complete", True)
+        where = f"{source}: images[{i}]"
+        whole, scene = row.get("boxes_complete", True), row.get("scene")
         if not isinstance(whole, bool):
-            raise UserError(f"{source}: images[{i}]: boxes_complete: expected true or false, got {whole!r}")
-        if not (source.parent / image.file_name).is_file():
-            raise UserError(f"{source}: images[{i}]: {source.parent / image.file_name}: no such file")
-        images.append(replace(image, site=str(row.get("scene") or image.site or UNNAMED)))
+            raise UserError(f"{where}: boxes_complete: expected true or false, got {whole!r}")
+        if scene not in (None, ""):
+            names.name(f"{where}: scene", scene)
+        try:
+            dataset.read_image(source.parent / image.file_name, (image.width, image.height))
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from None
+        images.append(replace(image, site=scene or image.site or UNNAMED))
         if whole:
             complete.add(image.id)
+    check_places(f"{source}: annotations", file.annotations)
     return Photographs(source=source, file=replace(file, images=tuple(images)), complete=frozenset(complete))
+
+
+def check_places(records: str, rows: Sequence[Annotation] | Sequence[Result]) -> None:
+    """Raise a UserError where a box or keypoint is so far off that its area or distance is no number any more."""
+    for i, row in enumerate(rows):
+        for name, values in (("bbox", row.bbox), ("keypoints", row.keypoints)):
+            if (farthest := float(np.abs(values).max())) > FARTHEST_PX:
+                raise UserError(f"{records}[{i}]: {name}: expected at most {FARTHEST_PX:g} px, got {farthest:g}")
 
 
 # ----------------------------------------------------------------------------------------------------------- figures
@@ -346,7 +364,7 @@ def write_sheets(photographs: Photographs, results: Sequence[Result], score: flo
 
 
 def _shrunk(pixels: draw.Pixels) -> draw.Pixels:
-    size = (PANEL_PX, round(pixels.shape[0] * PANEL_PX / pixels.shape[1]))
+    size = (PANEL_PX, max(1, round(pixels.shape[0] * PANEL_PX / pixels.shape[1])))
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -379,11 +397,17 @@ def run(options: argparse.Namespace) -> None:
     given = weights = None
     if options.checkpoint:
         settings = Settings(device=options.device, precision=options.precision)
-        weights = detector.find_checkpoint(options.checkpoint)
-        results = predict(weights, settings, photographs, Console())
-        given = predict(weights, replace(settings, given=True), photographs, Console(quiet=True))
+        predictor = Predictor(options.checkpoint, settings, Console())
+        predictor.check_scheme(photographs.file.scheme, photographs.source)
+        weights = predictor.weights
+        claim_folder(options, photographs, predictor.files)
+        results = predict(predictor, photographs)
+        in_boxes = Predictor(weights, replace(settings, given=True), Console(quiet=True))
+        given = predict(in_boxes, photographs)
     else:
         results = read_results(options.predictions, photographs.file)
+        check_places(f"{options.predictions}: results", results)
+        claim_folder(options, photographs, [options.predictions])
     metrics = {
         "annotations": str(photographs.source),
         "checkpoint": str(weights) if weights else None,
@@ -404,10 +428,14 @@ def run(options: argparse.Namespace) -> None:
     print(f"Wrote metrics.json, predictions.json, looks.jsonl and {len(sheets)} sheets to {out}")
 
 
-def predict(weights: Path, settings: Settings, photographs: Photographs, console: Console) -> tuple[Result, ...]:
-    """What the weights find, as a results file has it: rounded, so that scoring the file gives the same figures."""
-    predictor = Predictor(weights, settings, console)
-    predictor.check_scheme(photographs.file.scheme, photographs.source)
+def claim_folder(options: argparse.Namespace, photographs: Photographs, scored: Iterable[Path]) -> None:
+    """Take the output folder; a UserError where it holds other work than that of the labels and the files `scored`."""
+    told = {"score": options.score, "number_format": options.precision if options.checkpoint else None}
+    claim(options.out, "score_photographs.py", [photographs.source, *scored], told)
+
+
+def predict(predictor: Predictor, photographs: Photographs) -> tuple[Result, ...]:
+    """What is found, as a results file has it: rounded, so that scoring the file gives the same figures."""
     found = predictor.split(photographs.file, photographs.source.parent)
     return tuple(coco.result_from_dict(coco.result_to_dict(result)) for result in found)
 

@@ -311,15 +311,27 @@ def detect(
     min_score: float = MIN_SCORE,
     max_detections: int = MAX_DETECTIONS,
 ) -> list[Detections]:
-    """Find vehicles in `images`, each (H, W, 3) sRGB; they go through the network as one batch."""
+    """Find vehicles in `images`, each (H, W, 3) sRGB; they go through the network as one batch.
+
+    In an image that is less than a pixel wide or high inside the network there are none.
+    """
+    seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
-        answers = model([_as_tensor(image, device) for image in images])
-    return [
-        Detections(
+        answers = model([_as_tensor(images[i], device) for i in seen]) if seen else []
+    found = {
+        i: Detections(
             _float64(a["boxes"]), _float64(a["scores"]), _with_probability(a["keypoints"], a["keypoints_scores"])
         )
-        for a in answers
-    ]
+        for i, a in zip(seen, answers, strict=True)
+    }
+    nothing = Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)))
+    return [found.get(i, nothing) for i in range(len(images))]
+
+
+def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
+    """Of an image inside the network, pixels."""
+    short, long = sorted(image.shape[:2])
+    return float(short * min(model.transform.min_size[-1] / short, model.transform.max_size / long))
 
 
 def detect_on_boxes(

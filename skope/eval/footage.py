@@ -5,6 +5,7 @@ import contextlib
 import glob
 import itertools
 import math
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import dataset
+from skope import dataset, names
 from skope.errors import UserError
 from skope.eval import live
 from skope.schema import Image
@@ -77,6 +78,12 @@ class Footage:
     """What could not be read, in one line each."""
 
     @property
+    def names(self) -> list[str]:
+        """Of the images: their paths inside the folder that holds them all."""
+        folder = os.path.commonpath([path.parent for path in self.images]) if self.images else ""
+        return [path.relative_to(folder).as_posix() for path in self.images]
+
+    @property
     def live(self) -> bool:
         """Whether it cannot be read again."""
         return self.clip is not None and self.clip.live
@@ -108,14 +115,14 @@ class Footage:
         return self._of_file(self.clip, first) if self.clip.times_s else self._of_video(self.clip, first)
 
     def _of_images(self, first: int) -> Iterator[tuple[Image, Pixels]]:
-        folder = self.images[0].parent
-        for number, path in enumerate(self.images[:: self.cut.every][first:], start=first + 1):
+        every = self.cut.every
+        whole = zip(self.images[::every], self.names[::every], strict=True)
+        for number, (path, name) in enumerate(itertools.islice(whole, first, None), start=first + 1):
             try:
                 pixels = dataset.read_image(path)
             except UserError as error:
                 self._skip(str(error))
                 continue
-            name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
             yield _image(number, name, pixels, number - 1, None), pixels
 
     def _wanted(self, clip: Clip) -> range:
@@ -200,6 +207,16 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
     cut = cut or Cut()
     if "://" in source:
         return Footage("stream", cut, clip=_looked_at(source))
+    footage = _on_this_machine(source, cut)
+    for image, name in zip(footage.images, footage.names, strict=True):
+        if not names.is_relative(name):
+            raise UserError(
+                f"{str(image)!r}: no name for a dataset (control characters, backslashes)"
+            )
+    return footage
+
+
+def _on_this_machine(source: str, cut: Cut) -> Footage:
     path = Path(source)
     if path.is_dir():
         found = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))

@@ -1,10 +1,13 @@
 """What a run has found so far, line by line, so that a stopped one goes on."""
 
+import contextlib
+import fcntl
 import itertools
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from skope.errors import UserError
 
@@ -13,7 +16,7 @@ class Progress:
     """Rows (JSON objects) of a run in a file that is there only until the run is done.
 
     The file belongs to the work that its folder was claimed for: what is in it counts. Raises UserError where it
-    cannot be written.
+    cannot be written, and where another run is writing it.
     """
 
     def __init__(self, path: Path, fields: tuple[str, ...]) -> None:
@@ -22,18 +25,36 @@ class Progress:
         self.count = 0
         """How many rows an earlier run left behind: objects with these `fields`, up to the first damaged one."""
         whole = 0
-        try:
+        with self._writing():
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch()
-            with path.open("r+b") as file:
-                for line in file:
-                    if self._row(line) is None:
-                        break
-                    self.count += 1
-                    whole += len(line)
-                file.truncate(whole)
+            self._file = self._locked()
+            for line in self._file:
+                if self._row(line) is None:
+                    break
+                self.count += 1
+                whole += len(line)
+            self._file.truncate(whole)
+
+    def _locked(self) -> IO[bytes]:
+        """The file, held until it is closed or the process ends."""
+        while True:
+            file = self._path.open("a+b")
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UserError(f"{self._path.parent}: another run is at work here; wait for it, or stop it") from None
+            # Whoever held it until now may have ended and taken it away.
+            if self._path.exists() and os.path.samestat(os.fstat(file.fileno()), self._path.stat()):
+                file.seek(0)
+                return file
+            file.close()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
         except OSError as error:
-            raise UserError(f"{path.parent}: cannot be written: {error.strerror or error}") from None
+            raise UserError(f"{self._path.parent}: cannot be written: {error.strerror or error}") from None
 
     def _row(self, line: bytes) -> dict[str, Any] | None:
         try:
@@ -51,9 +72,11 @@ class Progress:
 
     def add(self, row: dict[str, Any]) -> None:
         """Write a row down."""
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        with self._writing():
+            self._file.write(json.dumps(row).encode() + b"\n")
+            self._file.flush()
 
     def end(self) -> None:
         """The run is done: its files say what was found."""
         self._path.unlink()
+        self._file.close()

@@ -14,6 +14,8 @@ from skope.outputs import claim
 from skope.weights import REFERENCE
 
 _FITTED = ("auto", "fit")
+_HIGHEST = 10_000.0
+_MOST_PIXELS = 10_000.0
 PREDICTED = Path("runs/predict")
 
 FolderArgument = Annotated[Path | None, typer.Argument(help="Folder that `skope eval predict` wrote.")]
@@ -195,6 +197,8 @@ def track(
     _probability("--score", score)
     _pixels("--noise", noise)
     _pixels("--sigma", sigma)
+    if fps is not None and not 0.001 <= fps <= 1000:
+        raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
     scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
     console = Console(quiet)
     if ground in _FITTED:
@@ -253,7 +257,12 @@ def _ground(text: str) -> float | None:
     """Height of the plane to begin with; None: no plane."""
     if text in _FITTED:
         return 0.0
-    return None if text == "none" else _numbers("--ground", text)[0]
+    if text == "none":
+        return None
+    heights = _numbers("--ground", text)
+    if len(heights) > 1 or abs(heights[0]) > _HIGHEST:
+        raise UserError(f"--ground: expected a height in metres up to {_HIGHEST:g}, got {text!r}")
+    return heights[0]
 
 
 def _numbers(flag: str, text: str) -> list[float]:
@@ -268,8 +277,8 @@ def _numbers(flag: str, text: str) -> list[float]:
 
 def _pixels(flag: str, *values: float | None) -> None:
     for value in values:
-        if value is not None and not 0 <= value < math.inf:
-            raise UserError(f"{flag}: expected pixels from 0, got {value:g}")
+        if value is not None and not 0 <= value <= _MOST_PIXELS:
+            raise UserError(f"{flag}: expected pixels from 0 to {_MOST_PIXELS:g}, got {value:g}")
 
 
 def _probability(flag: str, value: float) -> None:

@@ -82,8 +82,6 @@ def _times(scene: Scene, fps: float | None) -> list[float]:
     if len(images) < 2:
         raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
     if fps is not None:
-        if not 0 < fps <= 1000:
-            raise UserError(f"--fps: expected a number from 0 to 1000, got {fps:g}")
         index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(images)]
         if any(b <= a for a, b in itertools.pairwise(index)):
             index = list(range(len(images)))

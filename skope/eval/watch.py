@@ -2,10 +2,11 @@
 
 import hashlib
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 from skope import coco, draw
@@ -49,8 +50,11 @@ def predict(job: Job, console: Console) -> list[Path]:
     """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
     predictor = Predictor(job.checkpoint, job.settings, console)
     _claim(job, predictor.files)
-    progress = Progress(job.out / _PROGRESS, ("image", "results"))
-    images = [coco.image_from_dict(row["image"]) for row in progress.rows()]
+    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped"))
+    images = []
+    for row in progress.rows():
+        images.append(coco.image_from_dict(row["image"]))
+        job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
     last = images[-1].id if images else 0
     if images:
         console.say(f"{job.footage.name}: going on after frame {last}")
@@ -59,7 +63,8 @@ def predict(job: Job, console: Console) -> list[Path]:
         try:
             for bare, found in predictor.each(job.footage.frames(last)):
                 image = with_camera(bare, job.camera)
-                progress.add({"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))})
+                told = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
+                progress.add({**told, "skipped": list(job.footage.skipped)})
                 images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
@@ -99,13 +104,14 @@ def _claim(job: Job, files: Sequence[Path]) -> None:
 
 
 def _content(footage: Footage) -> str:
-    """What the frames are, wherever their files lie: a checksum; of a live stream, which comes only once, its begin."""
+    """What the frames are, wherever their files lie, by checksums; of a live stream, which comes but once, its begin."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and "://" in footage.clip.address:
         return footage.clip.address
     files = [Path(footage.clip.address)] if footage.clip else footage.images
-    return hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
+    digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
+    return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
 
 
 def _overlay(job: Job, progress: Progress, count: int, scheme: Scheme, console: Console) -> Path:
@@ -113,8 +119,10 @@ def _overlay(job: Job, progress: Progress, count: int, scheme: Scheme, console: 
     drawn = console.bar(_drawn(job, progress, scheme), total=count, unit="image", label="overlay")
     if job.footage.clip is None:
         folder = job.out / OVERLAYS
+        shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
         for image, pixels in drawn:
-            draw.write(folder / f"{Path(image.file_name).stem}.jpg", pixels)
+            bare = PurePath(image.file_name).with_suffix("")
+            draw.write(folder / f"{bare if shared[bare] == 1 else image.file_name}.jpg", pixels)
         return folder
     path = job.out / OVERLAY
     with replacing(path) as temporary:
