@@ -19,6 +19,12 @@ from skope.files import read_bytes
 from skope.outputs import write_new
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
+_UNKNOWN: Final = 0.3
+"""Standard deviation of focal length and height, as shares of them, from which a camera is worth nothing ..."""
+_UNKNOWN_TILT: Final = math.radians(10)
+"""... and that of the tilt, this times as much."""
+_WRONG_PX: Final = 3.0
+"""Distance of a marked point from where the camera sees it, from which it is to be looked at again."""
 
 
 def from_vehicles(
@@ -39,6 +45,14 @@ def from_vehicles(
         "roll_deg": math.degrees(fit.sigma_roll),
         "height": fit.sigma_height,
     }
+    focal, height = fit.camera.K[0, 0], fit.camera.position[2]
+    if max(fit.sigma_focal / focal, fit.sigma_height / height, fit.sigma_pitch / _UNKNOWN_TILT) > _UNKNOWN:
+        raise UserError(
+            f"{scene.file.name}: {fit.vehicles} vehicles do not tell the camera: focal length {focal:.0f} px with a "
+            f"standard deviation of {fit.sigma_focal:.0f}, height {height:.1f} m of {fit.sigma_height:.1f}, tilt "
+            f"{math.degrees(fit.camera.angles[1]):.1f} degrees of {sigma['pitch_deg']:.1f}; vehicles of more directions "
+            f"and distances may, or marked points (--points)"
+        )
     yield from _written(out, fit.camera, {"vehicles": fit.vehicles, "sigma": sigma})
     _, pitch, roll = (math.degrees(angle) for angle in fit.camera.angles)
     yield f"focal length {fit.camera.K[0, 0]:.0f} px, one standard deviation {fit.sigma_focal:.0f}"
@@ -57,6 +71,10 @@ def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
         raise UserError(f"{path}: {error}") from None
     yield from _written(out, fit.camera, {"points": len(pixels), "rms_px": fit.rms_px})
     yield f"focal length {fit.camera.K[0, 0]:.0f} px; {len(pixels)} points {fit.rms_px:.2f} px off (root mean square)"
+    off = np.linalg.norm(fit.camera.project(world)[0] - pixels, axis=1)
+    for number, (pixel, place, distance) in enumerate(zip(pixels, world, off, strict=True), start=1):
+        where = f"point {number}: pixel ({pixel[0]:g}, {pixel[1]:g}), world ({', '.join(f'{v:g}' for v in place)})"
+        yield f"{where}: {distance:.2f} px off{'; wrong?' if distance > _WRONG_PX else ''}"
 
 
 def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str]:

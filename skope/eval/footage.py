@@ -210,9 +210,7 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
     footage = _on_this_machine(source, cut)
     for image, name in zip(footage.images, footage.names, strict=True):
         if not names.is_relative(name):
-            raise UserError(
-                f"{str(image)!r}: no name for a dataset (control characters, backslashes)"
-            )
+            raise UserError(f"{str(image)!r}: no name for a dataset (control characters, backslashes)")
     return footage
 
 
@@ -251,7 +249,7 @@ def _times(video: str) -> tuple[float, ...]:
 
     Empty where they do not say it, or two frames at once.
     """
-    capture = cv2.VideoCapture(video, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    capture = cv2.VideoCapture(names.for_opencv(video), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
         times = []
         while capture.grab():
@@ -290,7 +288,7 @@ def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
 
 @contextlib.contextmanager
 def _opened(video: str) -> Iterator[cv2.VideoCapture]:
-    capture = cv2.VideoCapture(video)
+    capture = cv2.VideoCapture(names.for_opencv(video))
     try:
         if not capture.isOpened():
             raise UserError(f"{video}: neither an image nor a video that can be opened")

@@ -42,7 +42,8 @@ class Located:
 def locate_view(view: View, scene: Scene) -> Located:
     """Poses of the vehicles of an image of a scene."""
     camera = scene.camera_of(view.image)
-    return Located(view, camera, locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground))
+    poses = locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground, cut=view.cut)
+    return Located(view, camera, poses)
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:

@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
 fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
-FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt")
+FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
 """What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
 for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
-end that faces away from the camera."""
+end that faces away from the camera; the image shows a part of the vehicle only."""
 
 _CHUNK: Final = 128
 _AGREE: Final = 0.4
@@ -107,24 +107,26 @@ def locate(
     sigma_px: ArrayLike = 2.0,
     ground: Ground | None = Ground(),  # noqa: B008 (frozen)
     shapes: Shapes | None = None,
+    cut: ArrayLike = False,
 ) -> Poses:
     """Pose and shape of vehicles from their keypoints (N, 33, 3): x, y in pixels and the probability that it is right.
 
     Keypoints with probability 0 do not count. `sigma_px`, one for all or one a vehicle, is the standard deviation
     of a keypoint of probability 1. `ground` is where the road is in the camera's world; None: unknown, so that distance
-    rests on the size of vehicles alone. `shapes` are the body types to choose from, by default the fleet's.
+    rests on the size of vehicles alone. `shapes` are the body types to choose from, by default the fleet's. Of vehicles
+    that the image's edge may `cut`, one for all or one each, keypoints beyond the edge do not count.
     """
     found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
+    at_edge = np.broadcast_to(np.asarray(cut, dtype=bool), len(found))
     space = shapes or fleet_shapes()
     if ground and not ground.level:
         camera, flat = levelled(camera, ground)
-        return locate(camera, found, sigma_px=sigma, ground=flat, shapes=space).moved(ground.T_world_level)
+        level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
+        return level.moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
-    chunks = [
-        _locate(camera, found[i : i + _CHUNK], sigma[i : i + _CHUNK], ground, space, rng)
-        for i in range(0, len(found), _CHUNK)
-    ]
+    parts = [slice(i, i + _CHUNK) for i in range(0, len(found), _CHUNK)]
+    chunks = [_locate(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
     return _joined(chunks)
 
 
@@ -135,21 +137,27 @@ def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
 
 
 def _locate(
-    camera: Camera, found: Array, sigma: Array, ground: Ground | None, shapes: Shapes, rng: np.random.Generator
+    camera: Camera,
+    found: Array,
+    sigma: Array,
+    cut: NDArray[np.bool_],
+    ground: Ground | None,
+    shapes: Shapes,
+    rng: np.random.Generator,
 ) -> Poses:
     seen = observe(camera, found, sigma)
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
     doubtful = (share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
-    poor = np.flatnonzero(doubtful & (seen.count >= FEWEST[ground is not None]))
+    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST[ground is not None]))
     if poor.size:
         retry_from_subsets(seen, fits, poor, shapes, ground, rng)
         whole = seen.take(poor)
-        seen, margin = without_hidden(camera, seen, fits, poor, shapes, ground)
+        seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
         doubted.update(poor[margin < RIVAL].tolist())
         seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
-    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted)
+    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
 
 
 def _judged(
@@ -160,6 +168,7 @@ def _judged(
     ground: Ground | None,
     exchanged: dict[int, str],
     doubted: set[int],
+    cut: NDArray[np.bool_],
 ) -> Poses:
     squared = fits.squared[:, 0]
     used = (squared <= INLIER) & seen.counted
@@ -188,7 +197,10 @@ def _judged(
         used=used,
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
         refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST[ground is not None]),
-        flags=tuple(_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted) for i in range(len(T))),
+        flags=tuple(
+            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted), *(["cut"] if cut[i] else []))
+            for i in range(len(T))
+        ),
     )
 
 

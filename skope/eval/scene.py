@@ -26,6 +26,14 @@ MATCH_IOU: Final = 0.6
 """From which a detection's box and a ground-truth vehicle's belong together."""
 _SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
+_NEAR: Final = 0.04
+"""How far a predicted box that the image cuts may end from the edge, as a share of its longer edge ..."""
+_NEAR_PX: Final = 4.0
+"""... or pixels."""
+_AT: Final = 0.02
+"""How far from that edge a keypoint is taken to be pushed there, likewise ..."""
+_AT_PX: Final = 2.0
+"""... or pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +49,8 @@ class View:
     """(N,)"""
     boxes: Array
     """(N, 4) x, y, width, height."""
+    cut: NDArray[np.bool_]
+    """(N,) whose box reaches the image's edge: the image may show a part of them only."""
     truth: tuple[Annotation | None, ...]
     """(N,) the ground-truth vehicle that each is, or that it matches; None: none, or nobody knows."""
 
@@ -119,7 +129,8 @@ def _labelled(
     found[..., 2] = found[..., 2] == 2
     known = max(noise, 0.5) if sigma is None else sigma
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
-    return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, kept)
+    cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
+    return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, cut, kept)
 
 
 def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigma: float | None) -> View:
@@ -130,7 +141,19 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
         np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
     )
     scores = np.array([r.score for r in results])
-    return View(image, found, spread, scores, boxes, tuple(vehicle for _, vehicle in pairs))
+    longer = boxes[:, 2:].max(axis=1, initial=0.0)
+    reached = _margins(image, boxes) <= np.maximum(_NEAR_PX, _NEAR * longer)[:, None]
+    # A detector puts what the image does not show at the edge, with high scores.
+    edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
+    at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
+    found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
+    return View(image, found, spread, scores, boxes, reached.any(axis=1), tuple(vehicle for _, vehicle in pairs))
+
+
+def _margins(image: Image, boxes: Array) -> Array:
+    """(..., 4) pixels between boxes x, y, width, height and the left, top, right and bottom edge of the image."""
+    x, y, w, h = np.moveaxis(boxes, -1, 0)
+    return np.stack([x, y, image.width - x - w, image.height - y - h], axis=-1)
 
 
 def read_scene(

@@ -70,11 +70,12 @@ def retry_from_subsets(
 
 
 def without_hidden(
-    camera: Camera, seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None
+    camera: Camera, seen: Observed, fits: Fits, poor: Rows, cut: Mask, shapes: Shapes, ground: Ground | None
 ) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
 
-    Detectors give those high scores too. Returns `seen` without what was left out where that explains more (a keypoint
+    Of those that the image's edge may `cut`, keypoints beyond the edge are left out likewise. Detectors give all of
+    these high scores too. Returns `seen` without what was left out where that explains more (a keypoint
     that is hidden may lie anywhere, at the cost `_HIDDEN`), and by how much the opposite heading costs more.
     """
     some, every = seen.take(poor), np.arange(len(poor))
@@ -84,6 +85,7 @@ def without_hidden(
         guess, reached = best.take(every), np.full(len(poor), np.inf)
         for look in range(_LOOKS):
             shown = _shown(camera, guess, shapes, ground, turned=turned and not look)
+            shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
             enough = (some.counted & shown).sum(axis=1) >= FEWEST[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
             guess = best_types(tried, shapes, ground)
@@ -111,6 +113,14 @@ def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *,
         R = R * np.array([-1.0, -1.0, 1.0])
     eye = (np.zeros(3) if ground is None else camera.position) - p
     return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
+
+
+def _inside(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
+    """(N, 33) the keypoints that the best fit puts inside the image."""
+    points = np.einsum("nij,nkj->nki", fits.R[:, 0], shapes.mean[fits.kind[:, 0], :-1]) + fits.p[:, 0, None]
+    from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
+    pixels, _, valid = from_here.project(points.reshape(-1, 3))
+    return np.asarray(valid & from_here.inside(pixels)).reshape(points.shape[:2])
 
 
 def retry_exchanged(

@@ -104,7 +104,7 @@ def _claim(job: Job, files: Sequence[Path]) -> None:
 
 
 def _content(footage: Footage) -> str:
-    """What the frames are, wherever their files lie, by checksums; of a live stream, which comes but once, its begin."""
+    """What the frames are, wherever their files lie, by checksums; of a live stream, which comes once, its begin."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and "://" in footage.clip.address:

@@ -1,6 +1,7 @@
 """Output folders: own work goes on or is made again, other work is refused and left as it is."""
 
 import json
+import os
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -224,8 +225,15 @@ def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
         with refused:
             move_new(tmp_path / "made", path)
         assert path.read_bytes() == b"1"
-    with pytest.raises(UserError, match="a: is there already"):
+    with pytest.raises(UserError, match="a: is a folder; choose another file"):
         write_new(path.parent, b"1")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "nowhere").symlink_to(tmp_path / "gone")
+    for name in ("pipe", "nowhere"):
+        with pytest.raises(UserError, match=f"{name}: is there already, and no regular file"):
+            write_new(tmp_path / name, b"1")
+    with pytest.raises(UserError, match=r"camera\.json/x: cannot be written: .*camera\.json is a file"):
+        write_new(path / "x", b"1")
     move_new(tmp_path / "made", path.parent / "moved")
     assert (path.parent / "moved").read_bytes() == b"2"
 

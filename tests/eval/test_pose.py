@@ -2,6 +2,7 @@
 where the keypoints are nonsense."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -13,9 +14,12 @@ from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.eval import pose, second
 from skope.eval.hidden import facing
+from skope.eval.located import locate_view
 from skope.eval.refine import Ground
+from skope.eval.scene import Scene
 from skope.eval.shapes import Shapes, fleet_shapes, read_shapes
 from skope.gen.vehicles import fleet
+from skope.schema import AnnotationFile, Image, Result
 from tests.eval.seen import CAMERA, scene
 
 SPACE = fleet_shapes()
@@ -231,3 +235,38 @@ def test_keypoints_that_the_body_hides_may_lie_anywhere() -> None:
     assert np.percentile(degrees, 80) < 5
     kept = poses.used[np.array([reason is None for reason in poses.refusal])]
     assert 0.3 < kept.mean() < 0.7
+
+
+def test_what_a_detector_pushes_to_the_images_edge_does_not_turn_the_vehicle() -> None:
+    """Of a vehicle that the image shows in part, all points lie in what is left of its box, with high scores."""
+    rng = np.random.default_rng(5)
+    whole = scene([SPACE.mean[i % len(SPACE.types), :-1] for i in range(40)], rng, noise=1.0, far=25)
+    images, results = [], []
+    for number, row in enumerate(whole.found, start=1):
+        xy = row[row[:, 2] > 0, :2]
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        width = math.ceil(low[0] + 0.6 * (high[0] - low[0]))
+        camera = replace(CAMERA, width=width)
+        image = Image(
+            id=number, file_name=f"{number}.jpg", width=width, height=CAMERA.height, camera=camera, time_s=float(number)
+        )
+        points = np.column_stack([np.minimum(row[:, 0], width - 0.5), row[:, 1:]])
+        box = np.array([*low, width - low[0], high[1] - low[1]])
+        images.append(image)
+        results.append(Result(image_id=number, score=0.99, bbox=box, keypoints=points))
+    file = AnnotationFile(images=tuple(images), annotations=(), info={}, name="cut", scheme=keypoints.SKOPE33)
+    road = Scene(file, tuple(results), None, Ground())
+
+    turned: dict[bool, list[float]] = {True: [], False: []}
+    for view, result, yaw in zip(road.views(sigma_px=2.0), results, whole.yaw, strict=True):
+        assert view.cut.all()
+        pushed = replace(view, found=result.keypoints[None].copy(), cut=np.array([False]))
+        for known, one in ((True, view), (False, pushed)):
+            poses = locate_view(one, road).poses
+            assert ("cut" in poses.flags[0]) == known
+            if poses.refusal[0] is None:
+                axis = (poses.yaw[0] - yaw + math.pi / 2) % math.pi - math.pi / 2
+                turned[known].append(abs(math.degrees(axis)))
+    assert len(turned[True]) >= 20
+    assert np.median(turned[True]) < 2.5
+    assert np.median(turned[True]) < 0.5 * np.median(turned[False])

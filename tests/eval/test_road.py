@@ -478,6 +478,37 @@ def test_a_camera_from_marked_points_is_written_and_read(skope: Any) -> None:
     assert not Path("runs").exists()
 
 
+def test_marked_points_that_are_off_are_named(skope: Any) -> None:
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(8, 40, 12), rng.uniform(-8, 8, 12), np.zeros(12)]) + [3, -2, 0]
+    pixels, _, _ = CAMERA.project(ground)
+    pixels[4] += [12, -9]
+    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz)) for uv, xyz in zip(pixels, ground, strict=True)]
+    Path("p.csv").write_text("column,row,x,y,z\n" + "\n".join(lines) + "\n")
+    code, out, _ = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080", "--out", "c.json")
+    assert code == 0
+    told = [line for line in out.splitlines() if line.startswith("point ")]
+    off = [float(line.rsplit(": ", 1)[1].split(" px")[0]) for line in told]
+    assert len(told) == 12
+    assert int(np.argmax(off)) == 4
+    assert told[4].endswith("px off; wrong?")
+    fitted, _ = read_camera(Path("c.json"))
+    assert off == pytest.approx(np.linalg.norm(fitted.project(ground)[0] - pixels, axis=1), abs=0.006)
+
+
+def test_a_camera_that_nobody_knows_is_not_written(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fit(sample: camera_fit.Sample) -> camera_fit.CameraFit:
+        return camera_fit.CameraFit(CAMERA, len(sample.found), 554_225.0, 0.01, 0.01, 0.2)
+
+    coco.write(Path("road.json"), drive(2, 5, speeds=(6.0, 3.0)))
+    monkeypatch.setattr("skope.eval.camera_fit.fit_camera", fit)
+    code, _, error = skope("eval", "camera", "--annotations", "road.json", "--noise", 1, "--out", "c.json")
+    assert code == 2
+    assert "with a standard deviation of 554225" in error
+    assert "--points" in error
+    assert not Path("c.json").exists()
+
+
 def test_a_camera_without_a_pose_is_its_own_world(skope: Any) -> None:
     """Then there is no ground, and positions are the camera's."""
     file = drive(0.4, 5)
