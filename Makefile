@@ -4,7 +4,8 @@
 #   make test        set up, run the tests (make test-slow: those that take minutes)
 #   make lint        ruff and mypy
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
-#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) reference
+#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) reference,
+#                    SCORED=folder to write to
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/
@@ -19,6 +20,7 @@ RUN     ?= runs/skope
 EPOCHS  ?= 10
 RECIPE  ?= paper
 CHECKPOINT ?= reference
+SCORED  ?= runs/real
 
 .PHONY: setup demo paper real test test-slow lint data model report bench clean
 
@@ -73,7 +75,7 @@ paper: $(STAMP)
 # Without REAL nothing is set up first, so that what is missing is told at once.
 real: $(if $(REAL),$(STAMP))
 	$(if $(REAL),,$(error REAL is not set: make real REAL=folder names a folder of labelled photographs))
-	$(VENV)/bin/python scripts/score_photographs.py "$(REAL)" --checkpoint "$(CHECKPOINT)"
+	$(VENV)/bin/python scripts/score_photographs.py "$(REAL)" --checkpoint "$(CHECKPOINT)" --out "$(SCORED)"
 
 bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_eval.py

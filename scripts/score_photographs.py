@@ -9,8 +9,8 @@ have a box, so that it counts for keypoints only. A box with `iscrowd` 1 is a re
 nor wrong.
 
 Writes metrics.json, predictions.json, sheets of labels beside predictions, and adds a line to looks.jsonl, a record of
-how often these photographs were looked at: what development has looked at is no test. A folder with other work in it, of
-other labels, weights or options, is refused.
+how often these photographs were looked at: what development has looked at is no test. A folder with other work in it,
+of other labels, weights or options, is refused.
 """
 
 import argparse

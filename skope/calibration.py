@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from skope.camera import Distortion
 from skope.errors import UserError
 from skope.files import read_bytes, read_json
+from skope.names import for_opencv
 
 Array = NDArray[np.float64]
 
@@ -66,8 +67,9 @@ def read_opencv(path: Path) -> Calibration:
     names OpenCV's fisheye model.
     """
     read_bytes(path)  # a missing file is a user's error; OpenCV only logs it
+    address = for_opencv(path)
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        storage = cv2.FileStorage(address, cv2.FILE_STORAGE_READ)
         root = storage.root()
         values = {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
     except (cv2.error, SystemError):

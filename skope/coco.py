@@ -1,6 +1,7 @@
 """The only reader and writer of COCO JSON: annotation files and results files, both directions."""
 
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -150,7 +151,7 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
     for name in ("id", "image_id", "bbox", "keypoints"):
         values[name] = row[name]
     if "area" not in row:
-        values["area"] = float(schema.array("bbox", row["bbox"], 4)[2:].prod())
+        values["area"] = math.prod(schema.array("bbox", row["bbox"], 4)[2:].tolist())
     if values.get("box_3d") is not None:
         box = row["box_3d"]
         if not isinstance(box, Mapping):

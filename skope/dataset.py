@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints, names, shards
+from skope import coco, keypoints, names, schema, shards
 from skope.depth import read_depth
 from skope.errors import UserError, one_of
-from skope.files import read_json
+from skope.files import check_version, read_json
 from skope.keypoints import Scheme
 from skope.schema import AnnotationFile, Image
 
@@ -112,6 +112,7 @@ def read_card(root: Path) -> dict[str, Any]:
     card = read_json(path)
     scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
     one_of(f"{path}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
+    check_version(path, card.get("version", schema.VERSION), schema.VERSION)
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):
             raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")

@@ -19,7 +19,7 @@ from skope import keypoints
 from skope.boxes import xywh_to_xyxy
 from skope.camera import Camera
 from skope.errors import UserError
-from skope.files import replacing
+from skope.files import write_bytes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Result
 
@@ -179,9 +179,11 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
 
 def write(path: Path, image: Pixels) -> None:
     """Write an RGB image atomically, in the format of the path's suffix."""
-    with replacing(path) as temporary:
-        if not cv2.imwrite(str(temporary), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
-            raise UserError(f"{path}: the image could not be encoded")
+    # In memory: OpenCV itself ends the process at a path that is not UTF-8.
+    encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    if not encoded:
+        raise UserError(f"{path}: the image could not be encoded")
+    write_bytes(path, data.tobytes())
 
 
 class _Canvas:

@@ -28,7 +28,7 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(path)
     except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritable(path, error) from error
     finally:
         with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
             temporary.unlink()
@@ -52,10 +52,28 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
         if path.is_dir() and any(path.iterdir()):
             raise UserError(f"{path}: holds other files than these; choose another folder, or remove what is there")
         temporary.replace(whole)
+    except UserError as error:  # what could not be written has its name below `path` for the user
+        raise UserError(str(error).replace(str(temporary), str(path))) from error
     except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritable(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def unwritable(path: Path, error: OSError) -> UserError:
+    """What to raise where the file or folder `path` cannot be written; says which file stands in a folder's place."""
+    misplaced = isinstance(error, FileExistsError | NotADirectoryError)
+    file = file_in_place_of(path) if misplaced else None
+    return UserError(f"{path}: cannot be written: {f'{file} is a file' if file else error.strerror or error}")
+
+
+def file_in_place_of(folder: Path) -> Path | None:
+    """What stands where `folder`, or a folder above it, should be; None where nothing does."""
+    for path in (folder, *folder.parents):
+        with contextlib.suppress(OSError):  # a folder that may not be looked into
+            if path.exists() and not path.is_dir():
+                return path
+    return None
 
 
 def same_content(one: Path, other: Path) -> bool:
@@ -178,6 +196,12 @@ def read_json(path: Path) -> Any:
         raise UserError(f"{path}: not valid JSON: {error.msg} at line {error.lineno}") from None
     except UnicodeDecodeError:
         raise UserError(f"{path}: not valid JSON: not UTF-8 text") from None
+
+
+def check_version(path: Path, found: Any, expected: int) -> None:
+    """Raise a UserError where the file at `path` is of another version than is read here."""
+    if type(found) is not int or found != expected:
+        raise UserError(f"{path}: version: expected {expected}, got {found!r:.60}")
 
 
 def read_bytes(path: Path) -> bytes:

@@ -5,7 +5,7 @@ Whatever a file says of sites, recordings, splits or other files is checked here
 
 import os
 import re
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from skope.errors import UserError
@@ -44,6 +44,15 @@ def is_relative(value: Any) -> bool:
         return False
     parts = PurePosixPath(value).parts
     return bool(parts) and all(_is_part(part, _PART_BYTES) for part in parts)
+
+
+def for_opencv(path: Path | str) -> str:
+    """A path as OpenCV takes it; a UserError where it is not UTF-8, at which OpenCV ends the process."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise UserError(f"{path}: OpenCV takes no path that is not UTF-8; choose another name") from None
+    return str(path)
 
 
 def _is_part(text: str, most: int) -> bool:

@@ -4,7 +4,7 @@
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, Final
 from skope import __version__
 from skope.errors import UserError
 from skope.files import (
+    file_in_place_of,
     json_bytes,
     parse_json,
     read_json,
@@ -114,10 +115,30 @@ def changed(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
 
 def write_new(path: Path, data: bytes) -> None:
     """Write a file where there is none; one of the same content is left as it is, and another one a UserError."""
-    if not path.exists():
+    if not os.path.lexists(path):
         write_bytes(path, data)
-    elif not path.is_file() or path.read_bytes() != data:
+        return
+    check_file(path)
+    if path.read_bytes() != data:
         raise UserError(f"{path}: {_OTHER_FILE}")
+
+
+def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> None:
+    """Raise a UserError where `write_new` will find something else than a file that may be the same one.
+
+    `begins` says whether the first bytes of a file, at most 16, may be those of what will be written.
+    """
+    if file_there := file_in_place_of(path.parent):
+        raise UserError(f"{path}: cannot be written: {file_there} is a file")
+    if not os.path.lexists(path):
+        return
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; choose another file")
+    if not path.is_file():
+        raise UserError(f"{path}: is there already, and no regular file; choose another file")
+    with path.open("rb") as file:
+        if not begins(file.read(16)):
+            raise UserError(f"{path}: {_OTHER_FILE}")
 
 
 def move_new(source: Path, target: Path) -> None:
@@ -133,8 +154,8 @@ def _held(folder: Path, flag: str) -> Any:
 
     Raises UserError for a file, and for a folder with files of which no `work.json` says what they are.
     """
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{flag}: {folder} is a file, expected a folder")
+    if file := file_in_place_of(folder):
+        raise UserError(f"{flag}: {file} is a file, expected a folder")
     if not folder.is_dir() or all(path.name == WORK for path in folder.iterdir()):
         return None
     if not (folder / WORK).is_file():

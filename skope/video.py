@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
+from skope.names import for_opencv
 
 Pixels = NDArray[np.uint8]
 
@@ -19,7 +20,7 @@ def write_video(path: Path, frames: Iterable[Pixels], fps: float, codec: str = "
         for pixels in frames:
             if writer is None:
                 size = (pixels.shape[1], pixels.shape[0])
-                writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, size)
+                writer = cv2.VideoWriter(for_opencv(path), cv2.VideoWriter.fourcc(*codec), fps, size)
                 if not writer.isOpened():
                     raise UserError(f"{path}: cannot be written as a video")
             writer.write(np.ascontiguousarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)))

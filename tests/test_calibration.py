@@ -2,16 +2,18 @@
 
 import json
 import math
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from skope.calibration import over_plane, read_calibration, read_plane, read_rope3d, read_tumtraf
+from skope.calibration import over_plane, read_calibration, read_opencv, read_plane, read_rope3d, read_tumtraf
 from skope.camera import Camera, Distortion
 from skope.control_points import fit_camera
 from skope.errors import UserError
+from skope.video import write_video
 
 BROWN = Distortion("brown", (-0.12, 0.03, 0.001, -0.002, 0.004))
 FISHEYE = Distortion("fisheye", (-0.02, 0.005, -0.002, 0.0004))
@@ -160,3 +162,13 @@ def test_bad_files_are_named(name: str, content: str | None, word: str, tmp_path
         read_calibration(tmp_path / name)
     assert name in str(stop.value)
     assert "\n" not in str(stop.value)
+
+
+def test_a_path_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    """OpenCV would end the process."""
+    path = tmp_path / os.fsdecode(b"\xff.yml")
+    path.touch()
+    with pytest.raises(UserError, match="OpenCV takes no path that is not UTF-8"):
+        read_opencv(path)
+    with pytest.raises(UserError, match="OpenCV takes no path that is not UTF-8"):
+        write_video(path.with_suffix(".mp4"), [np.zeros((8, 8, 3), np.uint8)], 5.0)

@@ -42,6 +42,9 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
+        ("version", 99, "version: expected 1, got 99"),
+        ("version", [1], r"version: expected 1, got \[1\]"),
+        ("version", True, "version: expected 1, got True"),
         ("counts", 3, "counts: expected an object, got 3"),
         ("takes", {}, "takes: expected a list, got {}"),
         ("takes", [["t01_main_west", "00", "train"]], r"takes\[0\]: expected site, name, split and frames"),

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import cv2
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 
 from skope import draw, keypoints
+from skope.dataset import read_image
 from skope.errors import UserError
 from skope.schema import Annotation, Result
 from tests.samples import make_annotation
@@ -117,3 +119,9 @@ def test_files_hold_rgb_in_the_right_order(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot be written"):
         draw.write(tmp_path / "file" / "a.png", image)
+
+
+def test_a_path_need_not_be_utf_8(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff") / "a.png"
+    draw.write(path, GREY)
+    assert np.array_equal(read_image(path), GREY)

@@ -1,12 +1,14 @@
 """Files and folders that appear whole or not at all."""
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from skope.errors import UserError
-from skope.files import json_bytes, link, replacing_folder
+from skope.files import json_bytes, link, replacing, replacing_folder
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -97,3 +99,20 @@ def test_compact_json_is_strict() -> None:
     for value in (float("nan"), float("inf")):
         with pytest.raises(ValueError, match="not JSON compliant"):
             json_bytes({"a": value})
+
+
+def test_what_cannot_be_written_has_the_users_name(tmp_path: Path) -> None:
+    (tmp_path / "keep.txt").touch()
+    for path in ("keep.txt/x", "keep.txt/x/y"):
+        for write in (replacing, replacing_folder):
+            with (
+                pytest.raises(UserError, match=r"cannot be written: .*keep\.txt is a file"),
+                write(tmp_path / path),
+            ):
+                pass
+
+    out = tmp_path / "out"
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(UserError) as caught, replacing_folder(out) as folder, replacing(folder / "a.json"):
+        raise full
+    assert str(caught.value) == f"{out / 'a.json'}: cannot be written: No space left on device"

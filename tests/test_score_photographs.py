@@ -352,7 +352,8 @@ def test_a_checkpoint_is_scored_and_the_look_recorded(command: Any, checkpoint: 
     common = ("--out", out, "--score", "0.06")
     code, said, err = command(folder, "--checkpoint", checkpoint, "--device", "cpu", *common)
     assert code == 0, err
-    assert sorted(p.name for p in out.iterdir()) == ["looks.jsonl", "metrics.json", "predictions.json", "sheet_01.jpg"]
+    made = ["looks.jsonl", "metrics.json", "predictions.json", "sheet_01.jpg", "work.json"]
+    assert sorted(p.name for p in out.iterdir()) == made
     assert sorted(folder.rglob("*")) == before
     assert [line.split()[0] for line in said.splitlines() if line.startswith(("bridge", "gate", "all"))] == [
         "bridge",
@@ -370,19 +371,47 @@ def test_a_checkpoint_is_scored_and_the_look_recorded(command: Any, checkpoint: 
     assert sheet is not None
     assert sheet.shape[:2] > (2 * 960, 2 * 1280)
 
-    # Predictions that were written are scored alike; they know nothing of given boxes.
-    code, _, err = command(folder / "labels.json", "--predictions", out / "predictions.json", *common)
+    # The same work is done again, and looked at again.
+    kept = {path.name: path.read_bytes() for path in out.iterdir()}
+    code, _, err = command(folder, "--checkpoint", checkpoint, "--device", "cpu", *common)
     assert code == 0, err
-    again = read_json(out / "metrics.json")
-    assert again["all"]["boxes"] == metrics["all"]["boxes"]
-    assert again["all"]["keypoints"]["share_in_given_boxes"] is None
+    now = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert now.pop("looks.jsonl").startswith(kept.pop("looks.jsonl"))
+    assert now == kept
     looks = [json.loads(line) for line in (out / "looks.jsonl").read_text().splitlines()]
-    assert [look["checkpoint"] for look in looks] == [str(checkpoint), None]
-    assert looks[0]["sha256"] == metrics["sha256"] != looks[1]["sha256"]
+    assert [look["checkpoint"] for look in looks] == [str(checkpoint)] * 2
+    assert looks[0]["sha256"] == metrics["sha256"]
     assert looks[0]["share_of_all"] == metrics["all"]["keypoints"]["share_of_all"]
 
+    # Predictions that were written are scored alike; they know nothing of given boxes.
+    scored = (folder / "labels.json", "--predictions", out / "predictions.json")
+    code, _, err = command(*scored, "--out", tmp_path / "other", "--score", "0.06")
+    assert code == 0, err
+    again = read_json(tmp_path / "other" / "metrics.json")
+    assert again["all"]["boxes"] == metrics["all"]["boxes"]
+    assert again["all"]["keypoints"]["share_in_given_boxes"] is None
 
-def mistake(folder: Path, kind: str) -> str:
+    # Other work leaves all as it was, its own input first of all.
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    code, _, err = command(*scored, *common)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"--out: {out} holds other work (not of {out / 'predictions.json'}" in err
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_files_of_others_are_left_alone(command: Any, tmp_path: Path) -> None:
+    folder, out = write_folder(tmp_path / "photographs"), tmp_path / "out"
+    out.mkdir()
+    write_json(out / "predictions.json", [])
+    (out / "sheet_01.jpg").write_bytes(b"mine")
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    code, _, err = command(folder, "--predictions", out / "predictions.json", "--out", out)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"--out: {out} holds other files" in err
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def mistake(folder: Path, kind: str) -> str | list[Any]:
     """Break a folder in one way; returns what the error must name."""
     labels = folder / "labels.json"
     document = read_json(labels)
@@ -402,6 +431,19 @@ def mistake(folder: Path, kind: str) -> str:
         document["images"][1]["boxes_complete"] = "no"
         write_json(labels, document)
         return "labels.json: images[1]: boxes_complete: expected true or false, got 'no'"
+    spoilt = {
+        "size": ("images", "width", 161, "labels.json: images[1]: ", "two.png: is 160x120, its annotation says 161"),
+        "scene": ("images", "scene", ["a"], "labels.json: images[1]: scene: expected a name", "got ['a']"),
+        "line": ("images", "scene", "a\nb", "labels.json: images[1]: scene: expected a name", "got 'a\\nb'"),
+        "site": ("images", "site", "a\tb", "labels.json: images[1]: site: expected a name", "got 'a\\tb'"),
+        "box": ("annotations", "bbox", [0, 0, 1e308, 2], "labels.json: annotations[1]: bbox: expected at most 1e+06"),
+        "point": ("annotations", "keypoints", [1e308, 0, 2] * 33, "labels.json: annotations[1]: keypoints: expected"),
+    }
+    if kind in spoilt:
+        records, field, value, *expected = spoilt[kind]
+        document[records][1][field] = value
+        write_json(labels, document)
+        return expected
     assert kind == "scheme"
     document["info"]["keypoint_scheme"] = "skope3d"
     document["categories"][0]["keypoints"] = list(keypoints.PUBLISHED.names)
@@ -409,7 +451,13 @@ def mistake(folder: Path, kind: str) -> str:
     return "labels.json: has keypoint scheme skope3d, expected skope33"
 
 
-@pytest.mark.parametrize("kind", ["none", "two", "broken", "image", "complete", "scheme"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("none", "two", "broken", "image", "complete", "scheme"),
+        *("size", "scene", "line", "site", "box", "point"),
+    ],
+)
 def test_mistakes_in_the_folder_are_one_line(command: Any, tmp_path: Path, kind: str) -> None:
     folder = write_folder(tmp_path / "photographs")
     expected = mistake(folder, kind)
@@ -417,8 +465,20 @@ def test_mistakes_in_the_folder_are_one_line(command: Any, tmp_path: Path, kind:
     code, said, err = command(folder, "--predictions", tmp_path / "results.json", "--out", tmp_path / "out")
     assert (code, said) == (2, "")
     assert err.startswith("score_photographs: ")
-    assert expected in err
+    assert all(text in err for text in ([expected] if isinstance(expected, str) else expected))
     assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("field", ["bbox", "keypoints"])
+def test_predictions_that_are_nowhere_are_refused(command: Any, tmp_path: Path, field: str) -> None:
+    folder = write_folder(tmp_path / "photographs")
+    row = coco.result_to_dict(found(vehicle(1, 1, (10, 10, 40, 30)), 0.9))
+    row[field] = [1e308, *row[field][1:]]
+    write_json(tmp_path / "results.json", [row])
+    code, said, err = command(folder, "--predictions", tmp_path / "results.json", "--out", tmp_path / "out")
+    assert (code, said, err.count("\n")) == (2, "", 1)
+    assert f"results.json: results[0]: {field}: expected at most 1e+06 px, got 1e+308" in err
     assert not (tmp_path / "out").exists()
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from skope import draw
 from skope.camera import Camera
 from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.simulate import simulate
@@ -78,7 +79,7 @@ def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> 
     if pictures is None:
         return driver
     path = pictures / f"doctor_{name}.png"
-    cv2.imwrite(str(path), cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR))
+    draw.write(path, view.rgb)
     return f"{driver}; drew {path.name}"
 
 

@@ -12,7 +12,7 @@ from skope.console import Console
 from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import replacing_folder
-from skope.gen.formats.gather import Gathered, dataset_at, plain
+from skope.gen.formats.gather import Gathered, dataset_at, outside, plain
 from skope.gen.licences import united
 from skope.schema import AnnotationFile, Image
 
@@ -28,6 +28,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
         raise UserError("a dataset is named twice")
+    outside(out, sources)
     datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
     for other in datasets[1:]:

@@ -23,6 +23,7 @@ from skope.files import (
     read_bytes,
     read_json,
     replacing,
+    unwritable,
     write_bytes,
     write_json,
 )
@@ -61,7 +62,7 @@ class Store:
             with locked(self.root / ".lock", f"{self.root}: another `skope gen` is writing to this folder"):
                 yield
         except OSError as error:
-            raise UserError(f"{self.root}: cannot be written: {error.strerror or error}") from None
+            raise unwritable(self.root, error) from None
 
     # ------------------------------------------------------------------------------------------------------ beginnings
 

@@ -1,5 +1,6 @@
 """`skope gen vehicles`: the fleet's models listed, checked and drawn."""
 
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +9,7 @@ import typer
 
 from skope.console import Console, QuietOption, VersionOption
 from skope.errors import UserError
+from skope.names import name as check_name
 from skope.outputs import look
 
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ def list_models(quiet: QuietOption = False, version: VersionOption = False) -> N
     console = Console(quiet)
     console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
     total = sum(entry.share for entry in fleet().values())
-    for name, vehicle in _chosen(None).items():
+    models, damaged = _readable(_names())
+    for name, vehicle in models.items():
         entry = fleet().get(name)
         size = " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh)
         triangles = len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles)
@@ -35,6 +38,8 @@ def list_models(quiet: QuietOption = False, version: VersionOption = False) -> N
             f"{name:<20} {vehicle.vehicle_type:<10} {size:<19} {vehicle.shape.wheelbase:9.2f} {triangles:9d} "
             f"{share}{'  held out for test sites' if entry and entry.held_out else ''}"
         )
+    if damaged:
+        raise UserError("; ".join(damaged))
 
 
 @app.command()
@@ -43,12 +48,15 @@ def check(name: NameArgument = None, quiet: QuietOption = False, version: Versio
     from skope.gen.vehicles.quality import findings
 
     console, count = Console(quiet), 0
-    models = _chosen(name)
+    models, damaged = _readable(_names(name))
     for model, vehicle in models.items():
         for finding in findings(vehicle):
             count += not finding.harmless
             console.result(f"{model}: {finding}")
-    console.result(f"{len(models)} model{'' if len(models) == 1 else 's'}, {count or 'no'} findings")
+    for text in damaged:
+        console.result(text)
+    count, total = count + len(damaged), len(models) + len(damaged)
+    console.result(f"{total} model{'' if total == 1 else 's'}, {count or 'no'} findings")
     if count:
         raise typer.Exit(1)
 
@@ -70,7 +78,7 @@ def show(
     console = Console(quiet)
     engine, driver, why = choose_renderer(renderer)
     console.say(why)
-    models = _chosen(name)
+    models = {model: _loaded(model) for model in _names(name)}
     files = [added.folder() / model / "vehicle.json" for model in added.names()]
     with look(out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}) as drawn:
         for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
@@ -97,16 +105,19 @@ def add(
     """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
     from skope.errors import one_of
     from skope.gen.vehicles import fleet
-    from skope.gen.vehicles.added import save, vehicle_of
+    from skope.gen.vehicles.added import check_mass, save, vehicle_of
     from skope.gen.vehicles.markers import read_marked
     from skope.gen.vehicles.quality import findings
     from skope.schema import VEHICLE_TYPES
 
     console, called = Console(quiet), model.stem if name is None else name
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", called) or called in fleet():
-        raise UserError(f"--name {called}: expected letters, digits, - and _, and no model of the fleet")
-    if not scale > 0 or (mass is not None and not mass > 0):
-        raise UserError("--scale, --mass: expected positive numbers")
+    if not re.fullmatch(r"\w[\w-]*", called, re.ASCII) or called in fleet():
+        raise UserError(f"--name {called}: expected letters, digits, - (not at first) and _, and no model of the fleet")
+    check_name("--name", called)
+    if not 0 < scale < math.inf:
+        raise UserError(f"--scale: expected a positive number, got {scale}")
+    if mass is not None:
+        check_mass("--mass", mass)
     one_of("--type", vehicle_type, VEHICLE_TYPES)
     marked = read_marked(model, wheels=_corners(wheels), up=up, forward=forward, scale=scale)
     vehicle = vehicle_of(marked, called, vehicle_type, mass)
@@ -133,12 +144,29 @@ def _corners(text: str | None) -> dict[str, str] | None:
     return {pair[0]: pair[1] for pair in pairs}
 
 
-def _chosen(name: str | None) -> dict[str, "Vehicle"]:
+def _names(name: str | None = None) -> tuple[str, ...]:
     """All models of the fleet and those that were added, or the one of that name."""
     from skope.errors import one_of
     from skope.gen.vehicles import fleet
-    from skope.gen.vehicles.added import load, names
+    from skope.gen.vehicles.added import names
 
-    everything = (*fleet(), *names())
-    wanted = everything if name is None else (one_of("model", name, everything),)
-    return {model: fleet()[model].vehicle if model in fleet() else load(model) for model in wanted}
+    everything = tuple(dict.fromkeys((*fleet(), *names())))
+    return everything if name is None else (one_of("model", name, everything),)
+
+
+def _loaded(model: str) -> "Vehicle":
+    from skope.gen.vehicles import fleet
+    from skope.gen.vehicles.added import load
+
+    return fleet()[model].vehicle if model in fleet() else load(model)
+
+
+def _readable(models: tuple[str, ...]) -> tuple[dict[str, "Vehicle"], list[str]]:
+    """Vehicles by name, and in words which of them are damaged."""
+    vehicles, damaged = {}, []
+    for model in models:
+        try:
+            vehicles[model] = _loaded(model)
+        except UserError as error:
+            damaged.append(str(error))
+    return vehicles, damaged

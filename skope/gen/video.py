@@ -20,6 +20,7 @@ from skope.gen.frames import image_of
 from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.render import make_renderer
 from skope.gen.simulate import simulate
+from skope.names import for_opencv
 from skope.outputs import changed
 from skope.schema import Annotation, AnnotationFile, Image
 
@@ -90,6 +91,7 @@ def write_footage(
     name = plan.site.name
     footage = Footage(out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None)
     check_free(footage, options)
+    for_opencv(footage.video)  # what cannot be written is told before anything is simulated
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
@@ -125,7 +127,7 @@ def _frames(
 
 class _Video:
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        self._writer = cv2.VideoWriter(for_opencv(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not self._writer.isOpened():
             raise UserError(f"{path}: cannot be written as a video")
 

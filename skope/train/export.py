@@ -9,6 +9,7 @@ import importlib.util
 import io
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -20,9 +21,16 @@ from torchvision.models.detection import KeypointRCNN
 from skope import detector, weights
 from skope.console import Console
 from skope.errors import UserError, one_of
-from skope.outputs import write_new
+from skope.outputs import check_file, write_new
 
 FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx", "compact": ".compact.safetensors"}
+_BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
+    "torchscript": lambda head: head.startswith(b"PK\x03\x04"),
+    "onnx": lambda head: head.startswith(b"\x08"),
+    "compact": lambda head: head[8:9] == b"{",
+}
+"""Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
+the header."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 
 _OPSET: Final = 17
@@ -61,6 +69,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     path = detector.find_checkpoint(checkpoint)
     folder = Path() if weights.shipped(path) else path.parent
     out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
+    check_file(out, _BEGINS[to])
     model, config, metadata = detector.load_weights(path, "cpu")
     if to == "compact":
         # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.

@@ -56,7 +56,8 @@ def train(
 
     A checkpoint is written after the last epoch, and after each other one as `saving` has it; SIGINT and SIGTERM save
     the state before they raise KeyboardInterrupt. Raises UserError for a dataset without anything to learn from, a
-    broken image, a folder that holds another run, a loss that is no longer finite, and too little memory.
+    broken image, a folder that holds another run or that another process writes to, a loss that is no longer finite,
+    and too little memory.
     """
     with ranks.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
         console = console if team.first else Console(quiet=True)
@@ -64,15 +65,16 @@ def train(
         config = config.of([part.dataset for part in parts], sources.one_scheme(parts))
         recipe = config.recipe
         training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
-        begin = run.resume if resume else run.start
-        training = begin(out, config, [part.fingerprint for part in parts], device)
-        assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
-        if recipe.fold_norms:
-            fold_norms(training.model)
-        if team.first:
-            run.record(out, config)
-        _announce(config, training, training_set, f"on {device} x {team.size}, {workers} extra processes", console)
-        return _Run(config, out, training, training_set, parts, team, device, workers, saving, stop, console).go()
+        with run.alone(out) if team.first else contextlib.nullcontext():
+            begin = run.resume if resume else run.start
+            training = begin(out, config, [part.fingerprint for part in parts], device)
+            assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+            if recipe.fold_norms:
+                fold_norms(training.model)
+            if team.first:
+                run.record(out, config)
+            _announce(config, training, training_set, f"on {device} x {team.size}, {workers} extra processes", console)
+            return _Run(config, out, training, training_set, parts, team, device, workers, saving, stop, console).go()
 
 
 def _read(root: Path, config: RunConfig) -> Source:

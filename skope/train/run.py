@@ -11,9 +11,10 @@ resume.pt alone decides where a run goes on, and is replaced in one step: killed
 and writes again what came after. The state of every random generator follows from seed, epoch and step.
 """
 
+import contextlib
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -25,7 +26,7 @@ from skope import detector, keypoints
 from skope.dataset import Dataset
 from skope.detector import BEST, DetectorConfig
 from skope.errors import UserError
-from skope.files import read_json, write_bytes, write_json, write_text
+from skope.files import locked, read_json, unwritable, write_bytes, write_json, write_text
 from skope.keypoints import Scheme
 from skope.train import initial
 from skope.train.recipe import Recipe
@@ -124,6 +125,25 @@ _PLAIN = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "histor
 def resumable(run: Path) -> bool:
     """Whether a run folder holds a state to resume from."""
     return (run / _RESUME).is_file()
+
+
+@contextlib.contextmanager
+def alone(run: Path) -> Iterator[None]:
+    """Keep other processes from training in the same folder; one that was made for it and stays empty goes again."""
+    made = not run.exists()
+    with contextlib.ExitStack() as held:
+        try:
+            run.mkdir(parents=True, exist_ok=True)
+            held.enter_context(locked(run / ".lock", f"{run}: another `skope train` is writing to this folder"))
+        except OSError as error:
+            raise unwritable(run, error) from None
+        try:
+            yield
+        finally:
+            held.close()
+            if made:
+                with contextlib.suppress(OSError):  # it holds the run
+                    run.rmdir()
 
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:

@@ -1,5 +1,6 @@
 """From a model file with markers to a vehicle that drives in generated scenes."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ from typer.testing import CliRunner
 from skope.cli import app
 from skope.dataset import open_dataset
 from skope.errors import UserError
+from skope.files import read_json, write_json
 from skope.gen.check import check
-from skope.gen.vehicles import added, build
+from skope.gen.vehicles import added, build, fleet
 from skope.gen.vehicles.added import names
 from tests.gen.test_markers import nodes, renamed, swapped, without, written
 
@@ -91,8 +93,13 @@ def test_what_is_wrong_is_said_and_nothing_is_added(tmp_path: Path, own_folder: 
     [
         (["--name", "sedan"], "--name sedan: expected letters"),
         (["--name", "../x"], "--name ../x: expected letters"),
+        (["--name=-x"], "--name -x: expected letters"),
+        (["--name", "x" * 300], "--name: expected a name of up to 100 bytes"),
         (["--type", "spaceship"], "--type: 'spaceship' is not one of"),
-        (["--scale", "0"], "expected positive numbers"),
+        (["--scale", "0"], "--scale: expected a positive number"),
+        (["--scale", "inf"], "--scale: expected a positive number"),
+        (["--mass", "1e300"], "--mass: expected kilograms from 1 to 1e+06, got 1e+300"),
+        (["--mass", "nan"], "--mass: expected kilograms from 1 to 1e+06, got nan"),
         (["--wheels", "front_right"], "--wheels: expected CORNER=OBJECT"),
     ],
 )
@@ -106,6 +113,41 @@ def test_unknown_and_damaged_models_are_refused(own_folder: Path) -> None:
     with pytest.raises(UserError, match="--vehicles: no model 'nothing' was added; there are: none yet"):
         added.load("nothing")
     (own_folder / "broken").mkdir(parents=True)
-    (own_folder / "broken" / "vehicle.json").write_text("{}")
+    (own_folder / "broken" / "vehicle.json").write_text('{"version": 1}')
     with pytest.raises(UserError, match="broken: not a readable vehicle"):
         added.load("broken")
+
+
+@pytest.fixture
+def car(tmp_path: Path, own_folder: Path) -> Path:
+    """The vehicle.json of a model that was added."""
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())))
+    assert code == 0, text
+    return own_folder / "car" / "vehicle.json"
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("version", 99, r"vehicle\.json: version: expected 1, got 99"),
+        ("version", [1], r"vehicle\.json: version: expected 1, got \[1\]"),
+        ("keypoints", [[0.0, 0.0, 0.0]] * 5, "keypoints: expected 33 x 3 numbers, got 15"),
+        ("vehicle_type", "spaceship", "vehicle_type: 'spaceship' is not one of"),
+        ("mass", 1e300, r"mass: expected kilograms from 1 to 1e\+06, got 1e\+300"),
+        ("mass", "heavy", "mass: expected kilograms"),
+        ("shape", {"length": 1}, "not a readable vehicle"),
+        ("materials", {"mesh": [], "wheel": []}, "materials that are not there"),
+    ],
+)
+def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: str, value: object, said: str) -> None:
+    write_json(car, {**read_json(car), field: value})
+    with pytest.raises(UserError, match=f"{car.parent}.*{said}"):
+        added.load("car")
+    code, text = run("vehicles", "list")
+    assert code != 0
+    assert text.startswith("model ")
+    assert [line.split()[0] for line in text.splitlines()[1:-1]] == list(fleet())
+    assert re.search(f"{car.parent}.*{said}", text.splitlines()[-1])
+    code, text = run("vehicles", "check", "car")
+    assert code == 1
+    assert text.endswith("1 model, 1 findings\n")

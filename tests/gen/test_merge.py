@@ -1,5 +1,6 @@
 """Joined datasets: nothing lost, nothing mixed up, and licences that go together."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -182,3 +183,14 @@ def test_a_model_is_held_out_where_all_say_so(skope: Any) -> None:
     assert open_dataset(Path("ab")).card["fleet"] == {"held_out": ["suv"], "substituted": {"bus": ["front_logo"]}}
     assert skope("gen", "merge", "a", "c", "ac", "-q")[0] == 0
     assert "fleet" not in open_dataset(Path("ac")).card
+
+
+@pytest.mark.parametrize("command", ["convert a a/sub --to coco", "merge a b b/sub"])
+def test_nothing_is_written_into_a_source(skope: Any, command: str) -> None:
+    for seed, name in enumerate("ab"):
+        make_dataset(Path(name), seed=seed, splits=("train",))
+    before = sorted(Path().rglob("*"))
+    code, _, err = skope("gen", *command.split())
+    assert (code, err.count("\n")) == (2, 1)
+    assert re.search(r"(.)/sub: is inside \1, which is left as it is; choose another folder", err)
+    assert sorted(Path().rglob("*")) == before

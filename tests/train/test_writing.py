@@ -73,6 +73,26 @@ def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint
     assert path.read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("file", "is there already, with other content"),
+        ("folder", "is a folder; choose another file"),
+        ("below", "cannot be written: .*file is a file"),
+    ],
+)
+@pytest.mark.parametrize("to", FORMATS)
+def test_an_export_looks_at_its_target_first(
+    to: str, kind: str, said: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detector, "load_weights", lambda *_: pytest.fail("work was done before"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: True)
+    (tmp_path / "file").write_bytes(b"some text of mine")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(UserError, match=said):
+        export(checkpoint, to, tmp_path / {"below": "file/x"}.get(kind, kind), console=Console(quiet=True))
+
+
 def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"

@@ -14,7 +14,7 @@ from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at
+from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at, outside
 from skope.gen.pack import FORMATS
 from skope.outputs import move_new
 
@@ -76,6 +76,7 @@ def convert(
         raise UserError(f"--split: expected letters, digits, _, . and -, got {options.split!r}")
     if read_as is None and len(sources) != 1:
         raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
+    outside(out, sources)
     archive = write_as == "cvat" and out.suffix == ".zip"
     with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as whole:
         folder = whole / "content" if archive else whole

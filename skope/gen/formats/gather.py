@@ -89,6 +89,13 @@ def dataset_at(root: Path) -> Dataset:
     return dataset
 
 
+def outside(out: Path, sources: Iterable[Path]) -> None:
+    """Raise a UserError where `out` lies in one of the folders that are read from."""
+    for source in sources:
+        if source.resolve() in out.resolve().parents:
+            raise UserError(f"{out}: is inside {source}, which is left as it is; choose another folder")
+
+
 def put(content: Path | bytes, target: Path) -> None:
     """Write bytes, or bring the file (or member of a shard) at a path, to `target`."""
     if isinstance(content, bytes):

@@ -26,6 +26,7 @@ from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.gather import Gathered, frame_rate, licence_beside
 from skope.gen.formats.scenes import VIDEO, Array, Scene, Vehicle, archives, scene_of
 from skope.keypoints import PUBLISHED, SKOPE33, K
+from skope.names import for_opencv
 from skope.names import name as check_name
 from skope.schema import Annotation, Image
 from skope.video import write_video
@@ -125,7 +126,7 @@ def _gather(scene: Scene, place: Place, names: Mapping[int, int] | None, gathere
 def _pictures(scene: Scene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
     """Annotated frames with their time and BGR pixels."""
     where = f"{scene.archive.path}: {scene.name}/{VIDEO}"
-    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    capture = cv2.VideoCapture(for_opencv(video), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
             raise UserError(f"{where}: not a video that can be decoded")

@@ -13,19 +13,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.errors import UserError
-from skope.files import read_json, write_bytes
+from skope import keypoints
+from skope.errors import UserError, one_of
+from skope.files import check_version, read_json, write_bytes
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.markers import Marked
 from skope.gen.vehicles.model import Derived
 from skope.gen.vehicles.shape import Dimensions
 from skope.gen.vehicles.sidecar import Sidecar
 from skope.names import name as check_name
+from skope.schema import VEHICLE_TYPES, array
 
 Array = NDArray[np.float64]
 
 DENSITY: Final = 115.0
 """Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
+MASSES: Final = (1.0, 1_000_000.0)
+"""Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
 _VERSION: Final = 1
 _MESHES: Final = ("mesh", "wheel")
 _FIELDS: Final = ("vertices", "normals", "triangles", "material")
@@ -110,17 +114,20 @@ def load(name: str) -> AddedVehicle:
     if not (path / "vehicle.json").is_file():
         there = ", ".join(names()) or "none yet: skope gen vehicles add"
         raise UserError(f"--vehicles: no model {name!r} was added; there are: {there}")
-    row: Mapping[str, Any] = read_json(path / "vehicle.json")
+    row = read_json(path / "vehicle.json")
+    if not isinstance(row, dict):
+        raise UserError(f"{path / 'vehicle.json'}: expected an object, got {row!r:.60}")
+    check_version(path / "vehicle.json", row.get("version"), _VERSION)
     try:
         with np.load(path / "mesh.npz", allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         mesh, wheel = (_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
         vehicle = AddedVehicle(
             model=name,
-            vehicle_type=row["vehicle_type"],
-            shape=Dimensions(**row["shape"]),
-            mass=float(row["mass"]),
-            points=np.array(row["keypoints"], dtype=np.float64),
+            vehicle_type=one_of("vehicle_type", row["vehicle_type"], VEHICLE_TYPES),
+            shape=_dimensions(row["shape"]),
+            mass=check_mass("mass", row["mass"]),
+            points=array("keypoints", row["keypoints"], keypoints.K, 3),
             digest=_digest(path),
             mesh=mesh,
             wheel=wheel,
@@ -131,8 +138,34 @@ def load(name: str) -> AddedVehicle:
     return vehicle
 
 
+def check_mass(field: str, kilograms: Any) -> float:
+    """Return a mass, or raise a UserError that names the field."""
+    low, high = MASSES
+    if isinstance(kilograms, bool) or not isinstance(kilograms, int | float) or not low <= kilograms <= high:
+        raise UserError(f"{field}: expected kilograms from {low:g} to {high:g}, got {kilograms!r:.60}")
+    return float(kilograms)
+
+
+def _dimensions(told: Mapping[str, Any]) -> Dimensions:
+    shape = Dimensions(**told)
+    for name, metres in shape.to_dict().items():
+        if not float(array(f"shape.{name}", metres, 1)[0]) >= 0:
+            raise UserError(f"shape.{name}: expected metres from 0, got {metres!r:.60}")
+    return shape
+
+
 def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
+    """A mesh of a file; a UserError where its arrays do not belong together."""
     vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in _FIELDS)
+    count = len(triangles)
+    shapes = (vertices.shape, normals.shape, triangles.shape, material.shape)
+    if shapes != ((len(vertices), 3), (len(vertices), 3), (count, 3), (count,)) or not count:
+        raise UserError(f"mesh.npz: {name}: its arrays do not belong together")
+    if not (np.isfinite(vertices).all() and np.isfinite(normals).all()):
+        raise UserError(f"mesh.npz: {name}: not all numbers are finite")
+    for indices, limit in ((triangles, len(vertices)), (material, len(materials))):
+        if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= limit:
+            raise UserError(f"mesh.npz: {name}: triangles of vertices or materials that are not there")
     return Mesh(vertices, normals, triangles, tuple(materials), material)
 
 
