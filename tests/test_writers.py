@@ -347,10 +347,11 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     shrink(monkeypatch)
     plainly = detector.checkpoint_bytes
     monkeypatch.setattr(detector, "checkpoint_bytes", lambda *of, packed=False: plainly(*of))  # packing takes seconds
+    # Before the renderer: what is imported for the first time would keep the one of the tests.
+    monkeypatch.setattr("skope.gen.vehicles.show.sheet", lambda *_: plain)
     for module in ("crew", "video", "render"):
         monkeypatch.setattr(f"skope.gen.{module}.make_renderer", hostile.FlatRenderer)
     monkeypatch.setattr("skope.gen.towns.maps.town_map", lambda _: plain)
-    monkeypatch.setattr("skope.gen.vehicles.show.sheet", lambda *_: plain)
     monkeypatch.setattr("skope.gen.doctor._refuse_blank", lambda *_: None)
     monkeypatch.setattr("skope.gen.doctor._torch", lambda: "")
     monkeypatch.setenv("SKOPE_VEHICLES", ".")

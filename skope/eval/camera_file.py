@@ -50,8 +50,8 @@ def from_vehicles(
         raise UserError(
             f"{scene.file.name}: {fit.vehicles} vehicles do not tell the camera: focal length {focal:.0f} px with a "
             f"standard deviation of {fit.sigma_focal:.0f}, height {height:.1f} m of {fit.sigma_height:.1f}, tilt "
-            f"{math.degrees(fit.camera.angles[1]):.1f} degrees of {sigma['pitch_deg']:.1f}; vehicles of more directions "
-            f"and distances may, or marked points (--points)"
+            f"{math.degrees(fit.camera.angles[1]):.1f} degrees of {sigma['pitch_deg']:.1f}; other directions "
+            f"and distances may tell it, or marked points (--points)"
         )
     yield from _written(out, fit.camera, {"vehicles": fit.vehicles, "sigma": sigma})
     _, pitch, roll = (math.degrees(angle) for angle in fit.camera.angles)
