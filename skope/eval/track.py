@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
+from skope.eval.headings import smoothed_headings
 from skope.eval.located import Located
 
 Array = NDArray[np.float64]
@@ -62,16 +63,6 @@ _LOST_S: Final = 3.0
 """A track ends when nothing was seen of it for so long."""
 _CONFIRMED: Final = 3
 """Fewer poses than this are no track."""
-_MOVING: Final = 1.5
-"""Speed from which the direction of travel says where the front is, m/s."""
-_TURN: Final = 0.35
-"""How much the rate of turn of a driving vehicle changes in a second, radians a second ..."""
-_TURNING: Final = 5.0
-"""... from this speed on, m/s; below it in proportion."""
-_TREMOR: Final = math.radians(0.5)
-"""Least standard deviation of a measured heading."""
-_OUTLYING: Final = 9.0
-"""Squared distance, in variances, from which a heading counts less."""
 _LAG_S: Final = 20.0
 """What was seen so long ago is not changed by what is seen now."""
 _ELSEWHERE: Final = 1e6
@@ -469,87 +460,8 @@ def _whole(track: _Open, number: int) -> Track:
         position=np.column_stack([states[:, :2], z]),
         velocity=states[:, 2:4],
         acceleration=states[:, 4:6],
-        heading=_headings(times, all_of["headings"], all_of["heading_sigmas"], states[:, 2:4]),
+        heading=smoothed_headings(times, all_of["headings"], all_of["heading_sigmas"], states[:, 2:4]),
         boxes=all_of["boxes"],
         scores=all_of["scores"],
         truth_ids=all_of["truth_ids"],
     )
-
-
-def _headings(times_s: Array, measured: Array, sigma: Array, velocity: Array) -> Array:
-    """(M,) headings, front and rear as travel has them, smoothed; `measured` is NaN where none was seen.
-
-    Vehicles drive forwards. One that stands keeps the sense that it has when it moves next, or moved last; one that
-    never moves that of most of its poses.
-    """
-    known = np.isfinite(measured)
-    unit = np.where(known, np.exp(1j * np.where(known, measured, 0.0)), 0)
-    travel: NDArray[np.complex128] = velocity[:, 0] + 1j * velocity[:, 1]
-    moving = np.flatnonzero(known & (np.abs(travel) > _MOVING))
-    if moving.size:
-        unit[moving] = unit[moving] * _sense(unit[moving], travel[moving])
-        unit = unit * _sense(unit, unit[_nearest(moving, len(unit))])
-    else:
-        sense = _sense(unit, unit[np.nanargmin(np.where(known, sigma, np.nan))])
-        unit = unit * sense * (1 if sense[known].sum() >= 0 else -1)
-    return _turning(times_s, np.where(known, np.angle(unit), np.nan), sigma, np.abs(travel))
-
-
-def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Array:
-    """(M,) headings, smoothed as of a body whose turning changes slowly, and only while it moves.
-
-    State: heading and rate of turn, which fades as accelerations do. The first heading is known, others may be NaN.
-    """
-    ahead, after, moves = [], [], []
-    mean, spread = (float(measured[0]), 0.0), (float(sigma[0]) ** 2, 0.0, _TURN**2)
-    before = float(times_s[0])
-    for time_s, z, error, v in zip(times_s.tolist(), measured.tolist(), sigma.tolist(), speed.tolist(), strict=True):
-        dt, before = time_s - before, time_s
-        fade = math.exp(-dt / _MEMORY_S)
-        reach = _MEMORY_S * (1 - fade)
-        q = (_TURN * min(1.0, max(v / _TURNING, 0.02))) ** 2 * dt
-        (h, w), (a, b, c) = mean, spread
-        mean = (h + reach * w, fade * w)
-        spread = (
-            a + 2 * reach * b + reach**2 * c + q * dt**2 / 3,
-            fade * (b + reach * c) + q * dt / 2,
-            fade**2 * c + q,
-        )
-        ahead.append((mean, spread))
-        moves.append((reach, fade))
-        if not math.isnan(z):
-            (h, w), (a, b, c) = mean, spread
-            off = (z - h + math.pi) % (2 * math.pi) - math.pi
-            noise = error**2 + _TREMOR**2
-            noise *= max(1.0, off**2 / (_OUTLYING * (a + noise)))  # what is far off pulls less
-            gain, turn = a / (a + noise), b / (a + noise)
-            mean = (h + gain * off, w + turn * off)
-            spread = (a * (1 - gain), b * (1 - gain), c - turn * b)
-        after.append((mean, spread))
-    out = [after[-1][0]]
-    for k in range(len(after) - 2, -1, -1):
-        (h, w), (a, b, c) = after[k]
-        (h1, w1), (a1, b1, c1) = ahead[k + 1]
-        reach, fade = moves[k + 1]
-        # Gain: spread F^T of this frame times the inverse of the spread ahead.
-        m00, m01, m10, m11 = a + reach * b, fade * b, b + reach * c, fade * c
-        det = a1 * c1 - b1 * b1
-        dh, dw = out[-1][0] - h1, out[-1][1] - w1
-        u, v = (c1 * dh - b1 * dw) / det, (a1 * dw - b1 * dh) / det
-        out.append((h + m00 * u + m01 * v, w + m10 * u + m11 * v))
-    headings = np.array([h for h, _ in reversed(out)])
-    return np.asarray(np.angle(np.exp(1j * headings)))
-
-
-def _nearest(chosen: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """(count,) for each index the nearest of the rising indices `chosen`; of two the earlier."""
-    index = np.arange(count)
-    after = np.minimum(np.searchsorted(chosen, index), len(chosen) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(chosen[before] - index) <= np.abs(chosen[after] - index)
-    return np.where(nearer, chosen[before], chosen[after])
-
-
-def _sense(unit: NDArray[np.complex128], reference: NDArray[np.complex128] | complex) -> Array:
-    """1 where directions agree with the reference to 90 degrees, else -1."""
-    return np.where(np.real(unit * np.conj(reference)) < 0, -1.0, 1.0)
