@@ -277,8 +277,7 @@ def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
 
 def write(path: Path, file: AnnotationFile) -> None:
     """Write an annotation file, one record a line, the same bytes for the same records."""
-    images = [image_to_dict(image) for image in file.images]
-    annotations = [annotation_to_dict(annotation) for annotation in file.annotations]
+    images, annotations = map(image_to_dict, file.images), map(annotation_to_dict, file.annotations)
     write_rows(path, file.info, images, annotations, file.scheme)
 
 
