@@ -10,10 +10,10 @@ poses know: metres, headings and how certain they are.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
 from skope.eval.headings import smoothed_headings
-from skope.eval.located import Located
+from skope.eval.sights import Measured, Sight
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,6 @@ _JERK: Final = 1.0
 """Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
 _MEMORY_S: Final = 1.5
 """How long an acceleration lasts."""
-_FLOOR: Final = 0.05
-"""Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""
 _SPEED: Final = 15.0
 """Standard deviation of the speed, m/s, along its heading, of a vehicle that is seen for the first time ..."""
 _ASIDE: Final = 2.0
@@ -66,36 +64,6 @@ _CONFIRMED: Final = 3
 _LAG_S: Final = 20.0
 """What was seen so long ago is not changed by what is seen now."""
 _ELSEWHERE: Final = 1e6
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Measured:
-    """What a detection's pose says."""
-
-    place: Array
-    """(2,) world."""
-    covariance: Array
-    """(2, 2)"""
-    height: float
-    """z of the road there."""
-    heading: float
-    heading_sigma: float
-    size_lwh: Array
-    kind: str
-    """Body type."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Sight:
-    """One detection."""
-
-    bbox: Array
-    """(4,) x, y, width, height, pixels."""
-    score: float
-    truth_id: int | None
-    """The track of the ground-truth vehicle that it is, or matches."""
-    pose: Measured | None
-    """None where it was refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,43 +165,6 @@ class _Open:
             if step.sight is not None:
                 return step.sight.bbox
         return self.steps[-2].sight.bbox if len(self.steps) > 1 and self.steps[-2].sight is not None else None
-
-
-def sights(image: Located) -> list[Sight]:
-    """The vehicles of an image as a tracker sees them."""
-    view, poses = image.view, image.poses
-    out = []
-    for i, good in enumerate(image.good):
-        pose = Measured(
-            place=poses.position[i, :2],
-            covariance=poses.covariance[i, :2, :2] + _FLOOR**2 * np.eye(2),
-            height=float(poses.position[i, 2]),
-            heading=float(poses.yaw[i]),
-            heading_sigma=float(np.sqrt(poses.covariance[i, 3, 3])),
-            size_lwh=poses.size_lwh[i],
-            kind=poses.types[i],
-        )
-        vehicle = view.truth[i]
-        truth = vehicle.track_id if vehicle else None
-        out.append(Sight(view.boxes[i], float(view.scores[i]), truth, pose if good else None))
-    return out
-
-
-def sight_to_dict(sight: Sight) -> dict[str, Any]:
-    """JSON values of a sight, not rounded."""
-    told = {"bbox": sight.bbox.tolist(), "score": sight.score, "truth_id": sight.truth_id, "pose": None}
-    if (pose := sight.pose) is not None:
-        arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
-        told["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
-    return told
-
-
-def sight_from_dict(told: Mapping[str, Any]) -> Sight:
-    """What `sight_to_dict` was given."""
-    pose = told["pose"]
-    if pose is not None:
-        pose = Measured(**{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}})
-    return Sight(np.array(told["bbox"]), told["score"], told["truth_id"], pose)
 
 
 def follow(images: Iterable[Sequence[Sight]], times_s: Sequence[float]) -> list[Track]:

@@ -14,7 +14,8 @@ from skope.eval import birdseye, track_files
 from skope.eval.located import locate_view
 from skope.eval.progress import Progress
 from skope.eval.scene import Scene
-from skope.eval.track import Sight, Track, follow, sight_from_dict, sight_to_dict, sights
+from skope.eval.sights import Sight, sight_from_dict, sight_to_dict, sights
+from skope.eval.track import Track, follow
 from skope.files import replacing, write_text
 from skope.video import write_video
 

@@ -1,4 +1,7 @@
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,3 +27,25 @@ def random_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     detector.save_weights(folder / detector.checkpoint_name(1), model, config, {})
     return folder
+
+
+@pytest.fixture
+def stops_after(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """A context in which predicting is interrupted as if by Ctrl-C after so many images."""
+    from skope.eval.predict import Predictor
+
+    each = Predictor.each
+
+    @contextlib.contextmanager
+    def context(count: int) -> Any:
+        def stops(self: Predictor, images: Any) -> Any:
+            for i, pair in enumerate(each(self, images)):
+                if i == count:
+                    raise KeyboardInterrupt
+                yield pair
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Predictor, "each", stops)
+            yield
+
+    return context

@@ -173,7 +173,7 @@ def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, ra
 
 
 def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
-    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stops_after: Any
 ) -> None:
     from skope.eval.predict import Predictor
 
@@ -188,16 +188,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
     video = numbered_video(tmp_path / "v.mp4", 12)
     call = ("eval", "predict", video, "--checkpoint", random_run, "--every", 2)
     assert skope(*call, "--out", "whole")[0] == 0
-    each = Predictor.each
-
-    def stops(self: Predictor, images: Any) -> Any:
-        for i, pair in enumerate(each(self, images)):
-            if i == 3:
-                raise KeyboardInterrupt
-            yield pair
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Predictor, "each", stops)
+    with stops_after(3):
         assert skope(*call, "--out", "parts")[0] == 130
     assert not Path("parts/predictions.json").exists()
     code, out, _ = skope(*call, "--out", "parts")

@@ -15,7 +15,8 @@ from skope import coco
 from skope.errors import UserError
 from skope.eval import inputs, tracks
 from skope.eval.scene import read_scene
-from skope.eval.track import Measured, Sight, Track, follow, sight_from_dict, sight_to_dict
+from skope.eval.sights import Measured, Sight, sight_from_dict, sight_to_dict
+from skope.eval.track import Track, follow
 from skope.schema import Result
 from tests.eval.seen import drive
 from tests.eval.test_road import rows_of

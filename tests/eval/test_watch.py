@@ -54,22 +54,11 @@ def test_a_full_disk_is_one_line(call: Any, monkeypatch: pytest.MonkeyPatch) -> 
     assert (code, error) == (2, "skope: seen: cannot be written: No space left on device\n")
 
 
-def test_what_could_not_be_read_is_remembered_by_the_next_run(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from skope.eval.predict import Predictor
-
+def test_what_could_not_be_read_is_remembered_by_the_next_run(call: Any, stops_after: Any) -> None:
     for name in "bcdef":
         picture(Path(f"in/{name}.png"))
     Path("in/a.jpg").write_bytes(b"\xff\xd8 no picture")
-    each = Predictor.each
-
-    def stops(self: Predictor, images: Any) -> Any:
-        for i, pair in enumerate(each(self, images)):
-            if i == 3:
-                raise KeyboardInterrupt
-            yield pair
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Predictor, "each", stops)
+    with stops_after(3):
         assert call("in", "--out", "parts")[0] == 130
     stopped, whole = call("in", "--out", "parts"), call("in", "--out", "whole")
     assert stopped[0] == whole[0] == 1
