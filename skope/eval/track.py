@@ -178,8 +178,10 @@ def follow(images: Iterable[Sequence[Sight]], times_s: Sequence[float]) -> list[
     for frame, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
         if time_s <= before:
             raise ValueError("times must rise")
-        for track in live:
-            _predict(track, frame, time_s)
+        if live:
+            F, Q = _motion(time_s - before)
+            for track in live:
+                _predict(track, frame, time_s, F, Q)
         left = _associate(live, image, time_s)
         ended = {id(track) for track in live if time_s - track.last_pose_s > _LOST_S}
         for track in live:
@@ -212,19 +214,23 @@ def _born(frame: int, time_s: float, sight: Sight, pose: Measured) -> _Open:
     return _Open([begin], kinds=Counter([pose.kind]), last_pose_s=time_s)
 
 
-def _predict(track: _Open, frame: int, time_s: float) -> None:
-    """One step of Singer's model (IEEE Trans. AES, 1970): acceleration fades away, so that what is unseen rolls on.
+def _motion(dt: float) -> tuple[Array, Array]:
+    """Transition and noise, (6, 6) each, of one step of Singer's model (IEEE Trans. AES, 1970).
 
-    The noise is that of constant acceleration (Bar-Shalom et al. 2001, section 6.2.3), the model's own for short steps.
+    Acceleration fades away, so that what is unseen rolls on. The noise is that of constant acceleration (Bar-Shalom et
+    al. 2001, section 6.2.3), the model's own for short steps.
     """
-    dt = time_s - track.steps[-1].time_s
     fade = math.exp(-dt / _MEMORY_S)
     to_speed = _MEMORY_S * (1 - fade)
     F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
     Q1 = _JERK * np.array(
         [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     )
-    F, Q = np.kron(F1, np.eye(2)), np.kron(Q1, np.eye(2))
+    both = np.eye(2)  # x and y move alike
+    return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
+
+
+def _predict(track: _Open, frame: int, time_s: float, F: Array, Q: Array) -> None:
     mean, spread = track.state
     ahead = (F @ mean, F @ spread @ F.T + Q)
     track.steps.append(_Step(frame, time_s, F, ahead, ahead))
