@@ -25,7 +25,7 @@ def overall(found: Mapping[str, Metrics]) -> str:
     lines = ["| " + " | ".join((*names, "published: PCK, box P, box R")) + " |", "|---" * (len(names) + 1) + "|"]
     for split, metrics in found.items():
         for iou, row in metrics["iou"].items():
-            limits = metrics["bootstrap"]["iou"][iou]
+            limits = metrics["intervals"]["iou"][iou]
             cells = [split, iou, f"{_percent(row['pck'])} ({_interval(limits['pck'], _percent)})"]
             cells += [_share(row["box_precision"]["pooled"])]
             recall = _interval(limits["box_recall"]["pooled"], _share)
@@ -57,7 +57,7 @@ def _share(value: float | None) -> str:
 
 
 def _interval(limits: Sequence[float] | None, text: Callable[[float], str]) -> str:
-    """Both limits of a bootstrap; a single recording has none."""
+    """Both limits of an interval; a single block of evidence has none."""
     return "-" if limits is None else "..".join(map(text, limits))
 
 

@@ -53,7 +53,7 @@ def test_shared_modules_import_no_group() -> None:
 
 
 def test_metrics_are_numpy_alone() -> None:
-    for name in ("metrics", "match", "tally", "bootstrap", "breakdown", "failures", "confidence"):
+    for name in ("metrics", "match", "tally", "intervals", "breakdown", "failures", "confidence"):
         roots = {module.split(".")[0] for module in imported(ROOT / "eval" / f"{name}.py")}
         assert roots - sys.stdlib_module_names <= {"numpy", "skope"}
 

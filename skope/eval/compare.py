@@ -1,7 +1,7 @@
 """Evaluations side by side, with intervals of their differences.
 
 Two detectors on the same images share what makes an image hard, and their difference varies far less than either
-figure: the same blocks are drawn for both.
+figure: the same recordings are left out of both.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +13,9 @@ import numpy as np
 
 from skope.errors import UserError, one_of
 from skope.eval import metrics
-from skope.eval.bootstrap import Blocks, difference, resampled
+from skope.eval.intervals import Blocks, difference
 from skope.eval.measure import from_tallies
-from skope.eval.table import drawn, number
+from skope.eval.table import evidence, number
 from skope.eval.tally import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
 from skope.files import read_json
 
@@ -115,7 +115,6 @@ def _valid(path: Path, make: Callable[[], T]) -> T:
 def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
     """Of each figure its value in each run, and the differences from the first run with their intervals."""
     columns = [quotients(counts) for counts in runs]
-    resamples = [resampled(of, blocks) for of in columns]
     return [
         {
             "figure": name[0],
@@ -124,9 +123,9 @@ def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
             "differences": [
                 {
                     "value": _minus(_value(of, name), _value(columns[0], name)),
-                    "interval": difference(resamples[0], r, name),
+                    "interval": difference(columns[0], of, blocks, name),
                 }
-                for of, r in zip(columns[1:], resamples[1:], strict=True)
+                for of in columns[1:]
             ],
         }
         for name in FIGURES
@@ -151,10 +150,10 @@ def render(document: Mapping[str, Any], protocol: str) -> str:
     letters = [chr(ord("A") + i) if i < 26 else str(i) for i in range(len(document["runs"]))]
     scores = document["score_thresholds"]
     lines = [f"{a}  {name}  (score > {s:g})" for a, name, s in zip(letters, document["runs"], scores, strict=True)]
-    lines += [f"Protocol: {protocol}. Differences with 95% intervals of paired resamples; * where they exclude 0."]
+    lines += [f"Protocol: {protocol}. Differences with paired 95% intervals; * where they exclude 0."]
     gaps = [f"{letter} - {letters[0]}" for letter in letters[1:]]
     for name, split in document["splits"].items():
-        lines += ["", f"{name}: {split['images']} images, {drawn(split)}"]
+        lines += ["", f"{name}: {split['images']} images, {evidence(split)}"]
         lines.append(
             f"  IoU  {'figure':18}" + "".join(f"{a:>8}" for a in letters) + "".join(f"  {g:^24}" for g in gaps)
         )

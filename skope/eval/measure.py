@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from skope.eval import confidence, failures, metrics, tally
-from skope.eval.bootstrap import Blocks, blocks_of, intervals
 from skope.eval.breakdown import Fleet, breakdown
 from skope.eval.coco_ap import NO_PRECISION, average_precision
+from skope.eval.intervals import Blocks, blocks_of, intervals
 from skope.eval.match import Matches
 from skope.eval.tally import Judged, Options, Tally
 from skope.schema import AnnotationFile, Result
@@ -46,7 +46,7 @@ def measure(
         "localisation": {f"{t:g}": metrics.localisation(judged[t]) for t in options.iou},
         "failures": {f"{t:g}": failures.counts(matches, judged[t], options) for t in options.iou},
         "confidence": confidence.confidence(matches, judged[options.loosest], options),
-        "bootstrap": {
+        "intervals": {
             **blocks.to_dict(),
             "iou": {f"{t:g}": intervals(tally.quotients(tallies[t]), blocks) for t in options.iou},
         },
@@ -57,7 +57,7 @@ def measure(
 
 
 def to_tallies(measured: Measured) -> dict[str, Any]:
-    """A split's entry in `tallies.json`: counts of each image at each IoU threshold, and the blocks to draw."""
+    """A split's entry in `tallies.json`: counts of each image at each IoU threshold, and the images' blocks."""
     return {
         "image_ids": [image.id for image in measured.file.images],
         "unit": measured.blocks.unit,

@@ -7,7 +7,7 @@ from importlib import resources
 from typing import Any, Final
 
 from skope.errors import one_of
-from skope.eval.bootstrap import ENOUGH_SITES
+from skope.eval.intervals import ENOUGH_SITES
 from skope.eval.tally import PROTOCOLS
 
 _MEANING: Final = {
@@ -159,11 +159,11 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
     """95% intervals at the lowest threshold, and what they speak for."""
     lines = []
     for name, split in splits.items():
-        bootstrap = split.get("bootstrap")
-        if not bootstrap:
+        intervals = split.get("intervals")
+        if not intervals:
             continue
-        t, figures = list(bootstrap["iou"].items())[-1]
-        lines.append(f"  {name}: {drawn(bootstrap)}")
+        t, figures = list(intervals["iou"].items())[-1]
+        lines.append(f"  {name}: {evidence(intervals)}")
         if figures["pck"] is not None or figures["box_recall"][protocol] is not None:
             pck, *others = row_of(figures, protocol)
             shown = [f"PCK {span(pck, percent=True)}"]
@@ -172,13 +172,15 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
     return ["", "95% intervals (all thresholds are in metrics.json)", *lines] if lines else []
 
 
-def drawn(bootstrap: Mapping[str, Any]) -> str:
-    """What the resampling of a split drew, and what that says nothing about, in words."""
-    blocks, sites, unit = bootstrap["blocks"], bootstrap["sites"], bootstrap["unit"]
-    words = f"{unit}s" if unit in ("site", "image") else f"blocks of {unit}"
+def evidence(intervals: Mapping[str, Any]) -> str:
+    """What a split's intervals come from, and what they say nothing about, in words."""
+    blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
+    words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
     words = f"{blocks} {words}" if blocks > 1 else f"none, fewer than two {words}"
     if unit == "image":
         return words + "; neighbouring frames, if there are any, make these too narrow"
+    if unit.endswith(" s"):
+        return words + " of one recording: this infers to no other weather, light or site"
     if sites == 1:
         return words + " of one site: this infers to no other site"
     if sites is not None and sites < ENOUGH_SITES:

@@ -1,8 +1,8 @@
 """What was found and how far off, image by image: counts that every figure is a quotient of sums of.
 
 A figure is the sum of a numerator over images divided by that of a denominator, in both protocols (the paper's mean of
-per-image ratios sums ratios over the images that have ground truth), so that one weighting of the images, as a
-bootstrap draws it, gives all figures at once. numpy alone.
+per-image ratios sums ratios over the images that have ground truth), so that leaving images out, as intervals do, takes
+a subtraction. numpy alone.
 """
 
 import math

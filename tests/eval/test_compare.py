@@ -53,7 +53,7 @@ def test_differences_and_their_intervals(skope: Any, runs: tuple[Path, Path]) ->
     low, high = gap["interval"]
     assert low <= gap["value"] <= high < 0
     # Paired: far narrower than what the two intervals by themselves would give.
-    alone = [of["bootstrap"]["iou"]["0.6"]["box_recall"]["pooled"] for of in (a, b)]
+    alone = [of["intervals"]["iou"]["0.6"]["box_recall"]["pooled"] for of in (a, b)]
     assert high - low < 0.7 * np.hypot(*(top - bottom for bottom, top in alone))
     line = next(line for line in out.splitlines() if line.startswith("  0.6  box recall"))
     assert line.rstrip().endswith("*")

@@ -1,13 +1,15 @@
 """Parts, failures, confidence, localisation and intervals against plain loops over the same random cases."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from skope import keypoints
-from skope.eval import bootstrap, confidence, failures
+from skope.eval import confidence, failures, intervals
 from skope.eval.breakdown import Fleet, breakdown
 from skope.eval.match import match
 from skope.eval.metrics import localisation, match_split, score_split
@@ -191,7 +193,7 @@ def recorded(file: AnnotationFile, sites: int) -> AnnotationFile:
     return replace(file, images=images)
 
 
-def test_a_resample_is_the_evaluation_of_the_images_that_it_drew() -> None:
+def test_what_is_left_without_a_block_is_the_evaluation_of_the_other_images() -> None:
     images, vehicles, detections = [], [], []
     for i, (these, cars, found) in enumerate(cases()[:12]):  # one split of many images
         images += [100 * i + image for image in these]
@@ -200,59 +202,103 @@ def test_a_resample_is_the_evaluation_of_the_images_that_it_drew() -> None:
     file, results = as_records(images, vehicles, detections)
     file = recorded(file, sites=2)
     matches = match_split(file, results, OPTIONS)
-    blocks = bootstrap.blocks_of(file.images)
-    assert (blocks.unit, blocks.sites) == ("10 s", 2)
-    drawn = bootstrap.resampled(quotients(tally(matches, T, OPTIONS)), blocks)
-    times = bootstrap.draw(blocks.count)
-    assert (times.sum(axis=1) == blocks.count).all()
-    for i in range(5):
-        again, cars, found = [], [], []
-        for place, image in enumerate(images):
-            for copy in range(int(times[i, blocks.number[place]])):
-                number = image + 100_000 * copy
-                again.append(number)
-                cars += [{**v, "image": number} for v in vehicles if v["image"] == image]
-                found += [{**d, "image": number} for d in detections if d["image"] == image]
-        expected = brute.evaluate(again, cars, found, T, "all", OPTIONS.score, OPTIONS.alpha, OPTIONS.keypoint_score)
-        for (name, protocol), values in drawn.items():
-            value = expected[name][protocol] if protocol else expected[name]
-            assert values[i] == pytest.approx(value), (name, protocol)
+    blocks = intervals.blocks_of(file.images)
+    assert (blocks.unit, blocks.sites) == ("recording", 2)
+    without = intervals.left_out(quotients(tally(matches, T, OPTIONS)), blocks)
+    for block in range(blocks.count):
+        kept = {image for place, image in enumerate(images) if blocks.number[place] != block}
+        cars, found = ([row for row in rows if row["image"] in kept] for rows in (vehicles, detections))
+        expected = brute.evaluate(
+            sorted(kept), cars, found, T, "all", OPTIONS.score, OPTIONS.alpha, OPTIONS.keypoint_score
+        )
+        for (name, protocol), values in without.items():
+            if not math.isnan(values[block]):
+                value = expected[name][protocol] if protocol else expected[name]
+                assert values[block] == pytest.approx(value), (name, protocol)
 
 
 def frames(count: int, **fields: Any) -> list[Image]:
     return [Image(id=i + 1, file_name=f"{i}.png", width=9, height=9, **fields) for i in range(count)]
 
 
-def test_what_is_drawn() -> None:
+def test_what_counts_as_one_piece_of_evidence() -> None:
     timed = [replace(image, time_s=3.0 * i) for i, image in enumerate(frames(8, site="a", recording="00"))]
-    blocks = bootstrap.blocks_of(timed)
+    blocks = intervals.blocks_of(timed)
     assert blocks.number.tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
-    assert blocks.to_dict()["blocks"] == 3
+    assert (blocks.unit, blocks.to_dict()["blocks"]) == ("10 s", 3)
     two = [*timed, *(replace(image, recording="01") for image in timed)]
-    assert bootstrap.blocks_of(two).count == 6
-    many = [replace(image, site=str(i % 5)) for i, image in enumerate(timed)]
-    assert (bootstrap.blocks_of(many).unit, bootstrap.blocks_of(many).count) == ("site", 5)
-    plain = bootstrap.blocks_of(frames(4))
+    assert (intervals.blocks_of(two).unit, intervals.blocks_of(two).count) == ("recording", 2)
+    there = [replace(image, site=str(i % 2)) for i, image in enumerate(timed)]
+    assert (intervals.blocks_of(there).unit, intervals.blocks_of(there).count) == ("recording", 2)
+    many = [replace(image, site=str(i % 3)) for i, image in enumerate(two)]
+    assert (intervals.blocks_of(many).unit, intervals.blocks_of(many).count) == ("site", 3)
+    plain = intervals.blocks_of(frames(4))
     assert (plain.unit, plain.count, plain.sites) == ("image", 4, None)
-    assert bootstrap.blocks_of([]).count == 0
+    assert intervals.blocks_of([]).count == 0
 
 
-def test_intervals_cover_as_often_as_they_say() -> None:
-    """Blocks of equal images: of many splits drawn from one distribution, 95% intervals hold the truth in most."""
-    rng = np.random.default_rng(5)
-    held = 0
-    for _ in range(200):
-        hits = np.repeat(rng.binomial(10, 0.7, size=40), 4).astype(float)
-        blocks = bootstrap.Blocks(unit="10 s", number=np.repeat(np.arange(40), 4), sites=1)
-        low, high = bootstrap.intervals({("pck", None): (hits, np.full(160, 10.0))}, blocks)["pck"]
-        held += low <= 0.7 <= high
-    assert 180 <= held <= 199
+@pytest.mark.parametrize("count", [3, 5, 10])
+@pytest.mark.parametrize(("mean", "alike"), [(0.7, 10), (0.9, 10), (0.9, 30), (0.97, 30)])
+def test_intervals_cover_as_often_as_they_say(count: int, mean: float, alike: float) -> None:
+    """Recordings (or sites) whose figures differ, 20 images of unequally many vehicles each: 95% hold the truth."""
+    rng, said = np.random.default_rng(1), []
+    blocks = intervals.Blocks(unit="recording", number=np.repeat(np.arange(count), 20), sites=1)
+    for _ in range(1000):
+        rate = rng.beta(mean * alike, (1 - mean) * alike, (count, 1))
+        vehicles = rng.poisson(5 * rng.lognormal(0, 0.4, (count, 1)), (count, 20))
+        hits = rng.binomial(vehicles, rate)
+        columns = (hits.ravel().astype(float), vehicles.ravel().astype(float))
+        pair = intervals.intervals({("box_recall", None): columns}, blocks)["box_recall"]
+        if pair is not None:  # as it is where nothing was missed
+            said.append(pair[0] <= mean <= pair[1])
+    assert len(said) > 900
+    assert 0.92 <= np.mean(said) <= 0.97
 
 
-def test_a_single_block_gives_no_interval() -> None:
-    columns = {("pck", None): (np.ones(3), np.ones(3))}
-    blocks = bootstrap.Blocks(unit="10 s", number=np.zeros(3, dtype=np.int64), sites=1)
-    assert bootstrap.intervals(columns, blocks) == {"pck": None}
+def test_frames_of_one_recording_are_no_evidence_of_their_own() -> None:
+    """What 10 s blocks say of such recordings: the truth is outside far more often than once in twenty."""
+    rng, held = np.random.default_rng(2), 0
+    for _ in range(300):
+        hits = rng.binomial(10, np.repeat(rng.beta(9, 1, 5), 20)).astype(float)
+        columns = {("box_recall", None): (hits, np.full(100, 10.0))}
+        blocks = intervals.Blocks(unit="10 s", number=np.repeat(np.arange(20), 5), sites=1)
+        low, high = intervals.intervals(columns, blocks)["box_recall"]
+        held += low <= 0.9 <= high
+    assert held / 300 < 0.85
+
+
+@pytest.mark.parametrize("count", [3, 5, 10])
+def test_differences_are_covered_as_often(count: int) -> None:
+    """Two detectors of which the second finds a tenth less, more or less by recording."""
+    rng, held, trials, name = np.random.default_rng(3), 0, 1000, ("box_recall", None)
+    blocks = intervals.Blocks(unit="recording", number=np.repeat(np.arange(count), 20), sites=1)
+    for _ in range(trials):
+        rate = rng.beta(16, 4, (count, 1))
+        other = rate - 0.1 + rng.normal(0, 0.03, (count, 1))
+        vehicles = rng.poisson(6, (count, 20)).astype(int)
+        a, b = (
+            {name: (rng.binomial(vehicles, np.clip(p, 0, 1)).ravel().astype(float), vehicles.ravel().astype(float))}
+            for p in (rate, other)
+        )
+        pair = intervals.difference(a, b, blocks, name)
+        assert pair is not None
+        held += pair[0] <= -0.1 <= pair[1]
+    assert 0.92 <= held / trials <= 0.97
+
+
+def test_students_quantiles_are_those_of_scipy() -> None:
+    for freedom in (*range(1, 12), 20, 50, 1000):
+        assert intervals.student(freedom) == pytest.approx(scipy.stats.t.ppf(0.975, freedom), rel=2e-3)
+
+
+def test_where_nothing_can_be_said_there_is_no_interval() -> None:
+    """One block; or blocks that all say 1: how seldom something is missed, such data do not tell."""
+    ones = {("pck", None): (np.ones(3), np.ones(3))}
+    single = intervals.Blocks(unit="10 s", number=np.zeros(3, dtype=np.int64), sites=1)
+    three = intervals.Blocks(unit="recording", number=np.arange(3), sites=1)
+    empty = {("pck", None): (np.array([3.0, 0, 0]), np.array([4.0, 0, 0]))}
+    for columns, blocks in ((ones, single), (ones, three), (empty, three)):
+        assert intervals.intervals(columns, blocks) == {"pck": None}
 
 
 # --------------------------------------------------------------------------------------------------------------- parts

@@ -4,7 +4,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.eval.metrics import document
-from skope.eval.table import drawn, published, render
+from skope.eval.table import evidence, published, render
 from skope.eval.tally import Options
 
 
@@ -87,23 +87,24 @@ def test_published_figures_follow_the_papers_protocol() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bootstrap", "words"),
+    ("intervals", "words"),
     [
-        ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one site: this infers to no other site"),
-        ({"unit": "10 s", "blocks": 30, "sites": 3}, "30 blocks of 10 s of 3 sites: too few to infer to others"),
+        ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one recording: this infers to no other w"),
+        ({"unit": "recording", "blocks": 10, "sites": 1}, "10 recordings of one site: this infers to no other site"),
+        ({"unit": "recording", "blocks": 20, "sites": 2}, "20 recordings of 2 sites: too few to infer to others"),
         ({"unit": "site", "blocks": 15, "sites": 15}, "15 sites"),
-        ({"unit": "10 s", "blocks": 1, "sites": 1}, "none, fewer than two blocks of 10 s of one site"),
+        ({"unit": "10 s", "blocks": 1, "sites": 1}, "none, fewer than two blocks of 10 s of one recording"),
         ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
     ],
 )
-def test_what_intervals_speak_for_is_said(bootstrap: dict[str, Any], words: str) -> None:
-    assert drawn(bootstrap).startswith(words)
+def test_what_intervals_speak_for_is_said(intervals: dict[str, Any], words: str) -> None:
+    assert evidence(intervals).startswith(words)
 
 
 def test_intervals_are_printed_at_the_lowest_threshold() -> None:
     both = {"paper": [0.1, 0.2], "pooled": [0.3, 0.4]}
     names = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
     figures = {"pck": [0.91, 0.95], **dict.fromkeys(names, both)}
-    entry = {**split(0.5), "bootstrap": {"unit": "site", "blocks": 9, "sites": 9, "iou": {"0.9": {}, "0.6": figures}}}
+    entry = {**split(0.5), "intervals": {"unit": "site", "blocks": 9, "sites": 9, "iou": {"0.9": {}, "0.6": figures}}}
     text = render(document(Options(), {"extra": entry}), "pooled", 120)
     assert "IoU 0.6: PCK 91.00-95.00, box Pr 0.300-0.400" in text

@@ -9,7 +9,7 @@ from skope import __version__
 from skope.eval.measure import Measured
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.table import COLUMNS, drawn, published_row, row_of
+from skope.eval.table import COLUMNS, evidence, published_row, row_of
 from skope.eval.tally import PROTOCOLS, Options
 from skope.page import document as page
 from skope.page.charts import Axes, chart
@@ -101,7 +101,7 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         "and the curves end where that threshold is."
     )
     sources = "".join(
-        tag("li", escape(f"Intervals of {name}: {drawn(split['bootstrap'])}"))
+        tag("li", escape(f"Intervals of {name}: {evidence(split['intervals'])}"))
         for name, split in document["splits"].items()
     )
     heads = ("split", "images", "vehicles", "ignored", "detections", "box AP", "AP50", "keypoint AP", "AP50")
@@ -133,7 +133,7 @@ def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any]
     rows = []
     for name, split in document["splits"].items():
         for t, figures in split["iou"].items():
-            spans = row_of(split["bootstrap"]["iou"][t], protocol)
+            spans = row_of(split["intervals"]["iou"][t], protocol)
             cells = [_cell(v, s, i == 0) for i, (v, s) in enumerate(zip(row_of(figures, protocol), spans, strict=True))]
             rows.append([escape(f"{name}, IoU {t}"), *cells])
             if beside and protocol == "paper":
