@@ -25,6 +25,8 @@ from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.towns import site
 
 SITE = "t01_main_west"
+DENSITY = 2
+"""Times the site's own traffic, so that there are enough vehicles to choose from in each frame."""
 STAGES = {
     "place and matrices": ["Placer.place"],
     "depth and ids": ["GLRenderer._draw_geometry", "renderer._put"],
@@ -281,7 +283,8 @@ def simulated(path: Path, size: tuple[int, int], frames: int, light: str) -> Non
     from skope.gen.simulate import simulate
 
     weather, hour = light.split()
-    place = replace(site(SITE), weather=weather, time_of_day=hour)
+    busy = replace(site(SITE), vehicles_per_hour=DENSITY * site(SITE).vehicles_per_hour)
+    place = replace(busy, weather=weather, time_of_day=hour)
     plan = RecordingPlan(site=place, index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
     recordings.save(path, simulate(plan))
 
