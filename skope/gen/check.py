@@ -1,4 +1,7 @@
-"""Does a dataset hold what it says? Files and their bytes, schema, ids, masks, re-projection, visibility and depth."""
+"""Does a dataset hold what it says?
+
+Files and their bytes, schema, ids, masks, re-projection, visibility, depth and motion.
+"""
 
 import hashlib
 import itertools
@@ -30,6 +33,10 @@ OUTSIDE_M = 0.35
 """Mirrors stand out of the box, metres."""
 DEPTH_LIMIT = 250.0
 """Depth files end soon after this, metres."""
+ACCELERATION = 10.0
+"""More than any vehicle brakes or corners with, m/s^2."""
+SPEED_DOUBT = 0.3
+"""What a body's rocking and the rounding of files add to that, m/s."""
 DOUBT = 0.015
 """Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
 
@@ -66,6 +73,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
             yield Finding(name, str(error).removeprefix(f"{dataset.root / name}: "))
             continue
         yield from seen.twice(name, split, file)
+        yield from _check_motion(name, file)
         yield from _check_totals(dataset, name, split)
         groups = file.by_image()
         for image in file.images:
@@ -166,6 +174,31 @@ def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
                 where = f"{name}: image {image['id']}, annotation {row['id']}"
                 yield Finding(
                     where, f"num_keypoints: is {row['num_keypoints']}, {labelled} are labelled", image["file_name"]
+                )
+
+
+def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
+    """Velocities against how far a track's vehicle has come from image to image."""
+    images = {image.id: image for image in file.images}
+    tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation]]] = {}
+    for one in file.annotations:
+        image = images[one.image_id]
+        if one.velocity is not None and one.box_3d is not None and one.track_id and image.time_s is not None:
+            key = (image.site, image.recording, one.track_id)
+            tracks.setdefault(key, []).append((image.time_s, image, one))
+    for rows in tracks.values():
+        rows.sort(key=lambda row: row[0])
+        for (start, _, a), (end, image, b) in itertools.pairwise(rows):
+            if end <= start or a.velocity is None or b.velocity is None or a.box_3d is None or b.box_3d is None:
+                continue
+            came = (b.box_3d.center - a.box_3d.center) / (end - start)
+            wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
+            # At most so far apart is the mean of two velocities from the mean velocity between them.
+            if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT:
+                yield Finding(
+                    f"{name}: annotation {b.id}",
+                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far the vehicle has come",
+                    image.file_name,
                 )
 
 

@@ -3,11 +3,14 @@
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from shapely import LineString, Polygon
+from shapely.ops import unary_union
 
 from skope.gen.bystanders import Bystander, Look, build
 from skope.gen.bystanders.people import lowered
@@ -20,6 +23,8 @@ _PER_HUNDRED_METRES: Final = 2.2
 """People on a sidewalk."""
 _STANDING: Final = 0.15
 """Share of those who wait or look at something."""
+_ELBOW_ROOM: Final = 0.4
+"""From the middle of somebody who passes a parked vehicle to its side, metres."""
 _ASIDE: Final = 0.45
 """Standard deviation of how far people walk beside the middle of the sidewalk, metres."""
 
@@ -83,29 +88,38 @@ class _Walk:
     facing: float
     """Where somebody who stands looks, radians from the path."""
 
+    def meets(self, obstacles: shapely.Geometry) -> bool:
+        """Whether somebody who walks there and back comes upon what stands there."""
+        if obstacles.is_empty:
+            return False
+        line = LineString(self.path[:, :2])
+        return any(line.offset_curve(side * self.aside).intersects(obstacles) for side in (-1, 1))
+
 
 class Walkers:
     """People who walk to and fro on sidewalks; where they are depends on the time alone."""
 
-    def __init__(self, paths: Sequence[Array], rng: np.random.Generator) -> None:
-        """Middles of sidewalks (N, 3), metres."""
+    def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
+        """Middles of sidewalks (N, 3), and what vehicles stand on beside or on them, metres."""
         self._walks: list[_Walk] = []
+        standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
         for path in paths:
             length = _length(path)
             for _ in range(rng.poisson(length / 100 * _PER_HUNDRED_METRES)):
                 look = Look.drawn(rng)
                 speed = float(rng.normal(1.35, 0.2)) * (1 if look.height > 1.5 else 0.85) * rng.choice([-1, 1])
                 stands = rng.random() < _STANDING
-                self._walks.append(
-                    _Walk(
-                        build("pedestrian", look.to_dict()),
-                        path,
-                        float(rng.uniform(0, length)),
-                        0.0 if stands else speed,
-                        float(rng.normal(0, _ASIDE)),
-                        float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
-                    )
+                walk = _Walk(
+                    build("pedestrian", look.to_dict()),
+                    path,
+                    float(rng.uniform(0, length)),
+                    0.0 if stands else speed,
+                    float(rng.normal(0, _ASIDE)),
+                    float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
                 )
+                # Whoever would walk into a parked vehicle keeps to the middle, or stays at home.
+                free = [way for way in (walk, replace(walk, aside=0.0)) if not way.meets(standing)]
+                self._walks += free[:1]
 
     def at(self, time: float) -> dict[str, Present]:
         """Everyone at a time, seconds."""

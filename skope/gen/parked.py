@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from shapely import Polygon
 
-from skope.gen.towns.layout import Layout
+from skope.gen.motion import Driven
+from skope.gen.towns.layout import Layout, rectangle
 from skope.gen.towns.parking import BAY, Bay
-from skope.gen.traffic import Driven
 from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.model import Vehicle
 
 OCCUPIED: Final = 0.5
 """Share of the bays that are taken."""
@@ -26,6 +28,11 @@ class Parked:
     model: str
     color: str
     state: Driven
+
+    def footprint(self, vehicle: Vehicle) -> Polygon:
+        """What it stands on, world, metres."""
+        length, width, _ = vehicle.size_lwh
+        return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
 
 def parked(town: str, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:

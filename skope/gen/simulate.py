@@ -2,13 +2,12 @@
 
 import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import metadata
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 import skope
 from skope.camera import Camera
@@ -16,6 +15,7 @@ from skope.gen import cameras
 from skope.gen.conditions import Conditions, ranges
 from skope.gen.crowd import Present, Riders, Walkers
 from skope.gen.demand import in_town
+from skope.gen.motion import Driven, drivable, reach
 from skope.gen.parked import Parked, parked
 from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.towns import network
@@ -24,7 +24,7 @@ from skope.gen.towns.parking import Bay
 from skope.gen.towns.place import know
 from skope.gen.towns.scenery import scenery
 from skope.gen.towns.sidewalks import sidewalks
-from skope.gen.traffic import LAMPS, Driven, Snapshot, Traffic, step_for
+from skope.gen.traffic import LAMPS, Snapshot, Traffic, step_for
 from skope.gen.vehicles import FleetEntry, added, build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.world import Pose, World, at_rest
@@ -85,13 +85,16 @@ def simulate(plan: RecordingPlan) -> Recording:
     camera = cameras.drawn(
         site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, np.random.default_rng([*own, 5])
     )
-    stride, settle = round(plan.interval / step), round(SETTLE / step)
+    stride, settle, ahead = round(plan.interval / step), round(SETTLE / step), reach(step)
     models = _models(plan)
     log = _Log(camera, plan, models, lamps_on=lamps_on(conditions))
     paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
-    walkers = Walkers(paths, np.random.default_rng([*own, 1]))
-    log.park(parked(site.town, log.in_view(scenery(site.town).bays), models, np.random.default_rng([*own, 3])))
-    duration = (warm_up + settle + plan.frames * stride) * step
+    standing = parked(site.town, log.in_view(scenery(site.town).bays), models, np.random.default_rng([*own, 3]))
+    log.park(standing)
+    footprints = [one.footprint(models[one.model].vehicle) for one in standing]
+    walkers = Walkers(paths, np.random.default_rng([*own, 1]), footprints)
+    steps = settle + (plan.frames - 1) * stride + 1
+    duration = (warm_up + steps + ahead) * step
     with (
         Traffic(
             network(site.town),
@@ -106,15 +109,14 @@ def simulate(plan: RecordingPlan) -> Recording:
         World(step) as world,
     ):
         riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, own)
-        traffic.warm_up(warm_up)
-        for k in range(settle + (plan.frames - 1) * stride + 1):
-            snapshot = traffic.step()
-            near = log.near(snapshot, traffic)
+        traffic.warm_up(warm_up - ahead)
+        for k, (snapshot, driven) in enumerate(drivable(traffic.steps(steps + 2 * ahead), step)):
+            near = log.near(driven, traffic)
             world.advance(near)
             riding = riders.follow(snapshot.riders, step)
             if k >= settle and (k - settle) % stride == 0:
                 time = (k - settle) * step
-                far = log.far(snapshot, traffic)
+                far = log.far(driven, traffic)
                 poses = world.poses() | {name: at_rest(*placed) for name, placed in far.items()}
                 log.add(time, near | far, poses, snapshot, traffic)
                 log.add_others({**riding, **walkers.at(time)})
@@ -150,7 +152,7 @@ class _Log:
     ) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
-        self._eye, self._ahead = camera.position[:2], camera.T_camera_world[2, :2]
+        self._eye, self._ahead = camera.position[:2].tolist(), camera.T_camera_world[2, :2].tolist()
         self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
         self._always = LAMPS["low_beam"] if lamps_on else 0
         self._parked: dict[str, tuple[Parked, Pose]] = {}
@@ -161,28 +163,28 @@ class _Log:
         self._rows: list[tuple[int, int, Pose, int]] = []
         self._first_track = plan.index * TRACKS_PER_RECORDING + 1
 
-    def near(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+    def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles that the physics are worth."""
-        return self._within(0.0, REACH, snapshot, traffic)
+        return self._within(0.0, REACH, everyone, traffic)
 
-    def far(self, snapshot: Snapshot, traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+    def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles so far away that it is enough to know where they are."""
-        return self._within(REACH, self._reach, snapshot, traffic)
+        return self._within(REACH, self._reach, everyone, traffic)
 
     def _within(
-        self, least: float, most: float, snapshot: Snapshot, traffic: Traffic
+        self, least: float, most: float, everyone: Mapping[str, Driven], traffic: Traffic
     ) -> dict[str, tuple[Vehicle, Driven]]:
         return {
             name: (self._vehicle(name, traffic.trips[name].model), driven)
-            for name, driven in sorted(snapshot.vehicles.items())
+            for name, driven in sorted(everyone.items())
             if least <= self._distance(driven.position) < most
         }
 
-    def _distance(self, position: ArrayLike) -> float:
-        """How far a place (3,) is from the camera, metres; infinitely far when nothing of it can be seen."""
-        offset = np.asarray(position)[:2] - self._eye
-        away = float(np.hypot(*offset))
-        return away if offset @ self._ahead > 0 or away < BEHIND else math.inf
+    def _distance(self, position: Sequence[float]) -> float:
+        """How far a place (2 or more) is from the camera, metres; infinitely far when nothing of it can be seen."""
+        east, north = position[0] - self._eye[0], position[1] - self._eye[1]
+        away = math.hypot(east, north)
+        return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < BEHIND else math.inf
 
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
@@ -226,7 +228,7 @@ class _Log:
     def add_others(self, others: Mapping[str, Present]) -> None:
         """Those who are not labelled, into the last frame."""
         for name, other in others.items():
-            if self._distance(other.T_world_body[:3, 3]) < REACH:
+            if self._distance(other.T_world_body[:2, 3].tolist()) < REACH:
                 pose = Pose(other.T_world_body, other.part_poses, other.velocity)
                 look = other.body.look.to_dict()
                 self._note(

@@ -7,8 +7,9 @@ compass degrees; both are converted here, once.
 import math
 import tempfile
 from bisect import bisect
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,7 @@ from skope.errors import UserError
 from skope.gen.demand import RIDERS, Trip, trips, write_types
 from skope.gen.flows import scheduled
 from skope.gen.vehicles import FleetEntry
+from skope.gen.vehicles.shape import Dimensions
 
 STEP: Final = 0.025
 """Seconds a step, where the frames' interval is a multiple of it."""
@@ -48,12 +50,39 @@ def step_for(interval: float) -> float:
     return fits[0] / 1000
 
 
-@dataclass(frozen=True)
-class Driven:
-    """One vehicle at one step."""
+GUIDE: Final = math.sqrt(0.5)
+"""Where on the wheelbase the point is that is kept on the middle of the lane, from the rear axle: in curves the front
+axle then runs as far outside as the rear axle inside."""
 
-    position: tuple[float, float, float]
-    """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
+
+@dataclass(frozen=True)
+class Chassis:
+    """Places along a vehicle, metres."""
+
+    wheelbase: float
+    guide: float
+    """Of the point that follows the lane, ahead of the rear axle."""
+    middle: float
+    """Of the vehicle's middle, ahead of the rear axle."""
+    front_axle: float
+    """Of the front axle, behind the front bumper."""
+
+    @classmethod
+    def of(cls, shape: Dimensions) -> "Chassis":
+        return cls(shape.wheelbase, GUIDE * shape.wheelbase, -shape.rear_axle_x, shape.front_overhang)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where SUMO has a vehicle at one step."""
+
+    chassis: Chassis
+    guide: tuple[float, float]
+    """World: the place on its way over which the point that follows the lane is, metres."""
+    driven: float
+    """How far it has come, metres."""
+    height: float
+    """Of the road under the vehicle's middle, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
@@ -76,32 +105,37 @@ class Ridden:
 @dataclass(frozen=True)
 class Snapshot:
     time: float
-    vehicles: Mapping[str, Driven]
+    vehicles: Mapping[str, Placed]
     riders: Mapping[str, Ridden]
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
 
 
 class _Trail:
-    """Heights of the road that a vehicle's front bumper has passed, by the distance driven."""
+    """The road that a vehicle's front bumper has passed: (x, y, z) by the distance driven."""
 
-    def __init__(self, height: float, slope: float) -> None:
+    def __init__(self, place: tuple[float, float, float], yaw: float, slope: float) -> None:
+        x, y, z = place
+        level = _TRAIL * math.cos(slope)
+        behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - _TRAIL * math.sin(slope))
         self._driven = [-_TRAIL, 0.0]
-        self._height = [height - _TRAIL * math.sin(slope), height]
+        self._places = [behind, place]
 
-    def add(self, driven: float, height: float) -> None:
+    def add(self, driven: float, place: tuple[float, float, float]) -> None:
         if driven - self._driven[-1] >= _TRAIL_STEP:
             self._driven.append(driven)
-            self._height.append(height)
+            self._places.append(place)
             if driven - self._driven[0] > 2 * _TRAIL:
                 first = next(i for i, at in enumerate(self._driven) if at > driven - _TRAIL) - 1
-                del self._driven[:first], self._height[:first]
+                del self._driven[:first], self._places[:first]
 
-    def height(self, driven: float) -> float:
+    def at(self, driven: float) -> tuple[float, float, float]:
+        """Where the bumper was when it had come so far."""
         after = min(bisect(self._driven, driven), len(self._driven) - 1)
         start, end = self._driven[after - 1], self._driven[after]
-        low, high = self._height[after - 1], self._height[after]
-        return low + (high - low) * min((driven - start) / (end - start), 1.0)
+        (ax, ay, az), (bx, by, bz) = self._places[after - 1], self._places[after]
+        share = min((driven - start) / (end - start), 1.0)
+        return ax + (bx - ax) * share, ay + (by - ay) * share, az + (bz - az) * share
 
 
 class Traffic:
@@ -129,7 +163,9 @@ class Traffic:
             else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng, passing=passing)
         )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
+        self._chassis = {name: Chassis.of(entry.vehicle.shape) for name, entry in fleet.items()}
         self._trails: dict[str, _Trail] = {}
+        self._start: dict[str, float] = {}
 
     def __enter__(self) -> "Traffic":
         import libsumo
@@ -165,14 +201,24 @@ class Traffic:
             self._sumo.simulationStep()
             if k % _TRAIL_EVERY == 0:
                 for name in vehicle.getIDList():
-                    self._trail(name, vehicle.getDistance(name), vehicle.getPosition3D(name)[2])
+                    self._trail(name)
 
-    def _trail(self, name: str, driven: float, height: float) -> _Trail:
-        """A vehicle's trail with its present place in it."""
+    def _trail(self, name: str) -> tuple[_Trail, float]:
+        """A vehicle's trail with its present place in it, and how far it has driven."""
+        vehicle = self._sumo.vehicle
+        driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
         if name not in self._trails:
-            self._trails[name] = _Trail(height, math.radians(self._sumo.vehicle.getSlope(name)))
-        self._trails[name].add(driven, height)
-        return self._trails[name]
+            slope, yaw = math.radians(vehicle.getSlope(name)), math.radians(90.0 - vehicle.getAngle(name))
+            self._start[name] = driven
+            self._trails[name] = _Trail(place, yaw, slope)
+        driven -= self._start[name]
+        self._trails[name].add(driven, place)
+        return self._trails[name], driven
+
+    def steps(self, count: int) -> Iterator[Snapshot]:
+        """Go on by some steps, and say at each where everyone is."""
+        for _ in range(count):
+            yield self.step()
 
     def step(self) -> Snapshot:
         """Go on by a step and say where everyone is."""
@@ -180,41 +226,47 @@ class Traffic:
         sumo.simulationStep()
         present = sumo.vehicle.getIDList()
         for gone in self._trails.keys() - set(present):
-            del self._trails[gone]
+            del self._trails[gone], self._start[gone]
         riders = {name for name in present if self.trips[name].model in RIDERS}
         return Snapshot(
             sumo.simulation.getTime(),
-            {name: self._driven(name) for name in present if name not in riders},
+            {name: self._placed(name) for name in present if name not in riders},
             {name: self._ridden(name) for name in riders},
             {name: sumo.trafficlight.getRedYellowGreenState(name) for name in sumo.trafficlight.getIDList()},
         )
 
-    def _driven(self, name: str) -> Driven:
+    def _placed(self, name: str) -> Placed:
         vehicle = self._sumo.vehicle
-        x, y, z = vehicle.getPosition3D(name)
-        yaw = math.radians(90.0 - vehicle.getAngle(name))
-        shape = self._fleet[self.trips[name].model].vehicle.shape
-        front, rear = (shape.length / 2 - axle for axle in (shape.front_axle_x, shape.rear_axle_x))
-        ahead, behind = self._heights(name, z, (front, rear))
-        pitch = math.atan2(ahead - behind, rear - front)
-        back = shape.length / 2 * math.cos(pitch)
-        middle = behind + (rear - shape.length / 2) / (rear - front) * (ahead - behind)
-        position = (x - back * math.cos(yaw), y - back * math.sin(yaw), middle)
-        lamps = sum(ours for theirs, ours in _SUMO_LAMPS.items() if vehicle.getSignals(name) & theirs)
-        return Driven(position, yaw, pitch, vehicle.getSpeed(name), lamps)
+        chassis = self._chassis[self.trips[name].model]
+        trail, driven = self._trail(name)
+        front = driven - chassis.front_axle
+        x, y, _ = trail.at(front - chassis.wheelbase + chassis.guide)
+        ahead, behind = trail.at(front)[2], trail.at(front - chassis.wheelbase)[2]
+        slope = (ahead - behind) / chassis.wheelbase
+        return Placed(
+            chassis=chassis,
+            guide=(x, y),
+            driven=driven,
+            height=behind + chassis.middle * slope,
+            yaw=math.radians(90.0 - vehicle.getAngle(name)),
+            pitch=math.atan(slope),
+            speed=vehicle.getSpeed(name),
+            lamps=_lamps(vehicle.getSignals(name)),
+        )
 
     def _ridden(self, name: str) -> Ridden:
         vehicle = self._sumo.vehicle
-        x, y, z = vehicle.getPosition3D(name)
+        x, y, _ = vehicle.getPosition3D(name)
         yaw = math.radians(90.0 - vehicle.getAngle(name))
         length = vehicle.getLength(name)
-        ahead, behind = self._heights(name, z, (0.2 * length, 0.8 * length))
+        trail, driven = self._trail(name)
+        ahead, behind = (trail.at(driven - share * length)[2] for share in (0.2, 0.8))
         back, pitch = length / 2, math.atan2(ahead - behind, 0.6 * length)
         position = (x - back * math.cos(yaw), y - back * math.sin(yaw), (ahead + behind) / 2)
         return Ridden(position, yaw, pitch, vehicle.getSpeed(name))
 
-    def _heights(self, name: str, height: float, behind: tuple[float, ...]) -> list[float]:
-        """Heights of the road at some distances behind a front bumper at `height`, where it has been before."""
-        driven = self._sumo.vehicle.getDistance(name)
-        trail = self._trail(name, driven, height)
-        return [trail.height(driven - back) for back in behind]
+
+@cache
+def _lamps(signals: int) -> int:
+    """SUMO's bits of a vehicle's signals as ours of `LAMPS`."""
+    return sum(ours for theirs, ours in _SUMO_LAMPS.items() if signals & theirs)

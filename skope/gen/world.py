@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.bullet import engine
-from skope.gen.traffic import Driven
+from skope.gen.motion import Driven
 from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ class _Body:
         self.suspension = _Suspension.of(vehicle)
         self.state = start
         self.load = np.zeros(2)
-        self.velocity = np.zeros(3)
+        self.velocity = at_rest(vehicle, start).velocity
         self.id = self._create()
         self._place(start.position, start.yaw, start.pitch)
 
@@ -169,9 +169,12 @@ class _Body:
         load = np.clip(load, -_GRIP, _GRIP)
         # SUMO decides speeds anew at each step: 0.1 s is what tyres take to build up a force.
         self.load += (load - self.load) * (dt / (0.1 + dt))
-        self.velocity = (np.array(target.position) - before.position) / dt
+        if target is not before:  # as it is for one that has just come
+            self.velocity = (np.array(target.position) - before.position) / dt
         e, s = self.engine, self.vehicle.shape
-        rolling = [target.speed / s.wheel_radius] * 4
+        ahead, aside = s.wheel_centers()[:, 0] - s.rear_axle_x, s.wheel_centers()[:, 1]
+        # Each wheel rolls what its own place on the vehicle travels.
+        rolling = (np.hypot(target.speed - turn * aside, turn * ahead) / s.wheel_radius).tolist()
         e.setJointMotorControlArray(
             self.id,
             _WHEELS,

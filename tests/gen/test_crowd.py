@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shapely import Point, Polygon
 
 from skope import keypoints
 from skope.camera import Camera
@@ -57,6 +58,21 @@ def test_people_walk_on_the_path_at_their_speed() -> None:
             assert moved == pytest.approx(0.5 * speed, abs=0.01)
         assert -0.1 < z <= 2.1
     assert 0 < stand < len(before) / 2
+
+
+def test_people_do_not_walk_through_parked_vehicles() -> None:
+    """One that stands on a part of the sidewalk: those whose way leads through it keep to the middle."""
+    car = Polygon([(10, 0.45), (14, 0.45), (14, 2.0), (10, 2.0)])
+    free, careful = (Walkers([PATH] * 20, np.random.default_rng(0), places) for places in ((), (car,)))
+    nearest = [
+        min(car.distance(Point(one.T_world_body[:2, 3])) for t in range(60) for one in walkers.at(float(t)).values())
+        for walkers in (free, careful)
+    ]
+    assert nearest[0] < 0.1
+    assert nearest[1] > 0.25
+    assert len(careful.at(0.0)) == len(free.at(0.0))
+    across = Polygon([(10, -2), (14, -2), (14, 2), (10, 2)])
+    assert not Walkers([PATH] * 20, np.random.default_rng(0), [across]).at(0.0)
 
 
 def test_the_lower_foot_of_a_walker_touches_the_ground() -> None:

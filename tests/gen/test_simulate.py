@@ -6,10 +6,11 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen import recording as recordings
+from skope.gen.motion import Driven
 from skope.gen.recording import RecordingPlan
 from skope.gen.simulate import simulate
 from skope.gen.towns import network, site
-from skope.gen.traffic import LAMPS, STEP, Driven, Traffic
+from skope.gen.traffic import LAMPS, STEP, Traffic
 from skope.gen.vehicles import fleet
 from skope.gen.world import World, at_rest
 from tests.gen.scenes import driven
@@ -47,6 +48,38 @@ def test_wheels_roll_without_slip() -> None:
     rolled = (turned[-1] - turned[20]) * SEDAN.shape.wheel_radius
     distance = poses[-1].T_world_chassis[0, 3] - poses[20].T_world_chassis[0, 3]
     assert rolled == pytest.approx(distance, rel=0.02)
+
+
+def test_a_newcomer_has_its_velocity_from_the_first_step() -> None:
+    velocities = [pose.velocity for pose in drive(straight(np.full(3, 8.0)))]
+    np.testing.assert_allclose(velocities, [[8, 0, 0]] * 3, atol=1e-9)
+
+
+def test_each_wheel_rolls_what_its_own_place_travels() -> None:
+    speed, radius = 5.0, 12.0
+    angle = np.arange(200) * STEP * speed / radius
+    # The middle of the rear axle is on the circle.
+    middle = -SEDAN.shape.rear_axle_x
+    path = [
+        Driven(
+            (radius * math.sin(a) + middle * math.cos(a), -radius * math.cos(a) + middle * math.sin(a), 0.0),
+            *(float(a), 0.0, speed, 0),
+        )
+        for a in angle
+    ]
+    poses = drive(path)
+    for wheel, (x, y) in enumerate(SEDAN.shape.wheel_centers()[:, :2]):
+        own = math.hypot(radius - y, x - SEDAN.shape.rear_axle_x)
+        rolled = []
+        for pose in poses[100:]:
+            chassis, T = pose.T_world_chassis, pose.T_world_wheels[wheel]
+            axle = T[:3, 1]
+            up = np.array([0.0, 0.0, 1.0]) - axle[2] * axle
+            ahead = np.cross(axle, up / np.linalg.norm(up))
+            rolled.append(math.atan2(-(T[:3, 0] @ up), T[:3, 0] @ ahead))
+            assert chassis[2, 2] > 0.99
+        travelled = (np.unwrap(rolled)[-1] - np.unwrap(rolled)[0]) * SEDAN.shape.wheel_radius
+        assert abs(travelled) == pytest.approx(own * (angle[-1] - angle[100]), rel=0.02)
 
 
 def test_braking_dips_the_nose_and_accelerating_lifts_it() -> None:
@@ -98,7 +131,7 @@ def test_the_body_follows_its_path() -> None:
 
 
 def test_sumo_front_bumper_and_compass_are_converted() -> None:
-    """A vehicle that drives east on Main Street: SUMO's own numbers against ours."""
+    """Vehicles that drive east on Main Street: SUMO's own numbers against ours."""
     import libsumo
 
     rng = np.random.default_rng(0)
@@ -107,14 +140,15 @@ def test_sumo_front_bumper_and_compass_are_converted() -> None:
             snapshot = traffic.step()
         checked = 0
         for name, state in snapshot.vehicles.items():
-            if libsumo.vehicle.getRoadID(name) == "main_west_in":
+            if libsumo.vehicle.getRoadID(name) == "main_west_in" and libsumo.vehicle.getDistance(name) > 20:
                 front = np.array(libsumo.vehicle.getPosition(name))
                 # East is 90 degrees of the compass; within a lane vehicles also move sideways.
                 assert libsumo.vehicle.getAngle(name) == pytest.approx(90, abs=5)
                 assert state.yaw == pytest.approx(math.radians(90 - libsumo.vehicle.getAngle(name)), abs=1e-9)
-                length = fleet()[traffic.trips[name].model].vehicle.shape.length
-                back = length / 2 * np.array([math.cos(state.yaw), math.sin(state.yaw)])
-                np.testing.assert_allclose(state.position[:2], front - back, atol=1e-6)
+                shape = fleet()[traffic.trips[name].model].vehicle.shape
+                back = shape.front_overhang + (1 - math.sqrt(0.5)) * shape.wheelbase
+                assert state.guide[0] == pytest.approx(front[0] - back, abs=0.01)
+                assert state.guide[1] == pytest.approx(front[1], abs=0.5)
                 checked += 1
         assert checked > 1
 

@@ -9,11 +9,11 @@ from shapely import Polygon
 
 from skope.gen import simulate as simulation
 from skope.gen.demand import in_town, ways
+from skope.gen.motion import Driven
 from skope.gen.recording import Moment, Recording, RecordingPlan
 from skope.gen.simulate import simulate
 from skope.gen.towns import network, site, sites
 from skope.gen.towns.scenery import scenery
-from skope.gen.traffic import Driven
 from skope.gen.vehicles import build, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.world import World
