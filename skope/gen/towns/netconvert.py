@@ -16,6 +16,12 @@ COMMON: Final[Mapping[str, str]] = {
     "offset.disable-normalization": "true",
     "default.lanewidth": "3.3",
     "tls.yellow.time": "3",
+    # Signals follow the traffic: nobody waits for an empty road, and a queue is gone when it turns red again.
+    "tls.default-type": "actuated",
+    "tls.min-dur": "5",
+    "tls.max-dur": "25",
+    # Lateral acceleration in a turn, m/s^2.
+    "junctions.limit-turn-speed": "4",
     "no-turnarounds": "true",
     "junctions.corner-detail": "8",
     "junctions.internal-link-detail": "12",
