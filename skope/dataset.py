@@ -1,6 +1,6 @@
 """Read a dataset folder: its card, splits, images and depth."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,7 @@ from skope.depth import read_depth
 from skope.errors import UserError, one_of
 from skope.files import check_version, read_json
 from skope.keypoints import Scheme
-from skope.schema import AnnotationFile, Image
+from skope.schema import Annotation, AnnotationFile, Image
 
 CARD: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
@@ -169,14 +169,58 @@ def _place(image: Image) -> tuple[bool, int]:
 
 
 def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
-    """What is learnt and what is validated on: the last `fraction` of each recording, after a gap that is left out."""
+    """What is learnt and what is validated on, which is about `fraction` of the frames.
+
+    Of sites with several recordings whole ones are held back, the last of them; of others the last frames, after a gap
+    that is left out. See `ignoring`: many a vehicle of a recording's last frames was there before.
+    """
+    sites: dict[str | None, list[list[Image]]] = {}
+    for ordered in recordings(file):
+        sites.setdefault(ordered[0].site, []).append(ordered)
     learnt: list[Image] = []
     validated: list[Image] = []
-    for ordered in recordings(file):
-        first = len(ordered) - round(fraction * len(ordered))  # after the last one of a recording too short for it
-        learnt += [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)]
-        validated += ordered[first:]
+    due = 0.0
+    for own in sites.values():
+        if len(own) == 1:
+            before, last = _split(own[0], fraction)
+            learnt += before
+            validated += last
+            continue
+        due += fraction * sum(map(len, own))
+        # What a short recording keeps back too little, another site's keeps back more.
+        while len(own) > 1 and due >= len(own[-1]) / 2:
+            due -= len(own[-1])
+            validated += own.pop()
+        learnt += [image for recording in own for image in recording]
     return part(file, learnt), part(file, validated)
+
+
+def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFile:
+    """`validated` with the vehicles (by recording and track) that were learnt from as ignored ones."""
+    seen = {track for image, a in _with_images(learnt) if not a.ignored and (track := _track(image, a)) is not None}
+    rows = (replace(a, iscrowd=1) if _track(image, a) in seen else a for image, a in _with_images(validated))
+    return replace(validated, annotations=tuple(rows))
+
+
+def _with_images(file: AnnotationFile) -> Iterator[tuple[Image, Annotation]]:
+    images = {image.id: image for image in file.images}
+    return ((images[a.image_id], a) for a in file.annotations)
+
+
+def _track(image: Image, annotation: Annotation) -> tuple[str | None, str | None, int] | None:
+    """Which vehicle it is in its whole recording; None where the file does not say."""
+    return None if annotation.track_id is None else (image.site, image.recording, annotation.track_id)
+
+
+def last_frames(file: AnnotationFile, fraction: float) -> AnnotationFile:
+    """The last `fraction` of each recording's frames, rounded."""
+    return part(file, (image for ordered in recordings(file) for image in _split(ordered, fraction)[1]))
+
+
+def _split(ordered: Sequence[Image], fraction: float) -> tuple[list[Image], list[Image]]:
+    """The frames of a recording before the gap, and its last `fraction`."""
+    first = len(ordered) - round(fraction * len(ordered))  # after the last one of a recording too short for it
+    return [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)], [*ordered[first:]]
 
 
 def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:

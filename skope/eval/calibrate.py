@@ -51,7 +51,7 @@ def calibrate(job: Job, console: Console) -> Path:
     share = _share(job, predictor.metadata)
     work = _work(job, [weights, *truth.sources], share)
     calibration.check_free(weights, work)
-    file = inputs.limit(last_part(truth.splits[0], share), job.max_images)
+    file = inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
     results = predictor.split(file, truth.root)
@@ -108,6 +108,8 @@ def _share(job: Job, metadata: dict[str, Any]) -> float:
     return float(kept)
 
 
-def last_part(file: AnnotationFile, share: float) -> AnnotationFile:
-    """The last `share` of the frames of each recording, rounded."""
-    return dataset.held_back(file, share)[1]
+def _taken(job: Job, file: AnnotationFile, share: float) -> AnnotationFile:
+    """What the scores are fitted to: nothing that was learnt from, unless `--last` asks for it."""
+    if job.last is not None or job.split != TRAIN:
+        return dataset.last_frames(file, share)
+    return dataset.ignoring(*dataset.held_back(file, share))

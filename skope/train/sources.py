@@ -47,6 +47,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
         raise UserError(f"{path}: field images is empty: nothing to train on")
     file = excluding(file, exclude_types)
     learnt, validated = dataset.held_back(file, val_fraction)
+    validated = dataset.ignoring(learnt, validated)
     if max_images is not None:
         learnt = dataset.take(learnt, max_images)
     if all(annotation.ignored for annotation in learnt.annotations):

@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 
 from skope import coco
 from skope.console import Console
+from skope.dataset import last_frames
 from skope.errors import UserError
 from skope.eval import calibration
-from skope.eval.calibrate import last_part
 from skope.eval.confidence import calibration_error, reliability
 from skope.eval.predict import Predictor
 from skope.eval.settings import Settings
@@ -119,7 +119,7 @@ def test_the_last_part_of_each_recording() -> None:
         for i in range(1, 21)
     )
     vehicles = tuple(make_annotation(i, i, (0, 0, 9, 9)) for i in range(1, 21))
-    part = last_part(AnnotationFile(images=images, annotations=vehicles), 0.2)
+    part = last_frames(AnnotationFile(images=images, annotations=vehicles), 0.2)
     # The lowest ids are the latest frames.
     assert [image.id for image in part.images] == [1, 2, 3, 4]
     assert [a.image_id for a in part.annotations] == [1, 2, 3, 4]

@@ -60,7 +60,7 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
 
 
 def _parts(dataset: Dataset) -> dict[str, AnnotationFile]:
-    """The splits; without one to validate on, the end of the training recordings becomes it."""
+    """The splits; without one to validate on, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
     if TRAIN not in parts:
         raise UserError(f"{dataset.root}: has no split {TRAIN}, which this format cannot do without")
