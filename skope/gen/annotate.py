@@ -94,6 +94,9 @@ class Tally:
     occluded_paper: int = 0
     """Vehicles that the rule `paper` would take."""
     ignored: dict[str, int] = field(default_factory=dict)
+    apart_m: float = 0.0
+    """Sum over the vehicles of how far, on average over the keypoints, the two localizers are apart."""
+    most_apart_m: float = 0.0
 
 
 def behind(view: View, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -167,6 +170,8 @@ def annotate(moment: Moment, view: View, camera: Camera, rules: Rules, image_id:
         tally.vehicles += 1
         tally.occluded_others += int(by_others[i])
         tally.occluded_paper += int(by_paper[i])
+        tally.apart_m += float(located.difference[i].mean())
+        tally.most_apart_m = max(tally.most_apart_m, float(located.difference[i].max()))
         if rules.occlusion == "paper" and by_paper[i]:
             continue
         points = np.concatenate([np.where(v[i, :, None] > 0, _within(pixels[i], camera), 0.0), v[i, :, None]], axis=1)

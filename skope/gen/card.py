@@ -29,9 +29,7 @@ _PARAMETERS: Final[dict[str, type]] = {
 _KINDS: Final = {str: "text", dict: "an object", int: "a whole number", list: "a list", bool: "true or false"}
 
 
-def card(
-    values: Mapping[str, Any], takes: Sequence[Any], counts: Counts, localizer_difference: Mapping[str, float | None]
-) -> dict[str, Any]:
+def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dict[str, Any]:
     """What dataset.json holds, for parameters as `Parameters.to_dict` gives them."""
     own, solid = values["own"], values["renderer"] == "pybullet"
     return {
@@ -47,7 +45,7 @@ def card(
             "taken_by_others": counts.tally["occluded_others"],
             "taken_by_paper": counts.tally["occluded_paper"],
         },
-        "localizer_difference_m": dict(localizer_difference),
+        "localizer_difference_m": counts.localizer_difference(),
         "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther"
         if values["encoding"]["depth"]
         else "none",

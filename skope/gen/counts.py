@@ -1,5 +1,6 @@
 """What a card counts."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -23,6 +24,8 @@ class Counts:
         }
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
+        self.apart_m: list[float] = []
+        self.most_apart_m = 0.0
 
     def add(self, places: Mapping[str, str | None], vehicles: Iterable[Kind], tally: Mapping[str, Any]) -> None:
         """Count an image with its vehicles; `places` name its split, site and weather.
@@ -37,7 +40,17 @@ class Counts:
                 self.by[group][name][kind] += number
         tally = dict(tally)
         self.ignored.update(tally.pop("ignored"))
+        self.apart_m.append(tally.pop("apart_m", 0.0))
+        self.most_apart_m = max(self.most_apart_m, tally.pop("most_apart_m", 0.0))
         self.tally.update(tally)
+
+    def localizer_difference(self) -> dict[str, float | None]:
+        """How far trilateration and the rigid transform are apart, over all keypoints of vehicles in view, metres."""
+        vehicles = self.tally["vehicles"]
+        if not vehicles:
+            return {"mean": None, "max": None}
+        # The exact sum is the same in whatever order it was added up.
+        return {"mean": round(math.fsum(self.apart_m) / vehicles, 6), "max": round(self.most_apart_m, 6)}
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -134,7 +134,7 @@ def _rules_in_numbers(card: Card) -> list[str]:
         )
     if known:
         said.append(
-            f"Trilateration and the rigid transform are apart by {', '.join(known)} (keypoints of a sample of frames)."
+            f"Trilateration and the rigid transform are apart by {', '.join(known)} over their keypoints."
         )
     return said
 

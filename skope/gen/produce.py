@@ -7,24 +7,18 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Final
-
-import numpy as np
 
 from skope.console import Console, minutes
 from skope.errors import UserError
 from skope.gen import card, recording
-from skope.gen.annotate import Rules, locate
+from skope.gen.annotate import Rules
 from skope.gen.crew import Crew, Style
 from skope.gen.frames import Encoding
 from skope.gen.plan import Parameters
-from skope.gen.recording import Take
 from skope.gen.render import choose_renderer
 from skope.gen.simulate import versions
 from skope.gen.store import Store
 
-COMPARED: Final = (50, 10)
-"""Recordings, and frames of each, that localizers are compared on: at most so many, evenly spread."""
 Hire = Callable[[], AbstractContextManager[Crew]]
 
 
@@ -140,7 +134,7 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     takes, values = store.takes(), store.begun()
     assert values is not None
     counts = store.merge(takes, values["parameters"]["format"])
-    content = card.card(values["parameters"], values["takes"], counts, _localizer_difference(store, takes))
+    content = card.card(values["parameters"], values["takes"], counts)
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(
@@ -148,21 +142,3 @@ def _finish(store: Store, console: Console, begun: float) -> None:
         f"{sum(content['counts']['ignored'].values())} ignored, {size / 1e9:.2f} GB, "
         f"in {minutes(time.perf_counter() - begun)}"
     )
-
-
-def _localizer_difference(store: Store, takes: list[Take]) -> dict[str, float | None]:
-    """How far trilateration and the rigid transform are apart over all keypoints of `COMPARED` frames, metres."""
-    recordings, frames = COMPARED
-    parts = []
-    for take in takes[:: -(-len(takes) // recordings)]:
-        source = recording.load(store.recording_path(take))
-        some = range(0, len(source), -(-len(source) // frames))
-        parts += [locate(source.moment(frame), "rigid").difference.ravel() for frame in some]
-    values: Any = np.concatenate(parts)
-    if not values.size:
-        return {"median": None, "p99": None, "max": None}
-    return {
-        "median": round(float(np.median(values)), 6),
-        "p99": round(float(np.quantile(values, 0.99)), 6),
-        "max": round(float(values.max()), 6),
-    }
