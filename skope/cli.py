@@ -1,8 +1,10 @@
 """The command line: mounts the three groups and turns users' errors into one line and exit code 2."""
 
 import sys
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from skope.console import VersionOption
 from skope.errors import UserError
@@ -10,7 +12,20 @@ from skope.eval.cli import app as eval_app
 from skope.gen.cli import app as gen_app
 from skope.train.cli import app as train_app
 
+
+class _Root(TyperGroup):
+    """The `skope` command itself, which says that it was stopped: typer would end without a word."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo("\nskope: stopped; the same command goes on from here, or begins again", err=True)
+            raise typer.Exit(130) from None
+
+
 app = typer.Typer(
+    cls=_Root,
     help="Synthetic roadside images with 33 keypoints per vehicle, a detector trained on them, and its measurement.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -33,6 +48,3 @@ def main() -> None:
     except UserError as error:
         typer.echo(f"skope: {error}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("skope: stopped; the same command goes on from here", err=True)
-        sys.exit(130)

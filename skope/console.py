@@ -1,8 +1,11 @@
 """What commands say while they work, and the options that every command has."""
 
+import io
+import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import typer
 from tqdm import tqdm
@@ -11,6 +14,9 @@ from skope import __version__
 from skope.errors import UserError
 
 T = TypeVar("T")
+
+_QUIET_S: Final = 30.0
+"""A log hears of work at least so often, seconds."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -55,8 +61,42 @@ class Console:
         typer.echo(text)
 
     def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
-        """A progress bar with rate and time left, over `items` or updated by hand."""
-        return tqdm(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
+        """A progress bar with rate and time left, over `items` or updated by hand; lines where there is no terminal."""
+        kind = tqdm if sys.stderr.isatty() else _Lines
+        return kind(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
+
+
+class _Lines(tqdm):  # type: ignore[misc]
+    """A bar for logs: a plain line each tenth of the way, or each half minute."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self._told, self._told_at = 0, time.monotonic()
+        # What tqdm itself draws goes nowhere.
+        super().__init__(*args, **{**options, "file": io.StringIO(), "mininterval": 0.5})
+
+    def display(self, *_: Any, **__: Any) -> bool:
+        """Called by tqdm whenever a bar would be drawn anew."""
+        tenth = self.total and self.n - self._told >= self.total / 10
+        if tenth or time.monotonic() - self._told_at >= _QUIET_S:
+            self._tell()
+        return True
+
+    def close(self) -> None:
+        if not self.disable and self.n != self._told:
+            self._tell()
+        super().close()
+
+    def _tell(self) -> None:
+        self._told, self._told_at = self.n, time.monotonic()
+        elapsed = self.format_dict["elapsed"]
+        words = f"{self.desc}: {self.n}"
+        if self.total:
+            words += f" of {self.total} {self.unit}s ({self.n / self.total:.0%})"
+            if 0 < self.n < self.total:
+                words += f", {minutes(elapsed * (self.total - self.n) / self.n)} left"
+        else:
+            words += f" {self.unit}s in {minutes(elapsed)}"
+        typer.echo(f"{words}, {self.postfix}" if self.postfix else words, err=True)
 
 
 def minutes(seconds: float) -> str:

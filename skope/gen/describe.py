@@ -133,9 +133,7 @@ def _rules_in_numbers(card: Card) -> list[str]:
             f"`paper` {taken['taken_by_paper']}."
         )
     if known:
-        said.append(
-            f"Trilateration and the rigid transform are apart by {', '.join(known)} over their keypoints."
-        )
+        said.append(f"Trilateration and the rigid transform are apart by {', '.join(known)} over their keypoints.")
     return said
 
 

@@ -13,9 +13,11 @@ import numpy as np
 
 from skope import draw
 from skope.camera import Camera
+from skope.gen.conditions import Conditions, ranges
 from skope.gen.recording import Recording, RecordingPlan
 from skope.gen.simulate import simulate
 from skope.gen.towns import sites
+from skope.gen.towns.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -72,15 +74,43 @@ def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> 
     from skope.gen.render import choose_renderer, make_renderer
 
     _, driver, _ = choose_renderer(name)
-    if not recordings:
-        raise RuntimeError("nothing was simulated that could be drawn")
-    view = make_renderer(name, recordings[0]).render(0)
-    _refuse_blank(view.rgb, recordings[0].camera)
+    recording = recordings[0] if recordings else _empty_street()
+    view = make_renderer(name, recording).render(0)
+    _refuse_blank(view.rgb, recording.camera)
     if pictures is None:
         return driver
     path = pictures / f"doctor_{name}.png"
     draw.write(path, view.rgb)
     return f"{driver}; drew {path.name}"
+
+
+def _empty_street() -> Recording:
+    """What can be drawn where nothing can be simulated, as on machines that only render."""
+    site = next(iter(sites().values()))
+    spans = ranges(site.weather, site.time_of_day, site.conditions)
+    lights = Layout.of(site.town).net.getTrafficLights()
+    poses = np.zeros((0, 4, 4))
+    return Recording(
+        town=site.town,
+        site=site.name,
+        name="00",
+        split=site.split,
+        camera=site.camera((320, 180), 90),
+        weather=site.weather,
+        time_of_day=site.time_of_day,
+        conditions=Conditions.drawn(spans, np.random.default_rng(0)),
+        seed=0,
+        versions={},
+        vehicles=(),
+        times_s=np.zeros(1),
+        signals=({light.getID(): "r" * (1 + max(light.getLinks())) for light in lights},),
+        frame=np.zeros(0, dtype=np.int32),
+        vehicle=np.zeros(0, dtype=np.int32),
+        T_world_chassis=poses,
+        T_world_wheels=poses.reshape(0, 4, 4, 4),
+        velocity=np.zeros((0, 3)),
+        lamps=np.zeros(0, dtype=np.uint8),
+    )
 
 
 def _refuse_blank(rgb: Any, camera: Camera) -> None:

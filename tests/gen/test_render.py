@@ -1,7 +1,10 @@
+import sys
+
 import numpy as np
 import pytest
 
 from skope.camera import Camera
+from skope.gen import doctor
 from skope.gen.bullet import engine
 from skope.gen.mesh import flat
 from skope.gen.recording import Recording
@@ -154,3 +157,13 @@ def test_an_empty_street(renderer: str) -> None:
     assert view.silhouettes == ()
     assert np.isinf(view.depth).any()
     assert np.isfinite(view.depth[-1]).all()
+
+
+def test_the_doctor_tries_drawing_where_nothing_can_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine that only renders: no SUMO, no pybullet, and OpenGL works."""
+    for name in ("libsumo", "pybullet"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr("skope.gen.doctor._torch", lambda: "")
+    works = {finding.part: finding.works for finding in doctor.examine(None)}
+    assert works["renderer gl"]
+    assert not any(works[part] for part in ("SUMO", "simulation"))
