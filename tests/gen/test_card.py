@@ -49,8 +49,8 @@ def content(**changes: Any) -> dict[str, Any]:
     counts.by["split"] = {"train": Counter(images=2, ground_truth=3, ignored=1), "easy": Counter(images=2)}
     counts.by["vehicle_type"] = {"sedan": Counter(ground_truth=1), "van": Counter(ground_truth=2)}
     counts.tally.update(vehicles=4, occluded_others=1, occluded_paper=2)
-    apart = {"median": 0.001, "p99": 0.02, "max": 0.3}
-    return card.card(json.loads(json.dumps(parameters(**changes).to_dict())), [], counts, apart)
+    counts.apart_m, counts.most_apart_m = [0.003, 0.001], 0.3
+    return card.card(json.loads(json.dumps(parameters(**changes).to_dict())), [], counts)
 
 
 def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
