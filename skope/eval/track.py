@@ -60,9 +60,15 @@ _JUMPS: Final = 3
 _LOST_S: Final = 3.0
 """A track ends when nothing was seen of it for so long."""
 _CONFIRMED: Final = 3
-"""Fewer poses than this are no track."""
+"""Fewer poses than this are no track ..."""
+_CONFIRMED_S: Final = 0.4
+"""... nor are poses over less time."""
 _LAG_S: Final = 20.0
 """What was seen so long ago is not changed by what is seen now."""
+_TWINS_S: Final = 0.5
+"""Two tracks in one place for so long are one vehicle."""
+_APART: Final = 2.0
+"""One that never was farther from the other than this, metres, in the median, was no vehicle before either."""
 _ELSEWHERE: Final = 1e6
 
 
@@ -147,11 +153,17 @@ class _Open:
 
     steps: list[_Step]
     """The frames that can still change."""
+    body: Measured
+    """Its last pose, for heading and size."""
     parts: list[_Part] = field(default_factory=list)
     """Those before."""
     kinds: Counter[str] = field(default_factory=Counter)
     last_pose_s: float = 0.0
     jumps: int = 0
+    host: "_Open | None" = None
+    """The track inside which this one is ..."""
+    hosted_s: float = 0.0
+    """... since when."""
 
     @property
     def state(self) -> tuple[Array, Array]:
@@ -183,7 +195,8 @@ def follow(images: Iterable[Sequence[Sight]], times_s: Sequence[float]) -> list[
             for track in live:
                 _predict(track, frame, time_s, F, Q)
         left = _associate(live, image, time_s)
-        ended = {id(track) for track in live if time_s - track.last_pose_s > _LOST_S}
+        ended = {id(track) for track in _twins(live, time_s)}
+        ended |= {id(track) for track in live if time_s - track.last_pose_s > _LOST_S}
         for track in live:
             if id(track) in ended:
                 _end(track)
@@ -194,9 +207,14 @@ def follow(images: Iterable[Sequence[Sight]], times_s: Sequence[float]) -> list[
         before = time_s
     for track in live:
         _end(track)
-    whole = [track for track in done + live if track.kinds.total() >= _CONFIRMED]
+    whole = [track for track in done + live if _confirmed(track)]
     whole.sort(key=lambda track: track.parts[0].frames[0])
     return [_whole(track, number) for number, track in enumerate(whole, start=1)]
+
+
+def _confirmed(track: _Open) -> bool:
+    times = [part.times_s for part in track.parts if len(part.times_s)]
+    return track.kinds.total() >= _CONFIRMED and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
 
 
 # ----------------------------------------------------------------------------------------------------- frame by frame
@@ -211,7 +229,7 @@ def _born(frame: int, time_s: float, sight: Sight, pose: Measured) -> _Open:
     spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
     spread[4:, 4:] = _BRAKES**2 * np.eye(2)
     begin = _Step(frame, time_s, np.eye(6), (mean, spread), (mean, spread), sight)
-    return _Open([begin], kinds=Counter([pose.kind]), last_pose_s=time_s)
+    return _Open([begin], pose, kinds=Counter([pose.kind]), last_pose_s=time_s)
 
 
 def _motion(dt: float) -> tuple[Array, Array]:
@@ -248,7 +266,82 @@ def _associate(live: list[_Open], image: Sequence[Sight], time_s: float) -> list
     _by_box(live, [sight for sight in image if sight.pose is None], _OVERLAP, time_s)
     for sight in _by_box(live, [sight for sight, _ in left.values()], _JUMP, time_s):
         del left[next(s for s, (own, _) in left.items() if own is sight)]
-    return list(left.values())
+    return _without_twins(live, list(left.values()))
+
+
+def _without_twins(live: Sequence[_Open], new: list[tuple[Sight, Measured]]) -> list[tuple[Sight, Measured]]:
+    """New vehicles but those in the middle of which another one stands: detectors see many a vehicle twice.
+
+    A track that has not been seen in this image takes such a sight as its own.
+    """
+    out: list[tuple[Sight, Measured]] = []
+    for sight, pose in sorted(new, key=lambda pair: -pair[0].score):
+        hosts = [track for track in live if _inside(track, pose.place, pose.covariance)]
+        unseen = [track for track in hosts if track.steps[-1].sight is None]
+        if unseen:
+            _seen_elsewhere(unseen[0], sight)
+        elif not hosts and not any(_within(other, pose.place - other.place, pose.covariance) for _, other in out):
+            out.append((sight, pose))
+    return out
+
+
+def _inside(track: _Open, place: Array, spread: Array) -> bool:
+    """Whether a place (2,), known as well as `spread` (2, 2) says, is inside a track's vehicle."""
+    mean, own = track.state
+    return _within(track.body, place - mean[:2], spread + own[:2, :2])
+
+
+def _within(body: Measured, away: Array, spread: Array) -> bool:
+    """Whether what is `away` from a vehicle's middle is inside it, give or take a standard deviation."""
+    x, y = away.tolist()
+    (a, b), (_, d) = spread.tolist()
+    length, width, _ = body.size_lwh.tolist()
+    cos, sin = math.cos(body.heading), math.sin(body.heading)
+    along = math.sqrt(a * cos * cos + 2 * b * cos * sin + d * sin * sin)
+    across = math.sqrt(a * sin * sin - 2 * b * cos * sin + d * cos * cos)
+    ahead, aside = abs(x * cos + y * sin), abs(y * cos - x * sin)
+    return bool(ahead <= length / 2 + along and aside <= width / 2 + across)
+
+
+def _twins(live: list[_Open], time_s: float) -> list[_Open]:
+    """The tracks that have been inside another one for so long that both are one vehicle; they end before that.
+
+    What was seen of them since then is the other's.
+    """
+    hosts: list[_Open] = []
+    twins: list[_Open] = []
+    for track in sorted(live, key=lambda one: -one.kinds.total()):
+        mean, spread = track.state
+        host = next((one for one in hosts if _inside(one, mean[:2], spread[:2, :2])), None)
+        if host is None or host is not track.host:
+            track.host, track.hosted_s = host, time_s
+        if host is None or time_s - track.hosted_s < _TWINS_S:
+            hosts.append(track)
+        else:
+            _join(host, track)
+            twins.append(track)
+    return twins
+
+
+def _join(host: _Open, twin: _Open) -> None:
+    own = {step.frame: step for step in host.steps}
+    apart = [
+        float(np.linalg.norm(step.filtered[0][:2] - own[step.frame].filtered[0][:2])) if step.frame in own else math.inf
+        for step in twin.steps
+        if step.sight is not None and step.time_s < twin.hosted_s
+    ]
+    always = not twin.parts and float(np.median(apart or [0.0])) < _APART
+    before = [] if always else [step for step in twin.steps if step.time_s < twin.hosted_s]
+    for step in twin.steps[len(before) :]:
+        if step.sight is None:
+            continue
+        if step.sight.pose is not None:
+            twin.kinds[step.sight.pose.kind] -= 1
+        if (same := own.get(step.frame)) is not None and same.sight is None:
+            same.sight = replace(step.sight, pose=None)
+    twin.steps = before
+    posed = [step.time_s for step in before if step.sight is not None and step.sight.pose is not None]
+    twin.last_pose_s = posed[-1] if posed else -math.inf
 
 
 def _cost(track: _Open, pose: Measured) -> float:
@@ -307,6 +400,7 @@ def _update(track: _Open, sight: Sight, pose: Measured) -> None:
     after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
     step.filtered = _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
     step.sight = sight
+    track.body = pose
     track.kinds[pose.kind] += 1
     track.last_pose_s = step.time_s
     track.jumps = 0
@@ -346,7 +440,7 @@ def _end(track: _Open) -> None:
 
 def _smoothed(steps: Sequence[_Step]) -> Array:
     """(M, 6)"""
-    states = np.array([step.filtered[0] for step in steps])
+    states = np.array([step.filtered[0] for step in steps]).reshape(-1, 6)
     for k in range(len(steps) - 2, -1, -1):
         ahead, spread_ahead = steps[k + 1].predicted
         gain = np.linalg.solve(spread_ahead, steps[k + 1].transition @ steps[k].filtered[1]).T

@@ -112,6 +112,58 @@ def test_two_vehicles_that_pass_each_other_keep_their_names() -> None:
     assert sorted(map(sorted, names(follow(seen(paths, times), times)))) == [[1], [2]]
 
 
+@pytest.mark.parametrize("fps", [25.0, 5.0])
+@pytest.mark.parametrize("twin_from_s", [0.0, 2.0])
+def test_a_vehicle_that_is_detected_twice_is_followed_once(fps: float, twin_from_s: float) -> None:
+    """A second box on a car, 0.7 m beside, now and then in place of the first, as detectors have it."""
+    times, rng = np.arange(0, 8, 1 / fps), np.random.default_rng(4)
+
+    def image(time: float) -> list[Sight]:
+        own, twin = sight(4.0 * time, 0.0, 0.0), sight(4.0 * time + 0.3, 0.7, 0.1, box=30.0)
+        if time < twin_from_s:
+            return [own]
+        return [[own], [twin], [own, twin]][rng.integers(3)]
+
+    (track,) = follow(map(image, times.tolist()), times.tolist())
+    assert track.seen.mean() > 0.95
+    assert np.abs(track.position[:, 1]).max() < 1.0
+
+
+def test_two_tracks_that_come_together_are_one_vehicle() -> None:
+    """The second box is 3 m off at first, as a wrong type's pose is: a track of its own, until it comes in."""
+    times = (np.arange(80) / 10).tolist()
+
+    def image(i: int) -> list[Sight]:
+        return [sight(0.5 * i, 0.0, 0.0), sight(0.5 * i, max(3.0 - 0.1 * i, 0.4), 0.0, box=300.0, truth=2)]
+
+    found = follow((image(i) for i in range(80)), times)
+    longest, *others = sorted(found, key=lambda track: -len(track.frames))
+    assert len(longest.frames) == 80
+    assert longest.seen.all()
+    assert len(others) <= 1
+    assert all(len(track.frames) < 40 for track in others)
+
+
+def test_neighbours_in_a_car_park_are_each_followed() -> None:
+    """2.6 m apart, their poses half a metre uncertain."""
+    times, rng = (np.arange(60) / 10).tolist(), np.random.default_rng(3)
+    image = [
+        [
+            sight(
+                float(rng.normal(0, 0.3)),
+                2.6 * lane + float(rng.normal(0, 0.3)),
+                0.0,
+                sigma=0.5,
+                truth=lane + 1,
+                box=90.0 * lane,
+            )
+            for lane in range(6)
+        ]
+        for _ in times
+    ]
+    assert sorted(map(sorted, names(follow(image, times)))) == [[i] for i in range(1, 7)]
+
+
 def parked(time: float) -> tuple[float, float, float]:
     return 5.0, 5.0, 0.3
 
