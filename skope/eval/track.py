@@ -292,7 +292,11 @@ def _inside(track: _Open, place: Array, spread: Array) -> bool:
 
 
 def _within(body: Measured, away: Array, spread: Array) -> bool:
-    """Whether what is `away` from a vehicle's middle is inside it, give or take a standard deviation."""
+    """Whether what is `away` from a vehicle's middle is inside it, give or take a standard deviation.
+
+    Of far ones that is more than the way to the next in a queue or a car park: at most half a width is given to the
+    sides, and a quarter of the length ahead.
+    """
     x, y = away.tolist()
     (a, b), (_, d) = spread.tolist()
     length, width, _ = body.size_lwh.tolist()
@@ -300,7 +304,7 @@ def _within(body: Measured, away: Array, spread: Array) -> bool:
     along = math.sqrt(a * cos * cos + 2 * b * cos * sin + d * sin * sin)
     across = math.sqrt(a * sin * sin - 2 * b * cos * sin + d * cos * cos)
     ahead, aside = abs(x * cos + y * sin), abs(y * cos - x * sin)
-    return bool(ahead <= length / 2 + along and aside <= width / 2 + across)
+    return bool(ahead <= length / 2 + min(along, length / 4) and aside <= width / 2 + min(across, width / 2))
 
 
 def _twins(live: list[_Open], time_s: float) -> list[_Open]:

@@ -165,7 +165,7 @@ class _Body:
         turn = _angle(target.yaw - before.yaw) / dt
         slope = _GRAVITY * math.sin(target.pitch)
         load = np.array([(target.speed - before.speed) / dt + slope, target.speed * turn])
-        # Where lanes meet a junction SUMO turns and shifts vehicles within a step as no tyre could.
+        # Drivers in SUMO may brake and turn harder than tyres hold.
         load = np.clip(load, -_GRIP, _GRIP)
         # SUMO decides speeds anew at each step: 0.1 s is what tyres take to build up a force.
         self.load += (load - self.load) * (dt / (0.1 + dt))
