@@ -9,9 +9,8 @@ train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints
 stages. Both contenders start from the same weights, learn the same images in the same order of size, and run in
 processes of their own, in turns, so that neither has the other's memory or a quieter moment.
 
-How many proposals lie on vehicles decides how much the keypoint head has to do, so both start from a trained detector:
-`--checkpoint`, or else one that is trained first, here, on `--teach` images of the same data; its mean number of
-regions on vehicles an image is printed.
+How many proposals lie on vehicles decides how much the keypoint head has to do, so both start from a trained detector,
+the reference unless `--checkpoint` names another; its mean number of regions on vehicles an image is printed.
 """
 
 import argparse
@@ -22,7 +21,6 @@ import platform
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -36,13 +34,12 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.transforms import functional
 
 from skope import detector, keypoints
-from skope.console import Console
 from skope.dataset import open_dataset
-from skope.train import assign, data, initial, loop, plan, ranks, run, sources, step
+from skope.train import assign, data, initial, plan, ranks, run, sources, step
 from skope.train.fold import fold_norms
 from skope.train.ranks import Team
 from skope.train.recipe import RECIPES, Recipe, adjusted
-from skope.train.run import RunConfig, Training
+from skope.train.run import Training
 
 Batches = Iterable[Any]
 
@@ -54,23 +51,22 @@ def main() -> None:
     if options.only:
         print(json.dumps(measured(options)), flush=True)
         return
-    with tempfile.TemporaryDirectory() as folder:
-        checkpoint = options.checkpoint or teach(options, Path(folder))
-        contenders: dict[str, list[str]] = {"torchvision": [], "skope": []}
-        if options.each:
-            contenders |= {f"skope {value}": ["--set", value] for value in SHORTCUTS}
-        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
-        for _ in range(options.rounds):
-            for name, more in contenders.items():
-                rows[name].append(in_own_process(name.split()[0], checkpoint, more))
+    contenders: dict[str, list[str]] = {"torchvision": [], "skope": []}
+    if options.each:
+        contenders |= {f"skope {value}": ["--set", value] for value in SHORTCUTS}
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
+    for _ in range(options.rounds):
+        for name, more in contenders.items():
+            rows[name].append(in_own_process(name.split()[0], more))
     report(options, rows)
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="dataset folder; its split `train` is used")
-    parser.add_argument("--checkpoint", type=Path, help="a trained detector (run folder or file)")
-    parser.add_argument("--teach", type=int, default=10, help="without one: images to train it on first")
+    parser.add_argument(
+        "--checkpoint", type=Path, default=Path("reference"), help="a trained detector: name, run folder or file"
+    )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--amp", action="store_true", help="the reference's own --amp flag")
     parser.add_argument("--batch-size", type=int, default=2, help="images a step, of each process")
@@ -82,10 +78,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], help="a value of skope's recipe")
     parser.add_argument("--each", action="store_true", help="also with each shortcut left out")
     parser.add_argument("--only", choices=("torchvision", "skope"), help="measure one, in this process, as JSON")
-    options = parser.parse_args()
-    if options.only and not options.checkpoint:
-        parser.error("--only needs --checkpoint")
-    return options
+    return parser.parse_args()
 
 
 def recipe_of(options: argparse.Namespace) -> Recipe:
@@ -266,20 +259,10 @@ def peak_mb(device: torch.device) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
-def in_own_process(name: str, checkpoint: Path, more: Sequence[str]) -> dict[str, Any]:
-    command = [sys.executable, __file__, *sys.argv[1:], "--only", name, "--checkpoint", str(checkpoint), *more]
+def in_own_process(name: str, more: Sequence[str]) -> dict[str, Any]:
+    command = [sys.executable, __file__, *sys.argv[1:], "--only", name, *more]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])  # type: ignore[no-any-return]
-
-
-def teach(options: argparse.Namespace, folder: Path) -> Path:
-    """A detector that knows some of the images: skope's recipe for random weights."""
-    scratch = dataclasses.replace(RECIPES["scratch"], bfloat16=recipe_of(options).bfloat16, val_fraction=0.0)
-    recipe = scratch.with_min_size(options.min_size)
-    config = RunConfig(recipe=recipe, seed=0, data=(str(options.data),), mix=None, max_images=options.teach)
-    device = torch.device(options.device)
-    loop.train(config, folder, device=device, workers=0, resume=False, console=Console(), saving=loop.Saving())
-    return folder
 
 
 def report(options: argparse.Namespace, rows: dict[str, list[dict[str, Any]]]) -> None:
