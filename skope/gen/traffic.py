@@ -114,7 +114,9 @@ class Snapshot:
 class _Trail:
     """The road that a vehicle's front bumper has passed: (x, y, z) by the distance driven."""
 
-    def __init__(self, place: tuple[float, float, float], yaw: float, slope: float) -> None:
+    def __init__(self, begun: float, place: tuple[float, float, float], yaw: float, slope: float) -> None:
+        """`begun` is how far SUMO says that the vehicle had come when it was first looked at."""
+        self.begun = begun
         x, y, z = place
         level = _TRAIL * math.cos(slope)
         behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - _TRAIL * math.sin(slope))
@@ -165,7 +167,6 @@ class Traffic:
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._chassis = {name: Chassis.of(entry.vehicle.shape) for name, entry in fleet.items()}
         self._trails: dict[str, _Trail] = {}
-        self._start: dict[str, float] = {}
 
     def __enter__(self) -> "Traffic":
         import libsumo
@@ -209,9 +210,8 @@ class Traffic:
         driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
         if name not in self._trails:
             slope, yaw = math.radians(vehicle.getSlope(name)), math.radians(90.0 - vehicle.getAngle(name))
-            self._start[name] = driven
-            self._trails[name] = _Trail(place, yaw, slope)
-        driven -= self._start[name]
+            self._trails[name] = _Trail(driven, place, yaw, slope)
+        driven -= self._trails[name].begun
         self._trails[name].add(driven, place)
         return self._trails[name], driven
 
@@ -226,7 +226,7 @@ class Traffic:
         sumo.simulationStep()
         present = sumo.vehicle.getIDList()
         for gone in self._trails.keys() - set(present):
-            del self._trails[gone], self._start[gone]
+            del self._trails[gone]
         riders = {name for name in present if self.trips[name].model in RIDERS}
         return Snapshot(
             sumo.simulation.getTime(),
