@@ -329,13 +329,14 @@ def _twins(live: list[_Open], time_s: float) -> list[_Open]:
 
 def _join(host: _Open, twin: _Open) -> None:
     own = {step.frame: step for step in host.steps}
+    before = [step for step in twin.steps if step.time_s < twin.hosted_s]
     apart = [
         float(np.linalg.norm(step.filtered[0][:2] - own[step.frame].filtered[0][:2])) if step.frame in own else math.inf
-        for step in twin.steps
-        if step.sight is not None and step.time_s < twin.hosted_s
+        for step in before
+        if step.sight is not None
     ]
-    always = not twin.parts and float(np.median(apart or [0.0])) < _APART
-    before = [] if always else [step for step in twin.steps if step.time_s < twin.hosted_s]
+    if not twin.parts and float(np.median(apart or [0.0])) < _APART:
+        before = []
     for step in twin.steps[len(before) :]:
         if step.sight is None:
             continue
