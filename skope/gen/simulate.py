@@ -35,6 +35,8 @@ FARTHEST: Final = 600.0
 """Beyond that nothing is recorded, metres."""
 SPECK: Final = 3.0
 """Nearer than that vehicles are recorded from where they are this high in the image, pixels."""
+COMING: Final = 60.0
+"""Vehicles are followed from this much farther away, metres: they take a second to come onto a way they can drive."""
 BEHIND: Final = 40.0
 """Of what is behind the camera only what is nearer than this is recorded: it may throw shadows into the view."""
 PARKED_REACH: Final = 120.0
@@ -105,6 +107,7 @@ def simulate(plan: RecordingPlan) -> Recording:
             flows=site.flows,
             passing=Layout.of(site.town).seen_by(site.place.camera, REACH) if site.place else frozenset(),
             step=step,
+            watched=log.watches,
         ) as traffic,
         World(step) as world,
     ):
@@ -152,7 +155,8 @@ class _Log:
     ) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
-        self._eye, self._ahead = camera.position[:2].tolist(), camera.T_camera_world[2, :2].tolist()
+        self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
+        self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
         self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
         self._always = LAMPS["low_beam"] if lamps_on else 0
         self._parked: dict[str, tuple[Parked, Pose]] = {}
@@ -179,6 +183,13 @@ class _Log:
             for name, driven in sorted(everyone.items())
             if least <= self._distance(driven.position) < most
         }
+
+    def watches(self, x: float, y: float) -> bool:
+        """Whether what drives at a place is recorded, or may be soon."""
+        east, north = x - self._eye[0], y - self._eye[1]
+        away = math.hypot(east, north)
+        ahead = east * self._ahead[0] + north * self._ahead[1]
+        return away < COMING + (self._reach if ahead > -COMING else BEHIND)
 
     def _distance(self, position: Sequence[float]) -> float:
         """How far a place (2 or more) is from the camera, metres; infinitely far when nothing of it can be seen."""

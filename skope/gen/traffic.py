@@ -7,7 +7,7 @@ compass degrees; both are converted here, once.
 import math
 import tempfile
 from bisect import bisect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,8 +35,8 @@ _OPTIONS: Final = {
 }
 _TRAIL_STEP: Final = 0.05
 """Metres between the heights that are kept of the road that a vehicle has passed."""
-_TRAIL_EVERY: Final = 4
-"""Steps between the heights that are kept while nobody watches."""
+_GLANCE: Final = 4
+"""Steps from look to look at a vehicle that nobody watches."""
 _TRAIL: Final = 25.0
 """How far back they are kept, metres."""
 
@@ -154,9 +154,13 @@ class Traffic:
         flows: str = "",
         passing: frozenset[str] = frozenset(),
         step: float = STEP,
+        watched: Callable[[float, float], bool] = lambda x, y: True,
     ) -> None:
-        """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges."""
-        self._network, self._fleet, self._step = network, fleet, step
+        """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges.
+
+        A vehicle is reported from the first time that `watched` says of its place, metres, that somebody looks there.
+        """
+        self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
         # Drawn before the trips, of which a longer recording has more: it begins like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
@@ -167,6 +171,8 @@ class Traffic:
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._chassis = {name: Chassis.of(entry.vehicle.shape) for name, entry in fleet.items()}
         self._trails: dict[str, _Trail] = {}
+        self._reported: set[str] = set()
+        self._steps = 0
 
     def __enter__(self) -> "Traffic":
         import libsumo
@@ -196,13 +202,25 @@ class Traffic:
         self._sumo.close()
 
     def warm_up(self, steps: int) -> None:
-        """Go on by some steps, which nobody watches."""
-        vehicle = self._sumo.vehicle
-        for k in range(steps):
-            self._sumo.simulationStep()
-            if k % _TRAIL_EVERY == 0:
-                for name in vehicle.getIDList():
+        """Go on by some steps, of which nothing is reported."""
+        for _ in range(steps):
+            self._go_on()
+
+    def _go_on(self) -> tuple[str, ...]:
+        """Go on by a step. Returns who is there."""
+        sumo = self._sumo
+        sumo.simulationStep()
+        present: tuple[str, ...] = sumo.vehicle.getIDList()
+        if self._steps % _GLANCE == 0:
+            for gone in self._trails.keys() - set(present):
+                del self._trails[gone]
+            for name in present:
+                if name not in self._reported:
                     self._trail(name)
+                    if self._watched(*sumo.vehicle.getPosition(name)):
+                        self._reported.add(name)
+        self._steps += 1
+        return present
 
     def _trail(self, name: str) -> tuple[_Trail, float]:
         """A vehicle's trail with its present place in it, and how far it has driven."""
@@ -221,12 +239,9 @@ class Traffic:
             yield self.step()
 
     def step(self) -> Snapshot:
-        """Go on by a step and say where everyone is."""
+        """Go on by a step and say where everyone is who is watched."""
         sumo = self._sumo
-        sumo.simulationStep()
-        present = sumo.vehicle.getIDList()
-        for gone in self._trails.keys() - set(present):
-            del self._trails[gone]
+        present = [name for name in self._go_on() if name in self._reported]
         riders = {name for name in present if self.trips[name].model in RIDERS}
         return Snapshot(
             sumo.simulation.getTime(),

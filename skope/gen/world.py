@@ -7,6 +7,7 @@ the engine.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -67,8 +68,8 @@ def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
 class _Suspension:
     """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and the lever of the inertial loads (m)."""
 
-    stiffness: Array
-    damping: Array
+    stiffness: tuple[float, float, float]
+    damping: tuple[float, float, float]
     mass: float
     lever: float
 
@@ -76,19 +77,28 @@ class _Suspension:
     def of(cls, vehicle: Vehicle) -> "_Suspension":
         length, width, height = vehicle.size_lwh
         lever = _CENTER_OF_MASS * height - _ROLL_CENTER
-        inertia = np.array(
-            [
-                vehicle.mass,
-                vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
-                vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
-            ]
+        inertia = (
+            vehicle.mass,
+            vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
+            vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
         )
         # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
         per_g = vehicle.mass * _GRAVITY * lever
-        stiffness = np.array(
-            [vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)]
-        )
-        return cls(stiffness, 2 * _DAMPING * np.sqrt(stiffness * inertia), vehicle.mass, lever)
+        heave, pitch, roll = vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)
+        damping = [2 * _DAMPING * math.sqrt(k * i) for k, i in zip((heave, pitch, roll), inertia, strict=True)]
+        return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
+
+    def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
+        """What presses the chassis up (N), its nose down and its right side down (N m).
+
+        `joints` are position and speed of heave, pitch and roll; the body is sped up by `ahead` and `aside`, m/s^2. The
+        inertial force acts on the centre of mass, a lever above the axes: braking turns the nose down, which is
+        positive about y; a left turn leans the body to the right, positive about x.
+        """
+        thrust = self.mass * self.lever
+        loads = (0.0, -thrust * ahead, thrust * aside)
+        rows = zip(loads, self.stiffness, self.damping, joints, strict=True)
+        return [load - k * joint[0] - c * joint[1] for load, k, c, joint in rows]
 
 
 class _Body:
@@ -97,8 +107,10 @@ class _Body:
     def __init__(self, engine: Any, client: int, vehicle: Vehicle, start: Driven) -> None:
         self.engine, self.client, self.vehicle = engine, client, vehicle
         self.suspension = _Suspension.of(vehicle)
+        wheels = vehicle.shape.wheel_centers()
+        self.wheels = [(float(x) - vehicle.shape.rear_axle_x, float(y)) for x, y, _ in wheels]
         self.state = start
-        self.load = np.zeros(2)
+        self.load = (0.0, 0.0)
         self.velocity = at_rest(vehicle, start).velocity
         self.id = self._create()
         self._place(start.position, start.yaw, start.pitch)
@@ -164,17 +176,17 @@ class _Body:
         before = self.state
         turn = _angle(target.yaw - before.yaw) / dt
         slope = _GRAVITY * math.sin(target.pitch)
-        load = np.array([(target.speed - before.speed) / dt + slope, target.speed * turn])
-        # Drivers in SUMO may brake and turn harder than tyres hold.
-        load = np.clip(load, -_GRIP, _GRIP)
-        # SUMO decides speeds anew at each step: 0.1 s is what tyres take to build up a force.
-        self.load += (load - self.load) * (dt / (0.1 + dt))
+        loads = ((target.speed - before.speed) / dt + slope, target.speed * turn)
+        # Drivers in SUMO may brake and turn harder than tyres hold, and decide speeds anew at each step: 0.1 s is what
+        # tyres take to build up a force.
+        share = dt / (0.1 + dt)
+        ahead, aside = (old + (_within(new, _GRIP) - old) * share for old, new in zip(self.load, loads, strict=True))
+        self.load = ahead, aside
         if target is not before:  # as it is for one that has just come
             self.velocity = (np.array(target.position) - before.position) / dt
-        e, s = self.engine, self.vehicle.shape
-        ahead, aside = s.wheel_centers()[:, 0] - s.rear_axle_x, s.wheel_centers()[:, 1]
+        e, radius = self.engine, self.vehicle.shape.wheel_radius
         # Each wheel rolls what its own place on the vehicle travels.
-        rolling = (np.hypot(target.speed - turn * aside, turn * ahead) / s.wheel_radius).tolist()
+        rolling = [math.hypot(target.speed - turn * y, turn * x) / radius for x, y in self.wheels]
         e.setJointMotorControlArray(
             self.id,
             _WHEELS,
@@ -194,10 +206,9 @@ class _Body:
     def _steering(self, turn: float, speed: float) -> list[float]:
         """Ackermann angles of the front wheels (right, left) for a rate of turn."""
         s = self.vehicle.shape
-        curvature = float(np.clip(turn / speed, -0.2, 0.2)) if speed > 0.5 else 0.0
+        curvature = _within(turn / speed, 0.2) if speed > 0.5 else 0.0
         return [
-            float(np.clip(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), -0.7, 0.7))
-            for side in (-1, 1)
+            _within(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), 0.7) for side in (-1, 1)
         ]
 
     def substep(self, target: Driven, share: float) -> None:
@@ -206,15 +217,12 @@ class _Body:
         position = [a + (b - a) * share for a, b in zip(before.position, target.position, strict=True)]
         yaw = before.yaw + _angle(target.yaw - before.yaw) * share
         self._place(position, yaw, before.pitch + (target.pitch - before.pitch) * share)
-        e, spring = self.engine, self.suspension
+        e = self.engine
         joints = e.getJointStates(self.id, (_HEAVE, _PITCH, _CHASSIS), physicsClientId=self.client)
-        q, speed = np.array([j[0] for j in joints]), np.array([j[1] for j in joints])
-        # The inertial force -m a acts on the centre of mass, a lever above the axes: braking (a < 0) turns the nose
-        # down, which is positive about y; a left turn leans the body to the right, positive about x.
-        thrust = spring.mass * spring.lever * self.load
-        force = np.array([0.0, -thrust[0], thrust[1]]) - spring.stiffness * q - spring.damping * speed
         e.setJointMotorControlArray(
-            self.id, (_HEAVE, _PITCH, _CHASSIS), e.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self.client
+            *(self.id, (_HEAVE, _PITCH, _CHASSIS), e.TORQUE_CONTROL),
+            forces=self.suspension.forces([joint[:2] for joint in joints], *self.load),
+            physicsClientId=self.client,
         )
 
     def pose(self) -> Pose:
@@ -272,3 +280,7 @@ class World:
 def _angle(value: float) -> float:
     """An angle brought into -pi to pi."""
     return math.remainder(value, 2 * math.pi)
+
+
+def _within(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

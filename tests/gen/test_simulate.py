@@ -6,6 +6,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen import recording as recordings
+from skope.gen import simulate as simulation
 from skope.gen.motion import Driven
 from skope.gen.recording import RecordingPlan
 from skope.gen.simulate import simulate
@@ -210,3 +211,22 @@ def test_a_vehicle_far_away_stands_where_the_engine_would_have_it() -> None:
         resting = at_rest(SEDAN, state)
         np.testing.assert_allclose(resting.T_world_wheels[..., 3], engine.T_world_wheels[..., 3], atol=0.005)
         np.testing.assert_allclose(resting.T_world_chassis, engine.T_world_chassis, atol=0.01)
+
+
+def test_vehicles_nobody_watches_yet_come_into_view_as_if_they_had_been_watched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plan = RecordingPlan(
+        site=site("t05_park_third"), index=0, frames=20, interval=0.5, size=(640, 360), fov_deg=60, seed=0
+    )
+    followed = []
+    from_afar = Traffic._placed
+    monkeypatch.setattr(Traffic, "_placed", lambda self, name: followed.append(name) or from_afar(self, name))
+    usual, asked = simulate(plan), len(followed)
+    monkeypatch.setattr(simulation._Log, "watches", lambda *_: True)
+    everyone = simulate(plan)
+    assert 0 < asked < len(followed) - asked
+    np.testing.assert_array_equal(usual.frame, everyone.frame)
+    assert usual.vehicles == everyone.vehicles
+    np.testing.assert_allclose(usual.T_world_chassis, everyone.T_world_chassis, atol=0.01)
+    np.testing.assert_allclose(usual.velocity, everyone.velocity, atol=0.05)
