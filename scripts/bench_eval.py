@@ -25,10 +25,10 @@ from skope import detector, keypoints
 from skope.boxes import xyxy_to_xywh
 from skope.console import Console
 from skope.dataset import open_dataset, read_image, take
-from skope.eval.metrics import score_split
-from skope.eval.predict import Predictor
-from skope.eval.settings import Settings
-from skope.eval.tally import Options
+from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.settings import Settings
+from skope.metrics.counts import Options
+from skope.metrics.figures import score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
 
 T = TypeVar("T")

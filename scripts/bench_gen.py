@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from bench_render import Peer, frames_per_second
 
-from skope.gen import recording as recordings
-from skope.gen.recording import Recording
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording
 
 SITE = "t01_main_west"
 

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from skope import keypoints
-from skope.gen.localize import transform, trilaterate
+from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.vehicles import fleet
 from skope.gen.vehicles.sidecar import wheel_plane
 

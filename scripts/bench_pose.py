@@ -14,8 +14,8 @@ import numpy as np
 from skope import coco
 from skope.camera import Camera
 from skope.errors import UserError
-from skope.eval import pose
-from skope.eval.shapes import fleet_shapes
+from skope.eval.pose import solver
+from skope.eval.pose.shape_model import fleet_shapes
 
 NOISE = 2.0
 BANDS = ((0, 10), (10, 20), (20, 30), (30, 40), (40, 60))
@@ -45,7 +45,7 @@ def measured(path: Path) -> tuple[Array, Array, Array]:
         found[..., 2] = seen
         road = np.array([a.box_3d.center - a.box_3d.R @ [0, 0, a.box_3d.size_lwh[2] / 2] for a in vehicles])
         begun = time.process_time()
-        ours = pose.locate(camera, found, sigma_px=NOISE).position
+        ours = solver.locate(camera, found, sigma_px=NOISE).position
         between = time.process_time()
         theirs = solve_pnp(camera, found, seen, mean)
         seconds += [between - begun, time.process_time() - between]

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from skope.gen import recording as recordings
-from skope.gen.recording import Recording, RecordingPlan
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.towns import site
 
 SITE = "t01_main_west"
@@ -79,15 +79,15 @@ class Skope:
     """What `skope gen` does for each frame, from the recording to the files."""
 
     def __init__(self, recording: Recording, folder: Path, renderer: str) -> None:
-        from skope.gen.render import make_renderer
-        from skope.gen.store import Store
+        from skope.gen.pipeline.store import Store
+        from skope.gen.render.choose import make_renderer
 
         self.recording, self.store = recording, Store(folder)
         self.renderer = make_renderer(renderer, recording)
 
     def __call__(self, frame: int) -> None:
-        from skope.gen.annotate import Rules
-        from skope.gen.frames import Encoding, frames_of
+        from skope.gen.labels.annotate import Rules
+        from skope.gen.output.frames import Encoding, frames_of
 
         for made in frames_of(self.recording, self.renderer, Rules(), Encoding(), [frame]):
             self.store.keep(made)
@@ -97,9 +97,9 @@ class Peer:
     """One pybullet client with the whole scene in it; vehicles are moved and everything is drawn anew."""
 
     def __init__(self, recording: Recording, renderer: str, labels: bool) -> None:
-        from skope.gen.bullet import engine
         from skope.gen.render.materials import Light
-        from skope.gen.towns.scenery import scenery
+        from skope.gen.scenery.build import scenery
+        from skope.gen.simulation.pybullet_engine import engine
 
         self.engine, self.recording, self.labels = engine(), recording, labels
         self.light = Light.of(recording.conditions)
@@ -226,14 +226,14 @@ def frames_per_second(
 @contextmanager
 def timed_stages() -> Iterator[dict[str, float]]:
     """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
-    from skope.gen import frames as made
+    from skope.gen.output import frames as made
+    from skope.gen.pipeline.store import Store
     from skope.gen.render import sensor
     from skope.gen.render.gl import renderer as gl
     from skope.gen.render.gl.beams import Beams
     from skope.gen.render.gl.reflections import Reflections
     from skope.gen.render.glare import Glare
     from skope.gen.render.rain import Rain
-    from skope.gen.store import Store
 
     classes = (gl.GLRenderer, gl.Placer, gl.Device, Beams, Reflections, Glare, Rain, Store, made.Encoding)
     owners = {owner.__name__: owner for owner in classes} | {"renderer": gl, "sensor": sensor, "frames": made}
@@ -280,7 +280,7 @@ def stage_table(path: Path, folder: Path, frames: int) -> dict[str, float]:
 
 
 def simulated(path: Path, size: tuple[int, int], frames: int, light: str) -> None:
-    from skope.gen.simulate import simulate
+    from skope.gen.simulation.simulate import simulate
 
     weather, hour = light.split()
     busy = replace(site(SITE), vehicles_per_hour=DENSITY * site(SITE).vehicles_per_hour)

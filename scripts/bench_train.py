@@ -35,11 +35,11 @@ from torchvision.transforms import functional
 
 from skope import detector, keypoints
 from skope.dataset import open_dataset
-from skope.train import assign, data, initial, plan, ranks, run, sources, step
-from skope.train.fold import fold_norms
-from skope.train.ranks import Team
+from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
+from skope.train.distributed import Team
+from skope.train.fold_batchnorm import fold_norms
 from skope.train.recipe import RECIPES, Recipe, adjusted
-from skope.train.run import Training
+from skope.train.run_folder import Training
 
 Batches = Iterable[Any]
 
@@ -83,7 +83,7 @@ def parse() -> argparse.Namespace:
 
 def recipe_of(options: argparse.Namespace) -> Recipe:
     """What skope does by default with bounded keypoint regions, at the reference's input size."""
-    bfloat16 = options.device != "cpu" or plan.multiplies_bfloat16()
+    bfloat16 = options.device != "cpu" or configure.multiplies_bfloat16()
     laptop = dataclasses.replace(RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
     return adjusted(laptop.with_min_size(options.min_size), options.set)
 
@@ -94,7 +94,7 @@ def recipe_of(options: argparse.Namespace) -> Recipe:
 def measured(options: argparse.Namespace) -> dict[str, Any]:
     """Rates and memory of one contender in this process."""
     torch.manual_seed(0)
-    with ranks.joined(torch.device(options.device)) as (team, device):
+    with distributed.joined(torch.device(options.device)) as (team, device):
         batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, team)
         seen = count_vehicle_regions(trained)
         passed: list[float] = []
@@ -167,7 +167,7 @@ class ReferenceDataset(torch.utils.data.Dataset[Any]):
 
     def __init__(self, root: Path) -> None:
         opened = open_dataset(root)
-        file = opened.read(sources.SPLIT)
+        file = opened.read(splits.SPLIT)
         self._root, self._vehicles = root, file.by_image()
         self._images = [image for image in file.images if any(not a.ignored for a in self._vehicles[image.id])]
 
@@ -192,7 +192,7 @@ def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tupl
     """skope's own loading and step."""
     recipe = dataclasses.replace(recipe_of(options), batch_size=options.batch_size * team.size)
     checkpoint = str(options.checkpoint)
-    model, config, origin = initial.initialise(
+    model, config, origin = init_weights.initialise(
         checkpoint,
         norm="frozen",
         min_size=recipe.min_size,
@@ -200,18 +200,18 @@ def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tupl
         trainable_layers=recipe.trainable_layers,
         seed=0,
     )
-    model = run.placed(model, recipe, device)
-    assign.prepare(model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+    model = run_folder.placed(model, recipe, device)
+    ignored_regions.prepare(model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
     if recipe.fold_norms:
         fold_norms(model)
-    training = Training(model, config, run.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
-    source = sources.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
+    training = Training(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
+    source = splits.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
     images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
     groups = [[(0, i, 0) for i in group] for group in order(options, team)]
-    workers = plan.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers
+    workers = configure.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers
     model.train()
 
-    def learn(batch: Sequence[data.Sample]) -> None:
+    def learn(batch: Sequence[data.TrainingSample]) -> None:
         step.take(training, batch, recipe, rate=1e-4, images=recipe.batch_size, team=team, wish=())
 
     return data.batches(images, groups, workers=workers, pin=device.type == "cuda"), learn, model
@@ -219,7 +219,7 @@ def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tupl
 
 def count(root: Path) -> int:
     """Images with vehicles."""
-    file = open_dataset(root).read(sources.SPLIT)
+    file = open_dataset(root).read(splits.SPLIT)
     return len({a.image_id for a in file.annotations if not a.ignored})
 
 

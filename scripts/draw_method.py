@@ -18,13 +18,22 @@ from matplotlib.patches import Polygon
 from skope import draw, keypoints
 from skope.camera import Camera
 from skope.files import replacing
-from skope.gen.annotate import POINT_TOLERANCE, VEHICLE_TOLERANCE, Located, Rules, annotate, behind, locate
-from skope.gen.plan import from_preset
-from skope.gen.recording import Recording
-from skope.gen.render import View, choose_renderer, make_renderer
-from skope.gen.simulate import simulate
+from skope.gen.inspect.vehicle_sheets import parked
+from skope.gen.labels.annotate import (
+    POINT_TOLERANCE,
+    VEHICLE_TOLERANCE,
+    Rules,
+    WorldKeypoints,
+    annotate,
+    behind,
+    locate,
+)
+from skope.gen.pipeline.config import from_preset
+from skope.gen.render.choose import choose_renderer, make_renderer
+from skope.gen.render.frame import RenderedFrame
+from skope.gen.scene.recording import Recording
+from skope.gen.simulation.simulate import simulate
 from skope.gen.vehicles import fleet
-from skope.gen.vehicles.show import parked
 from skope.gen.vehicles.sidecar import wheel_plane
 from skope.schema import Annotation
 
@@ -102,8 +111,8 @@ class Scene:
     """A frame, and the vehicle of it that is shown."""
 
     recording: Recording
-    view: View
-    located: Located
+    view: RenderedFrame
+    located: WorldKeypoints
     index: int
     annotation: Annotation
 

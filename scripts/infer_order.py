@@ -25,7 +25,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.files import write_json
 from skope.gen.formats.archive import opened
-from skope.gen.formats.scenes import Vehicle, archives, scene_of
+from skope.gen.formats.scenes import ArchiveVehicle, archives, scene_of
 from skope.gen.vehicles import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 
@@ -44,9 +44,9 @@ ORDERS = {"nested": _PRODUCT, "in rings": np.array([(x, y, z) for z in (-1.0, 1.
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
-def vehicles_in(sources: Sequence[Path]) -> list[Vehicle]:
+def vehicles_in(sources: Sequence[Path]) -> list[ArchiveVehicle]:
     """Vehicles with a 3D box, at most `MOST_VEHICLES`, evenly from all scenes."""
-    found: list[Vehicle] = []
+    found: list[ArchiveVehicle] = []
     paths = archives(sources)
     for path in paths:
         with opened(path) as archive:
@@ -88,7 +88,7 @@ def place(P: Array, uv: Array, unit: Array) -> Array:
     return X
 
 
-def places(vehicles: Sequence[Vehicle]) -> tuple[Array, str]:
+def places(vehicles: Sequence[ArchiveVehicle]) -> tuple[Array, str]:
     """(33, 3) mean place of each keypoint in the cube, NaN where too few show it, and how corners are counted."""
     corners = np.stack([vehicle.corners for vehicle in vehicles])
     fits = {name: cameras(corners, cube) for name, cube in ORDERS.items()}

@@ -23,7 +23,7 @@ from typing import Final
 
 from skope.dataset import CARD
 from skope.detector import find_checkpoint
-from skope.train.run import resumable
+from skope.train.run_folder import resumable
 
 HERE: Final = Path(__file__).parent
 SPLITS: Final = {"paper": ("easy", "medium", "hard"), "extra": ("extra",), "varied": ("easy", "medium", "hard")}

@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from skope import coco, dataset, draw, keypoints, names
 from skope.console import Console
 from skope.errors import UserError
-from skope.eval.coco_ap import average_precision
-from skope.eval.failures import OTHER_END, OTHER_SIDE
-from skope.eval.inputs import for_images, read_results
-from skope.eval.match import Matches, match
-from skope.eval.predict import Predictor
-from skope.eval.settings import PRECISIONS, Settings
-from skope.eval.tally import Options, judge, lengths
+from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.settings import PRECISIONS, Settings
 from skope.files import read_json, sha256_of, write_json
+from skope.metrics.coco_ap import average_precision
+from skope.metrics.counts import Options, judge, lengths
+from skope.metrics.failures import OTHER_END, OTHER_SIDE
+from skope.metrics.inputs import for_images, read_results
+from skope.metrics.match import Matches, match
 from skope.outputs import claim
 from skope.schema import Annotation, AnnotationFile, Result
 

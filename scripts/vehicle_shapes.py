@@ -1,5 +1,6 @@
 """Work out the fleet's shape space for `skope eval pose`: of each body type the mean and principal directions of its
-33 keypoints and its dimensions. Writes skope/eval/vehicle_shapes.json; takes two minutes. Run after the fleet changes:
+33 keypoints and its dimensions. Writes skope/eval/pose/vehicle_shapes.json; takes two minutes. Run after the fleet
+changes:
 
     python scripts/vehicle_shapes.py
 
@@ -18,7 +19,7 @@ from skope.files import write_text
 from skope.gen.vehicles import build, fleet, jittered
 from skope.gen.vehicles.model import Vehicle
 
-DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "vehicle_shapes.json"
+DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_shapes.json"
 POOLED = 0.5
 """Share of the other types' variance between models that a type gets besides its own."""
 DIRECTIONS = 8

@@ -8,8 +8,8 @@ from typer.core import TyperGroup
 
 from skope.console import VersionOption
 from skope.errors import UserError
-from skope.eval.cli import app as eval_app
-from skope.gen.cli import app as gen_app
+from skope.eval.cli.app import app as eval_app
+from skope.gen.cli.app import app as gen_app
 from skope.train.cli import app as train_app
 
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from skope import coco, keypoints, names, schema, shards
-from skope.depth import read_depth
+from skope.depth_files import read_depth
 from skope.errors import UserError, one_of
 from skope.files import check_version, read_json
 from skope.keypoints import Scheme
@@ -251,6 +250,8 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.ui
 
     `size` (width, height), when given, is what the file must have.
     """
+    import cv2
+
     data = shards.read(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
     if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-64:]:

@@ -13,19 +13,19 @@ import numpy as np
 from skope import coco
 from skope.camera import Camera
 from skope.console import Console
-from skope.depth import depth_png
+from skope.depth_files import depth_png
 from skope.files import json_bytes, write_json
-from skope.gen import recording as recordings
-from skope.gen.annotate import Rules, Tally
-from skope.gen.counts import kind_of
-from skope.gen.crew import local
-from skope.gen.frames import Frame, checksum, image_of
-from skope.gen.pack import Labels
-from skope.gen.plan import from_preset
-from skope.gen.produce import finish_rendering
-from skope.gen.recording import Recording
-from skope.gen.render import Silhouette, View
-from skope.gen.store import Store
+from skope.gen.labels.annotate import RuleCounts, Rules
+from skope.gen.output.counts import kind_of
+from skope.gen.output.frames import FrameFiles, checksum, image_of
+from skope.gen.output.writers import Labels
+from skope.gen.pipeline.config import from_preset
+from skope.gen.pipeline.generate import finish_rendering
+from skope.gen.pipeline.store import Store
+from skope.gen.pipeline.workers import local
+from skope.gen.render.frame import RenderedFrame, Silhouette
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording
 from skope.gen.towns import network
 from tests.gen.scenes import standing
 from tests.samples import make_annotation
@@ -42,11 +42,11 @@ class FlatRenderer:
         network(recording.town)  # as whoever grows scenery does
         self._recording = recording
 
-    def render(self, frame: int) -> View:
+    def render(self, frame: int) -> RenderedFrame:
         """A grey wall 20 m away, and everything else behind it."""
         height, width = self._recording.camera.height, self._recording.camera.width
         count = len(self._recording.moment(frame).vehicles)
-        return View(
+        return RenderedFrame(
             rgb=np.full((height, width, 3), 90, dtype=np.uint8),
             depth=np.full((height, width), 20.0, dtype=np.float32),
             slope=np.zeros((height, width, 2), dtype=np.float32),
@@ -111,9 +111,9 @@ def labelled(store: Store) -> None:
             rows=[json_bytes(coco.annotation_to_dict(vehicle))],
             kinds=[kind_of(vehicle.iscrowd, vehicle.vehicle_type)],
             sha256={path: checksum(data) for path, data in files.items()},
-            tally=vars(Tally()),
+            tally=vars(RuleCounts()),
         )
-        store.keep(Frame(files, labels))
+        store.keep(FrameFiles(files, labels))
 
 
 def respelt(path: Path, change: Callable[[Any], object]) -> None:

@@ -32,11 +32,11 @@ def test_flags_before_a_subcommand_are_refused_not_forgotten(skope: Any, words: 
 @pytest.mark.parametrize(
     ("words", "inside"),
     [
-        (["gen", "--out", "d"], "skope.gen.cli.Path.exists"),
+        (["gen", "--out", "d"], "skope.gen.cli.app.Path.exists"),
         (["gen", "sites"], "skope.gen.towns.towns"),
         (["gen", "convert", "--to", "yolo", "a", "b"], "skope.gen.formats.convert.convert"),
-        (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.eval.inputs.read_annotations"),
-        (["eval", "compare", "a", "b"], "skope.eval.compare.compare"),
+        (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.metrics.inputs.read_annotations"),
+        (["eval", "compare", "a", "b"], "skope.eval.report.compare.compare"),
     ],
 )
 def test_ctrl_c_gets_a_line(skope: Any, monkeypatch: pytest.MonkeyPatch, words: list[str], inside: str) -> None:

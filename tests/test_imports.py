@@ -27,22 +27,36 @@ def imported(path: Path) -> set[str]:
     return names
 
 
+def modules() -> dict[str, Path]:
+    """Every module of the package by its dotted name."""
+    found = {}
+    for path in ROOT.rglob("*.py"):
+        parts = ["skope", *path.relative_to(ROOT).with_suffix("").parts]
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def graph() -> dict[str, set[str]]:
+    """The modules that each module imports."""
+    known = modules()
+
+    def module(name: str) -> str:
+        return name if name in known else name.rpartition(".")[0]
+
+    return {name: {module(other) for other in imported(path)} & known.keys() for name, path in known.items()}
+
+
 def across(group: str) -> set[str]:
     """What the modules of a group import from the other groups."""
     others = tuple(f"skope.{name}." for name in ("gen", "train", "eval") if name != group)
-    modules = sorted((ROOT / group).rglob("*.py"))
-    assert modules
-    return {name for path in modules for name in imported(path) if f"{name}.".startswith(others)}
+    found = sorted((ROOT / group).rglob("*.py"))
+    assert found
+    return {name for path in found for name in imported(path) if f"{name}.".startswith(others)}
 
 
-@pytest.mark.parametrize("group", ["gen", "eval"])
-def test_gen_and_eval_import_no_other_group(group: str) -> None:
+@pytest.mark.parametrize("group", ["gen", "train", "eval", "metrics"])
+def test_groups_do_not_import_each_other(group: str) -> None:
     assert across(group) == set()
-
-
-def test_train_imports_metrics_and_nothing_else_across() -> None:
-    allowed = ("skope.eval.metrics", "skope.eval.match")
-    assert {name for name in across("train") if not name.startswith(allowed)} == set()
 
 
 def test_shared_modules_import_no_group() -> None:
@@ -52,10 +66,67 @@ def test_shared_modules_import_no_group() -> None:
             assert not any(f"{name}.".startswith(groups) for name in imported(path)), path.name
 
 
-def test_metrics_are_numpy_alone() -> None:
-    for name in ("metrics", "match", "tally", "intervals", "breakdown", "failures", "confidence"):
-        roots = {module.split(".")[0] for module in imported(ROOT / "eval" / f"{name}.py")}
-        assert roots - sys.stdlib_module_names <= {"numpy", "skope"}
+GEN = (
+    {"cache", "mesh"},
+    {"towns", "vehicles"},
+    {"bystanders"},
+    {"scene", "scenery"},
+    {"traffic"},
+    {"simulation"},
+    {"render"},
+    {"labels"},
+    {"output"},
+    {"site_files", "formats"},
+    {"pipeline"},
+    {"inspect"},
+    {"cli"},
+)
+"""Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
+EVAL = ({"pose", "report"}, {"inference"}, {"tracking", "run"}, {"cli"})
+
+
+@pytest.mark.parametrize(("group", "order"), [("gen", GEN), ("eval", EVAL)])
+def test_stages_import_earlier_stages_only(group: str, order: tuple[set[str], ...]) -> None:
+    rank = {name: k for k, names in enumerate(order) for name in names}
+    seen = set()
+    for name, others in graph().items():
+        if name.startswith(f"skope.{group}."):
+            stage = name.split(".")[2]
+            seen.add(stage)
+            for other in others:
+                if other.startswith(f"skope.{group}.") and (earlier := other.split(".")[2]) != stage:
+                    assert rank[earlier] < rank[stage], f"{name} imports {other}"
+    assert seen == rank.keys()
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    left = graph()
+    while free := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in free}
+    assert not left
+
+
+def test_metrics_load_numpy_alone() -> None:
+    """Scores and formats can be worked on where there is neither torch nor OpenCV."""
+    names = sorted(name for name in modules() if name.startswith("skope.metrics"))
+    assert len(names) > 8
+    code = f"""
+import sys
+for name in ("torch", "torchvision", "cv2", "pybullet", "libsumo", "moderngl", "scipy", "shapely", "matplotlib"):
+    sys.modules[name] = None
+import {", ".join(names)}
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_public_class_name_stands_for_two_things() -> None:
+    places: dict[str, list[str]] = {}
+    for name, path in modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(name)
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
 def test_the_walk_sees_relative_and_nested_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,8 +151,8 @@ def test_rendering_a_recording_needs_no_simulator() -> None:
 import sys
 for name in ("pybullet", "libsumo"):
     sys.modules[name] = None
-import skope.gen.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.store
-import skope.gen.towns.scenery
+import skope.gen.labels.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.pipeline.store
+import skope.gen.scenery.build
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

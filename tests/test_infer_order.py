@@ -15,7 +15,7 @@ from skope.boxes import xyxy_to_xywh
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import read_json, write_json
-from skope.gen.formats.scenes import Vehicle
+from skope.gen.formats.scenes import ArchiveVehicle
 from skope.gen.formats.skope3d import CORNERS
 from skope.gen.vehicles import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
@@ -70,14 +70,14 @@ def annotations() -> list[Annotation]:
 
 
 @pytest.fixture(scope="module")
-def vehicles(annotations: list[Annotation]) -> list[Vehicle]:
+def vehicles(annotations: list[Annotation]) -> list[ArchiveVehicle]:
     """As the files have them."""
     out = []
     for a in annotations:
         assert a.box_3d is not None
         corners, _, _ = CAMERA.project(CORNERS * a.box_3d.size_lwh @ a.box_3d.R.T + a.box_3d.center)
         points = np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] == 2])
-        out.append(Vehicle(a.bbox, points.round(2), a.id, "model", corners.round(2)))
+        out.append(ArchiveVehicle(a.bbox, points.round(2), a.id, "model", corners.round(2)))
     return out
 
 
@@ -85,7 +85,7 @@ def wrong(table: dict[int, int]) -> list[int]:
     return [k for k, name in table.items() if ORDER[k] != name]
 
 
-def proposals(script: ModuleType, vehicles: list[Vehicle], margin: float = 0.05) -> tuple[dict[int, int], str]:
+def proposals(script: ModuleType, vehicles: list[ArchiveVehicle], margin: float = 0.05) -> tuple[dict[int, int], str]:
     ours = script.fleet_places()
     found, order = script.places(vehicles)
     rows = script.propose(script.turned(found, ours), ours, margin)
@@ -131,14 +131,16 @@ def test_our_export_with_shuffled_keypoints(skope: Any, annotations: list[Annota
         (lambda c: c[:, [6, 2, 0, 4, 7, 3, 1, 5]], "in rings"),
     ],
 )
-def test_corners_may_be_counted_otherwise(script: ModuleType, vehicles: list[Vehicle], count: Any, order: str) -> None:
+def test_corners_may_be_counted_otherwise(
+    script: ModuleType, vehicles: list[ArchiveVehicle], count: Any, order: str
+) -> None:
     corners = count(np.stack([v.corners for v in vehicles]))
-    recounted = [Vehicle(v.box_xyxy, v.points, 0, "", c) for v, c in zip(vehicles, corners, strict=True)]
+    recounted = [ArchiveVehicle(v.box_xyxy, v.points, 0, "", c) for v, c in zip(vehicles, corners, strict=True)]
     table, said = proposals(script, recounted)
     assert (said, wrong(table), len(table) >= 22) == (order, [], True)
 
 
-def test_the_margin_decides(script: ModuleType, vehicles: list[Vehicle]) -> None:
+def test_the_margin_decides(script: ModuleType, vehicles: list[ArchiveVehicle]) -> None:
     counts = [len(proposals(script, vehicles, margin)[0]) for margin in (0.0, 0.1, 0.3, 5.0)]
     assert counts[0] == 28
     assert counts == sorted(counts, reverse=True)
@@ -159,7 +161,7 @@ def test_places_in_the_cube_are_those_of_the_points(script: ModuleType, astray: 
         corners, _, _ = CAMERA.project(CORNERS * 2 * half @ R.T + at)
         seen = np.column_stack([points, np.ones(K)])
         seen[rng.random(K) < astray] += [9, -7, 0]
-        out.append(Vehicle(np.zeros(4), seen, 0, "", corners))
+        out.append(ArchiveVehicle(np.zeros(4), seen, 0, "", corners))
     found, _ = script.places(out)
     assert np.abs(found - body).max() < within
     for vehicle in out:
@@ -167,9 +169,9 @@ def test_places_in_the_cube_are_those_of_the_points(script: ModuleType, astray: 
     assert np.isnan(script.places(out)[0][5]).all()
 
 
-def test_corners_in_no_order_are_told(script: ModuleType, vehicles: list[Vehicle]) -> None:
+def test_corners_in_no_order_are_told(script: ModuleType, vehicles: list[ArchiveVehicle]) -> None:
     rng = np.random.default_rng(2)
-    jumbled = [Vehicle(v.box_xyxy, v.points, 0, "", rng.permutation(v.corners)) for v in vehicles]
+    jumbled = [ArchiveVehicle(v.box_xyxy, v.points, 0, "", rng.permutation(v.corners)) for v in vehicles]
     with pytest.raises(UserError, match="counted in no known order"):
         script.places(jumbled)
 

@@ -24,14 +24,14 @@ import typer
 from skope import cli, coco, names, shards
 from skope.dataset import open_dataset
 from skope.errors import UserError
-from skope.gen import recording as recordings
 from skope.gen.formats.convert import WRITERS
-from skope.gen.pack import unpack_shards
-from skope.gen.store import Store
+from skope.gen.output.writers import unpack_shards
+from skope.gen.pipeline.store import Store
+from skope.gen.scene import recording as recordings
 from skope.gen.towns import place
 from skope.gen.towns.place import Place
 from skope.schema import Result
-from skope.train import sources
+from skope.train import splits
 from tests import hostile
 from tests.gen.formats.test_skope3d import video, write_zip
 from tests.samples import make_annotation
@@ -147,7 +147,7 @@ def below(root: Path) -> dict[Path, bytes]:
 
 @pytest.fixture
 def flat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.gen.crew.make_renderer", hostile.FlatRenderer)
+    monkeypatch.setattr("skope.gen.pipeline.workers.make_renderer", hostile.FlatRenderer)
 
 
 @pytest.fixture
@@ -576,7 +576,7 @@ def test_images_that_are_learnt(yard: Yard) -> None:
     for field, value in spoilt(yard, hostile.complete, images("annotations/train.json")):
         missing = nullcontext() if value is None and field in FIELDS[1:] else pytest.raises(UserError, match=field)
         with missing, yard.watched():
-            sources.read(yard.given, exclude_types=(), val_fraction=0.0, max_images=None)
+            splits.read(yard.given, exclude_types=(), val_fraction=0.0, max_images=None)
 
 
 def test_images_that_are_merged(yard: Yard) -> None:

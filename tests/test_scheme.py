@@ -13,7 +13,7 @@ from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.keypoints import PUBLISHED, SKOPE33
 from skope.schema import AnnotationFile, Result
-from skope.train import initial, plan, sources
+from skope.train import configure, init_weights, splits
 from tests.samples import make_annotation, make_dataset, make_image
 from tests.train.test_cli import TINY, new
 
@@ -65,7 +65,7 @@ def test_card_and_annotations_agree(published: Path) -> None:
 def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(new(), data=(str(published),), recipe=replace(TINY, epochs=1))
     assert config.recipe.augment.flip == 0.5
-    monkeypatch.setattr(plan, "new", lambda *_, **__: config)
+    monkeypatch.setattr(configure, "new", lambda *_, **__: config)
     code, out, err = skope("train", "--data", published, "--device", "cpu", "--out", "run")
     assert (code, err[-200:]) == (0, err[-200:])
     assert "images are not mirrored: of scheme skope3d no mirror partners are known" in out
@@ -89,16 +89,16 @@ def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.M
     assert not Path("other").exists()
     size = {"min_size": 64, "max_size": 96, "norm": "given", "trainable_layers": 3, "seed": 0}
     with pytest.raises(UserError, match="has keypoint scheme skope3d, the dataset has skope33"):
-        initial.initialise("run", **size)
-    assert initial.initialise("run", **size, scheme="skope3d")[1].scheme == "skope3d"
+        init_weights.initialise("run", **size)
+    assert init_weights.initialise("run", **size, scheme="skope3d")[1].scheme == "skope3d"
 
 
 def test_schemes_are_not_learnt_together(published: Path, tmp_path: Path) -> None:
     ours = make_dataset(tmp_path / "ours")
-    parts = [sources.read(root, exclude_types=(), val_fraction=0, max_images=None) for root in (ours, published, ours)]
-    assert sources.one_scheme(parts[::2]) is SKOPE33
+    parts = [splits.read(root, exclude_types=(), val_fraction=0, max_images=None) for root in (ours, published, ours)]
+    assert splits.one_scheme(parts[::2]) is SKOPE33
     with pytest.raises(UserError, match=r"published: has keypoint scheme skope3d, .*ours has skope33"):
-        sources.one_scheme(parts)
+        splits.one_scheme(parts)
 
 
 def test_results_of_the_same_scheme_are_scored_point_by_point(skope: Any, tmp_path: Path) -> None:

@@ -19,12 +19,12 @@ import torch
 
 from skope import coco, detector
 from skope.schema import Result
-from tests.eval.seen import drive
+from tests.eval.sightings import drive
 from tests.samples import make_dataset
 
 ROOT: Final = Path(__file__).parents[1]
 SCRIPTS: Final = ROOT / "scripts"
-PYTHON: Final = sorted(path.name for path in SCRIPTS.glob("*.py"))
+PYTHON: Final = sorted(path.relative_to(SCRIPTS).as_posix() for path in SCRIPTS.rglob("*.py"))
 SHELL: Final = sorted(path.name for path in SCRIPTS.glob("*.sh"))
 MAKEFILE: Final = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS: Final = sorted(set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE)))
@@ -75,7 +75,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
     Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
     Run(
-        "experiment_train.py",
+        "research/experiment_train.py",
         f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
         " --test-images 1 --workers 0 --out {out}",
         says="| exact | easy |",
@@ -84,7 +84,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
     Run("reference_table.py", "{metrics}", says="| easy | 0.6 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
-    Run("track_rates.py", "{road} --fps 10", says="  10    0/0"),
+    Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )
@@ -159,14 +159,15 @@ def apart(name: str, *arguments: str) -> tuple[int, str, str]:
 
 def test_every_script_is_listed() -> None:
     assert sorted({run.script for run in RUNS}) == PYTHON
-    assert sorted(path.name for path in SCRIPTS.iterdir() if path.suffix not in (".py", ".sh")) == ["reference.toml"]
+    files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
+    assert [path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")] == ["reference.toml"]
 
 
 @pytest.mark.parametrize("name", PYTHON)
 def test_help(script: Script, name: str) -> None:
     code, out, error = script(name, "--help")
     assert (code, error) == (0, "")
-    assert out.startswith(f"usage: {name}")
+    assert out.startswith(f"usage: {Path(name).name}")
 
 
 @pytest.mark.parametrize("run", [pytest.param(run, id=run.script, marks=run.marks) for run in RUNS])

@@ -20,12 +20,12 @@ from typer.testing import CliRunner
 
 from skope import cli, coco, detector
 from skope.console import Console
-from skope.eval.predict import Predictor
-from skope.eval.settings import Settings
+from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.settings import Settings
 from tests import hostile
-from tests.eval.seen import drive
-from tests.eval.test_outputs import POINTS, scene
-from tests.gen.test_markers import nodes, written
+from tests.eval.sightings import drive
+from tests.eval.test_output_folders import POINTS, scene
+from tests.gen.vehicles.test_markers import nodes, written
 from tests.samples import make_annotation, make_dataset
 from tests.train.conftest import shrink
 
@@ -200,9 +200,9 @@ WRITERS = {
         other="eval camera --points IN/others.csv --size 640x480 --out OUT.json",
     ),
 }
-"""Killed in the midst of it and gone on with, to the same bytes: `gen` in tests/gen/test_produce.py
+"""Killed in the midst of it and gone on with, to the same bytes: `gen` in tests/gen/pipeline/test_generate.py
 (test_killed_at_any_moment_it_goes_on_to_the_same_bytes), `train` in tests/train/test_loop.py
-(test_a_resumed_run_equals_an_uninterrupted_one), `eval predict` in tests/eval/test_road.py
+(test_a_resumed_run_equals_an_uninterrupted_one), `eval predict` in tests/eval/cli/test_footage.py
 (test_a_stopped_run_goes_on_and_ends_as_if_never_stopped), `eval` below."""
 
 READERS = {
@@ -285,7 +285,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("given")
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        patch.setattr("skope.gen.crew.make_renderer", hostile.FlatRenderer)
+        patch.setattr("skope.gen.pipeline.workers.make_renderer", hostile.FlatRenderer)
         make_dataset(root / "one")
         make_dataset(root / "two", seed=1)
         make_dataset(root / "left", splits=("train",))
@@ -348,12 +348,12 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     plainly = detector.checkpoint_bytes
     monkeypatch.setattr(detector, "checkpoint_bytes", lambda *of, packed=False: plainly(*of))  # packing takes seconds
     # Before the renderer: what is imported for the first time would keep the one of the tests.
-    monkeypatch.setattr("skope.gen.vehicles.show.sheet", lambda *_: plain)
+    monkeypatch.setattr("skope.gen.inspect.vehicle_sheets.sheet", lambda *_: plain)
     for module in ("crew", "video", "render"):
         monkeypatch.setattr(f"skope.gen.{module}.make_renderer", hostile.FlatRenderer)
-    monkeypatch.setattr("skope.gen.towns.maps.town_map", lambda _: plain)
-    monkeypatch.setattr("skope.gen.doctor._refuse_blank", lambda *_: None)
-    monkeypatch.setattr("skope.gen.doctor._torch", lambda: "")
+    monkeypatch.setattr("skope.gen.inspect.town_maps.town_map", lambda _: plain)
+    monkeypatch.setattr("skope.gen.inspect.doctor._refuse_blank", lambda *_: None)
+    monkeypatch.setattr("skope.gen.inspect.doctor._torch", lambda: "")
     monkeypatch.setenv("SKOPE_VEHICLES", ".")
     return Yard(skope, given)
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from skope.camera import Camera
-from skope.gen.own.site import read_site
-from skope.gen.recording import Recording, RecordingPlan
-from skope.gen.render import make_renderer
-from skope.gen.simulate import simulate
+from skope.gen.render.choose import make_renderer
+from skope.gen.scene.recording import Recording, RecordingPlan
+from skope.gen.simulation.simulate import simulate
+from skope.gen.site_files.site_file import read_site
 
 HERE = Path(__file__).parent
 

@@ -10,18 +10,20 @@ from skope import coco, draw, keypoints, shards
 from skope.console import Console
 from skope.dataset import read_image, take
 from skope.errors import UserError
-from skope.eval import inputs, metrics, report, table
-from skope.eval.inputs import Truth
-from skope.eval.measure import measure, to_tallies
-from skope.eval.progress import Progress
-from skope.eval.settings import Settings
-from skope.eval.tally import Options
+from skope.eval import report
+from skope.eval.inference.progress import Progress
+from skope.eval.inference.settings import Settings
+from skope.eval.report import table
 from skope.files import write_json, write_text
+from skope.metrics import figures, inputs
+from skope.metrics.counts import Options
+from skope.metrics.inputs import Truth
+from skope.metrics.split_scores import measure, to_tallies
 from skope.outputs import claim
 from skope.schema import AnnotationFile, Result
 
 if TYPE_CHECKING:
-    from skope.eval.predict import Predictor
+    from skope.eval.inference.predictor import Predictor
 
 REPORT: Final = "report.html"
 OVERLAYS: Final = 4
@@ -29,7 +31,7 @@ OVERLAYS: Final = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class EvalJob:
     """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
 
     truth: Truth
@@ -49,7 +51,7 @@ class Job:
     """Print the published rows below ours."""
 
 
-def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
+def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     """Evaluate, write everything under `job.out`, print the table `width` wide; returns what `metrics.json` holds."""
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
@@ -64,18 +66,18 @@ def evaluate(job: Job, console: Console, width: int) -> dict[str, Any]:
     measured = [
         measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
     ]
-    figures = {split.file.name: split.entry for split in measured}
-    document = metrics.document(job.options, figures, calibrated=calibrated, scheme=job.scheme, work=work)
+    entries = {split.file.name: split.entry for split in measured}
+    document = figures.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
-    write_text(job.out / "tallies.json", json.dumps({"version": metrics.VERSION, "splits": tallies}) + "\n")
+    write_text(job.out / "tallies.json", json.dumps({"version": figures.VERSION, "splits": tallies}) + "\n")
     beside = table.published() if job.beside_paper else None
     page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside)
     write_text(job.out / REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 
     console.result(table.render(document, job.protocol, width, beside=beside))
-    for line in _advice(job, figures, results):
+    for line in _advice(job, entries, results):
         console.result(line)
     console.result(_last_line(job, splits, pictures))
     return document
@@ -90,9 +92,9 @@ def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
             raise UserError(f"{root / missing[0]}: no such file; split {file.name} lacks {count}")
 
 
-def _predictor(job: Job, console: Console) -> "Predictor":
+def _predictor(job: EvalJob, console: Console) -> "Predictor":
     """The checkpoint on its device, whose keypoints are those of the ground truth."""
-    from skope.eval.predict import Predictor  # torch
+    from skope.eval.inference.predictor import Predictor  # torch
 
     assert job.checkpoint is not None
     settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
@@ -101,7 +103,7 @@ def _predictor(job: Job, console: Console) -> "Predictor":
     return predictor
 
 
-def _claimed(job: Job, predictor: "Predictor | None") -> dict[str, Any]:
+def _claimed(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
     """The output folder, taken for this evaluation; what `work.json` says of it."""
     scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
     options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
@@ -111,7 +113,7 @@ def _claimed(job: Job, predictor: "Predictor | None") -> dict[str, Any]:
     return claim(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
 
 
-def _predicted(job: Job, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
     """Results by split."""
     out = {}
     for file in splits:
@@ -129,13 +131,13 @@ def _predicted(job: Job, predictor: "Predictor", splits: Sequence[AnnotationFile
     return out
 
 
-def _read(job: Job, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
     assert job.predictions is not None
     (whole,), (part,) = job.truth.splits, splits
     return {part.name: inputs.for_images(inputs.read_results(job.predictions, whole, job.scheme), part)}
 
 
-def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
+def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
     """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
     few = take(file, OVERLAYS)
     truth = few.by_image()
@@ -163,9 +165,9 @@ def _overlays(job: Job, file: AnnotationFile, results: Sequence[Result], console
     return written
 
 
-def _advice(job: Job, figures: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
+def _advice(job: EvalJob, entries: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
     """What to say of splits in which nothing scored high enough to count."""
-    silent = [name for name, split in figures.items() if split["ground_truth"] and not split["detections"]]
+    silent = [name for name, split in entries.items() if split["ground_truth"] and not split["detections"]]
     if not silent:
         return []
     highest = max((r.score for name in silent for r in results[name]), default=None)
@@ -187,7 +189,7 @@ def _below(score: float) -> float:
     return next((t for t in (0.7, 0.5, 0.3, 0.1) if t < score), 0.0)
 
 
-def _last_line(job: Job, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
+def _last_line(job: EvalJob, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
     names = "{" + ",".join(file.name for file in splits) + "}" if len(splits) > 1 else splits[0].name
     files = ["metrics.json", "tallies.json"]
     files += [f"predictions_{names}.json"] if job.checkpoint else []

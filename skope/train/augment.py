@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.train.vehicles import Vehicles
+from skope.train.targets import Vehicles
 
 Pixels = NDArray[np.uint8]
 Floats = NDArray[np.float32]

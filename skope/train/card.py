@@ -6,7 +6,7 @@ from typing import Any
 from skope import __version__, keypoints
 from skope.dataset import Dataset
 from skope.detector import BEST
-from skope.train.run import RunConfig, Training
+from skope.train.run_folder import RunConfig, Training
 from skope.train.validate import rank
 
 _WEIGHTS = (

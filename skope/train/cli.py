@@ -77,7 +77,7 @@ def run(
             raise UserError(f"--{name}: expected a number from 0, got {number}")
 
     from skope.detector import choose_device
-    from skope.train import plan
+    from skope.train import configure
     from skope.train.loop import Saving, train
 
     console = Console(quiet)
@@ -98,19 +98,19 @@ def run(
     }
     on_gpu = where.type == "cuda"
     if resume:
-        config = plan.again(out, data or (), flags)
+        config = configure.again(out, data or (), flags)
     else:
-        bfloat16 = not on_gpu and plan.multiplies_bfloat16()
-        config = plan.new(data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
+        bfloat16 = not on_gpu and configure.multiplies_bfloat16()
+        config = configure.new(data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
     if workers is None:
-        workers = plan.loading_workers(gpu=on_gpu)
+        workers = configure.loading_workers(gpu=on_gpu)
     saving = Saving(keep=keep, state_interval_s=60 * save_minutes)
     try:
         checkpoint = train(config, out, device=where, workers=workers, resume=resume, console=console, saving=saving)
     except KeyboardInterrupt:
-        typer.echo(f"skope: stopped; {plan.how_to_go_on(out)}", err=True)
+        typer.echo(f"skope: stopped; {configure.how_to_go_on(out)}", err=True)
         raise typer.Exit(130) from None
-    console.result(f"wrote {checkpoint}; next: {plan.next_command(out, Path(config.data[0]), RUN, DATA)}")
+    console.result(f"wrote {checkpoint}; next: {configure.next_command(out, Path(config.data[0]), RUN, DATA)}")
 
 
 @app.command()

@@ -17,18 +17,18 @@ from torch.utils.data import Dataset as TorchDataset
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.schema import Image
-from skope.train import assign
+from skope.train import ignored_regions
 from skope.train.augment import Augment
-from skope.train.sources import SPLIT, Source
-from skope.train.stop import left_to_the_parent
-from skope.train.vehicles import Vehicles
+from skope.train.interrupt import left_to_the_parent
+from skope.train.splits import SPLIT, Source
+from skope.train.targets import Vehicles
 
 Draw = tuple[int, int, int]
 """Epoch, position in the training set, how often the epoch has drawn it before."""
 
 
 @dataclass(frozen=True)
-class Sample:
+class TrainingSample:
     """One image on its way into the network."""
 
     name: str
@@ -42,9 +42,9 @@ class Sample:
         pixels = self.pixels.to(device, non_blocking=True).float() / 255
         return pixels, {key: value.to(device, non_blocking=True) for key, value in self.target.items()}
 
-    def pin_memory(self) -> "Sample":
+    def pin_memory(self) -> "TrainingSample":
         """The same in memory that a GPU can copy from without waiting."""
-        return Sample(self.name, self.pixels.pin_memory(), {k: v.pin_memory() for k, v in self.target.items()})
+        return TrainingSample(self.name, self.pixels.pin_memory(), {k: v.pin_memory() for k, v in self.target.items()})
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class _Frame:
     vehicles: Vehicles
 
 
-class TrainingSet(TorchDataset[Sample | UserError]):
+class TrainingSet(TorchDataset[TrainingSample | UserError]):
     """Images of all datasets with their vehicles, one dataset after the other; an index is a `Draw`."""
 
     def __init__(self, sources: Sequence[Source], *, seed: int, augment: Augment, supervise: str) -> None:
@@ -80,7 +80,7 @@ class TrainingSet(TorchDataset[Sample | UserError]):
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, index: Draw) -> Sample | UserError:
+    def __getitem__(self, index: Draw) -> TrainingSample | UserError:
         """The sample, or the mistake in the user's files: raised in a worker, it would arrive inside a traceback."""
         epoch, position, repeat = index
         frame = self._frames[position]
@@ -93,15 +93,15 @@ class TrainingSet(TorchDataset[Sample | UserError]):
         return to_sample(frame.image.file_name, pixels, vehicles, self._supervise)
 
 
-def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> Sample:
+def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:
     """(H, W, 3) pixels and vehicles as tensors."""
     target = {
         "boxes": torch.as_tensor(vehicles.boxes_xyxy, dtype=torch.float32),
         "labels": torch.ones(len(vehicles.boxes_xyxy), dtype=torch.int64),
         "keypoints": torch.as_tensor(vehicles.supervised(supervise), dtype=torch.float32),
-        assign.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
+        ignored_regions.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
-    return Sample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
+    return TrainingSample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
 
 
 def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> list[Draw]:
@@ -127,7 +127,7 @@ def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> 
 
 def batches(
     training_set: TrainingSet, groups: Sequence[Sequence[Draw]], *, workers: int, pin: bool = False
-) -> Iterator[list[Sample]]:
+) -> Iterator[list[TrainingSample]]:
     """The samples of each group of draws; a mistake in a file is raised here."""
     loader = DataLoader(
         training_set,
@@ -152,7 +152,7 @@ def _begin_loading(worker: int) -> None:
     cv2.setNumThreads(0)
 
 
-def share_inside(samples: Sequence[Sample]) -> float | None:
+def share_inside(samples: Sequence[TrainingSample]) -> float | None:
     """Share of the labelled keypoints that lie inside their vehicle's box; None without a labelled keypoint."""
     inside = labelled = 0
     for sample in samples:

@@ -15,13 +15,13 @@ from skope.detector import checkpoint_name
 from skope.errors import UserError
 from skope.files import write_text
 from skope.keypoints import SCHEMES
-from skope.train import assign, card, data, ranks, run, sources, step, validate, watch
-from skope.train.data import Sample, TrainingSet
-from skope.train.fold import fold_norms
-from skope.train.ranks import Team
-from skope.train.run import RunConfig, Training
-from skope.train.sources import Source
-from skope.train.stop import Stop
+from skope.train import card, data, distributed, ignored_regions, monitor, run_folder, splits, step, validate
+from skope.train.data import TrainingSample, TrainingSet
+from skope.train.distributed import Team
+from skope.train.fold_batchnorm import fold_norms
+from skope.train.interrupt import Stop
+from skope.train.run_folder import RunConfig, Training
+from skope.train.splits import Source
 
 CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
@@ -59,27 +59,27 @@ def train(
     broken image, a folder that holds another run or that another process writes to, a loss that is no longer finite,
     and too little memory.
     """
-    with ranks.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
+    with distributed.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
         console = console if team.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
-        config = config.of([part.dataset for part in parts], sources.one_scheme(parts))
+        config = config.of([part.dataset for part in parts], splits.one_scheme(parts))
         recipe = config.recipe
         training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
-        with run.alone(out) if team.first else contextlib.nullcontext():
-            begin = run.resume if resume else run.start
+        with run_folder.alone(out) if team.first else contextlib.nullcontext():
+            begin = run_folder.resume if resume else run_folder.start
             training = begin(out, config, [part.fingerprint for part in parts], device)
-            assign.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+            ignored_regions.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
             if recipe.fold_norms:
                 fold_norms(training.model)
             if team.first:
-                run.record(out, config)
+                run_folder.record(out, config)
             _announce(config, training, training_set, f"on {device} x {team.size}, {workers} extra processes", console)
             return _Run(config, out, training, training_set, parts, team, device, workers, saving, stop, console).go()
 
 
 def _read(root: Path, config: RunConfig) -> Source:
     recipe = config.recipe
-    return sources.read(
+    return splits.read(
         root, exclude_types=recipe.exclude_types, val_fraction=recipe.val_fraction, max_images=config.max_images
     )
 
@@ -106,8 +106,8 @@ class _Run:
         left = len(self.training_set) * (epochs - self.training.epochs_done)
         left -= self.training.steps_done * self.config.recipe.batch_size
         most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
-        self._file, self._paths = sources.for_validation(self.parts, most)
-        self._board = watch.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
+        self._file, self._paths = splits.for_validation(self.parts, most)
+        self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
         self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:
             while self.training.epochs_done < epochs:
@@ -168,7 +168,7 @@ class _Run:
     def _save_within(self, stopped: bool) -> None:
         self.team.average_statistics(self.training.model)
         if self.team.first:
-            run.save_state(self.out, self.training)
+            run_folder.save_state(self.out, self.training)
         self._saved_at = time.monotonic()
         if stopped:
             raise KeyboardInterrupt
@@ -183,20 +183,20 @@ class _Run:
             row["validation"] = figures
             self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
-            watch.overlays(sheet, model, file, self._paths, row["epoch"], self.device)
+            monitor.overlays(sheet, model, file, self._paths, row["epoch"], self.device)
             if self._board is not None:
                 for name, value in figures.items():
                     if value is not None:
                         self._board.add_scalar(f"validation/{name}", value, self._step)
             if training.best is None or validate.rank(figures) > training.best:
                 training.best = validate.rank(figures)
-                run.save_best(self.out, self.config, training)
+                run_folder.save_best(self.out, self.config, training)
         last = training.epochs_done == recipe.epochs
         if last or time.monotonic() - self._drawn_at >= _CURVES_INTERVAL_S:
-            watch.curves(self.out / "curves.png", training.history)
+            monitor.curves(self.out / "curves.png", training.history)
             self._drawn_at = time.monotonic()
         if last or time.monotonic() - self._checkpoint_at >= self.saving.checkpoint_interval_s:
-            run.save_epoch(self.out, self.config, training, keep=self.saving.keep)
+            run_folder.save_epoch(self.out, self.config, training, keep=self.saving.keep)
             self._write_card()
             self._checkpoint_at = self._saved_at = time.monotonic()
 
@@ -257,7 +257,7 @@ def _in_words(figures: Mapping[str, Any]) -> str:
     )
 
 
-def _check_first(batch: Sequence[Sample], console: Console) -> None:
+def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
     """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
     share = data.share_inside(batch)
     if share is None or share >= _LEAST_INSIDE:

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 
 from skope.errors import UserError, one_of
 from skope.schema import VEHICLE_TYPES
-from skope.train import settings
+from skope.train import overrides
 from skope.train.augment import Augment
 
 SUPERVISE: Final = ("visible", "all")
@@ -95,7 +95,7 @@ class Recipe:
         if not isinstance(values, Mapping) or set(values) != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
         like: Any = RECIPES["paper"]
-        return settings.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
+        return overrides.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
 
     def with_min_size(self, min_size: int) -> Self:
         """Another short side; the same shapes of image reach it as before."""
@@ -191,12 +191,12 @@ def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     """
     if name.endswith(".toml"):
         path = Path(name)
-        values = settings.read_toml(path)
+        values = overrides.read_toml(path)
         base = values.pop(_BASE, "auto")
         if base not in CHOICES:
             raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
         recipe = choose(base, gpu=gpu, bfloat16=bfloat16)
-        return settings.changed(recipe, {"name": path.stem, **values}, f"{path}: ")
+        return overrides.changed(recipe, {"name": path.stem, **values}, f"{path}: ")
     one_of("--recipe", name, CHOICES)
     recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
@@ -204,4 +204,4 @@ def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
 
 def adjusted(recipe: Recipe, flags: Sequence[str]) -> Recipe:
     """The recipe with the values of `--set name=value` flags."""
-    return settings.changed(recipe, settings.from_flags(flags, "--set"), "--set ")
+    return overrides.changed(recipe, overrides.from_flags(flags, "--set"), "--set ")

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from skope.errors import UserError
-from skope.train.data import Sample
-from skope.train.ranks import Team
+from skope.train.data import TrainingSample
+from skope.train.distributed import Team
 from skope.train.recipe import Recipe
-from skope.train.run import Training
+from skope.train.run_folder import Training
 
 LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
 """In the order in which torchvision names them."""
@@ -26,7 +26,7 @@ def seed(seed: int, epoch: int, step: int, team: Team) -> None:
 
 def take(
     training: Training,
-    batch: Sequence[Sample],
+    batch: Sequence[TrainingSample],
     recipe: Recipe,
     *,
     rate: float,
@@ -63,7 +63,9 @@ def take(
     return {"loss": total, **dict(zip(LOSSES, values, strict=True))}, wishes.tolist()
 
 
-def _learn(training: Training, part: Sequence[Sample], recipe: Recipe, images: int, device: torch.device) -> Tensor:
+def _learn(
+    training: Training, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
+) -> Tensor:
     """Add the gradients of some images; (5,) their weighted losses."""
     pixels, targets = zip(*(sample.to(device) for sample in part), strict=True)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
@@ -73,7 +75,7 @@ def _learn(training: Training, part: Sequence[Sample], recipe: Recipe, images: i
     return weighted.detach()
 
 
-def _refuse(batch: Sequence[Sample], epoch: int, *, mine: bool) -> None:
+def _refuse(batch: Sequence[TrainingSample], epoch: int, *, mine: bool) -> None:
     names = ", ".join(sample.name for sample in batch) if mine else "images of another process"
     raise UserError(
         f"epoch {epoch}: the loss is no longer a finite number, at {names}; see these images, or take a recipe with a "

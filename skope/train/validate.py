@@ -11,7 +11,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, detector
 from skope.dataset import read_image
-from skope.eval import metrics
+from skope.metrics.figures import Options, score_split
 from skope.schema import AnnotationFile, Result
 
 Figures = dict[str, Any]
@@ -47,7 +47,7 @@ def answers(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], de
     given: list[Result] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        detected += found(model, pixels, image.id, device, metrics.Options().score)
+        detected += found(model, pixels, image.id, device, Options().score)
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
         points = detector.detect_on_boxes(model, pixels, corners, device)
@@ -62,14 +62,14 @@ def figures(file: AnnotationFile, answers: Answers) -> Figures:
     `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
     detection; None where there is nothing to divide by.
     """
-    options = metrics.Options()
-    split = metrics.score_split(file, answers.detected, options)
+    options = Options()
+    split = score_split(file, answers.detected, options)
     at = split["iou"][_IOU]
     return {
         "images": split["images"],
         "vehicles": split["ground_truth"],
         "pck": at["pck"],
-        "pck_given": metrics.score_split(file, answers.given, options)["iou"][_IOU]["pck"],
+        "pck_given": score_split(file, answers.given, options)["iou"][_IOU]["pck"],
         **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
     }
 

@@ -32,7 +32,7 @@ def random_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def stops_after(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """A context in which predicting is interrupted as if by Ctrl-C after so many images."""
-    from skope.eval.predict import Predictor
+    from skope.eval.inference.predictor import Predictor
 
     each = Predictor.each
 

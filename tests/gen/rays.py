@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.bodies import body_of
-from skope.gen.recording import Moment
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from skope.camera import Camera
 from skope.gen import bystanders
 from skope.gen.bystanders import Look
-from skope.gen.conditions import Conditions
-from skope.gen.recording import RecordedVehicle, Recording, RecordingPlan
-from skope.gen.simulate import simulate
+from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
+from skope.gen.simulation.simulate import simulate
 from skope.gen.towns import site
 from skope.gen.vehicles import fleet
 

@@ -8,7 +8,7 @@ import pytest
 
 from skope.gen import cache
 from skope.gen.mesh import Mesh
-from skope.gen.towns import scenery as towns
+from skope.gen.scenery import build as towns
 from skope.gen.vehicles import fleet
 from skope.gen.vehicles.model import simplified_parts
 

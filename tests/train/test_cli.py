@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from skope.errors import UserError
 from skope.files import write_json
-from skope.train import cli, loop, plan
+from skope.train import cli, configure, loop
 from skope.train.recipe import RECIPES
-from skope.train.run import RunConfig
+from skope.train.run_folder import RunConfig
 from tests import samples
 
 NO_FLAGS: dict[str, Any] = {
@@ -27,7 +27,7 @@ TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint
 
 
 def new(**flags: Any) -> RunConfig:
-    return plan.new((Path("data/skope"),), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
+    return configure.new((Path("data/skope"),), {**NO_FLAGS, **flags}, gpu=False, bfloat16=False)
 
 
 def test_a_flag_of_zero_is_a_value() -> None:
@@ -62,7 +62,7 @@ def test_mistakes_are_one_line(
 def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     config = replace(new(seed=4), recipe=replace(TINY, epochs=2))
-    monkeypatch.setattr(plan, "new", lambda *_, **__: config)
+    monkeypatch.setattr(configure, "new", lambda *_, **__: config)
     samples.make_dataset(Path("data/skope"), images=2, splits=("train",))
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
     assert result.exit_code == 0, result.output
@@ -108,20 +108,20 @@ def test_flags_change_the_recipe() -> None:
 def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
     recorded = new(recipe="scratch", epochs=7, seed=5)
     write_json(tmp_path / "recipe.json", recorded.to_dict())
-    assert plan.again(tmp_path, (), NO_FLAGS) == recorded
-    assert plan.again(tmp_path, (), {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
-    longer = plan.again(tmp_path, (Path("elsewhere"),), {**NO_FLAGS, "epochs": 9})
+    assert configure.again(tmp_path, (), NO_FLAGS) == recorded
+    assert configure.again(tmp_path, (), {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
+    longer = configure.again(tmp_path, (Path("elsewhere"),), {**NO_FLAGS, "epochs": 9})
     assert longer == replace(recorded, data=("elsewhere",), recipe=replace(recorded.recipe, epochs=9))
     for flags in ({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}):
         with pytest.raises(UserError, match=f"--{next(iter(flags)).replace('_', '-')} "):
-            plan.again(tmp_path, (), {**NO_FLAGS, **flags})
+            configure.again(tmp_path, (), {**NO_FLAGS, **flags})
     write_json(tmp_path / "recipe.json", {**recorded.to_dict(), "recipe": {}})
     with pytest.raises(UserError, match=r"recipe.json: recipe: expected the fields"):
-        plan.again(tmp_path, (), NO_FLAGS)
+        configure.again(tmp_path, (), NO_FLAGS)
 
 
 def test_the_next_command_carries_what_differs_from_the_defaults() -> None:
-    said = plan.next_command(Path("runs/b"), Path("d"), cli.RUN, cli.DATA)
+    said = configure.next_command(Path("runs/b"), Path("d"), cli.RUN, cli.DATA)
     assert said == "skope eval --split hard --data d --checkpoint runs/b"
 
 

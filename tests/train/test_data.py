@@ -14,11 +14,11 @@ import torch
 from skope import coco, keypoints
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
-from skope.train import data, sources
+from skope.train import data, splits
 from skope.train.augment import Augment
 from skope.train.data import TrainingSet
-from skope.train.sources import Source
-from skope.train.vehicles import Vehicles
+from skope.train.splits import Source
+from skope.train.targets import Vehicles
 from tests import samples
 
 
@@ -32,7 +32,7 @@ def write(root: Path, images: list[Image], annotations: list[Annotation]) -> Pat
 
 
 def source(root: Path, **options: Any) -> Source:
-    return sources.read(root, **{"exclude_types": (), "val_fraction": 0.0, "max_images": None, **options})
+    return splits.read(root, **{"exclude_types": (), "val_fraction": 0.0, "max_images": None, **options})
 
 
 def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str = "visible") -> TrainingSet:
@@ -49,7 +49,7 @@ def test_targets(tmp_path: Path) -> None:
     ]
     root = write(tmp_path, [samples.make_image(1), samples.make_image(2)], vehicles)
     sample = training_set(root)[0, 0, 0]
-    assert isinstance(sample, data.Sample)
+    assert isinstance(sample, data.TrainingSample)
     assert sample.target["boxes"].tolist() == [[10, 20, 70, 60], [100, 70, 130, 100]]
     assert sample.target["ignored_boxes"].tolist() == [[80, 20, 140, 60]]
     assert sample.target["labels"].tolist() == [1, 1]
@@ -57,10 +57,10 @@ def test_targets(tmp_path: Path) -> None:
     assert sample.pixels.shape == (3, 120, 160)
     assert not sample.target["keypoints"][0, -3:].any(), "hidden points are not learnt"
     everything = training_set(root, supervise="all")[0, 0, 0]
-    assert isinstance(everything, data.Sample)
+    assert isinstance(everything, data.TrainingSample)
     assert (everything.target["keypoints"][0, -3:, 2] == 1).all()
     empty = training_set(root)[0, 1, 0]
-    assert isinstance(empty, data.Sample)
+    assert isinstance(empty, data.TrainingSample)
     assert empty.target["boxes"].shape == (0, 4)
     assert empty.target["keypoints"].shape == (0, keypoints.K, 3)
 

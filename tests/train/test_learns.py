@@ -13,7 +13,7 @@ from skope.console import Console
 from skope.dataset import open_dataset, read_image
 from skope.errors import UserError
 from skope.schema import Annotation
-from skope.train import plan
+from skope.train import configure
 from skope.train.augment import Augment
 from skope.train.export import OUTPUTS, Deployed, export
 from skope.train.recipe import RECIPES
@@ -26,7 +26,7 @@ SMALL = replace(
     max_size=256,
     regions=64,
     keypoint_regions=4,
-    bfloat16=plan.multiplies_bfloat16(),
+    bfloat16=configure.multiplies_bfloat16(),
     val_fraction=0.0,
 )
 

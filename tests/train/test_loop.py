@@ -17,11 +17,11 @@ from skope import coco, detector
 from skope.console import Console
 from skope.dataset import read_image
 from skope.errors import UserError
-from skope.train import loop, run, step
+from skope.train import loop, run_folder, step
 from skope.train.augment import STEPS, Augment
 from skope.train.loop import Saving
 from skope.train.recipe import RECIPES, Recipe
-from skope.train.run import RunConfig
+from skope.train.run_folder import RunConfig
 from tests import samples
 
 pytestmark = pytest.mark.usefixtures("small_network")
@@ -68,7 +68,7 @@ def same_files(one: Path, other: Path) -> bool:
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_folder_is_trained_in_by_one_process(tmp_path: Path, *, resume: bool) -> None:
     data, out = samples.make_dataset(tmp_path / "data", images=1, splits=("train",)), tmp_path / "run"
-    with run.alone(out):
+    with run_folder.alone(out):
         assert out.is_dir()
         with pytest.raises(UserError, match="run: another `skope train` is writing to this folder"):
             train(data, out, TINY, resume=resume)
@@ -94,7 +94,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
         with monkeypatch.context() as patch:
             _Signal(n, number, patch)
             with pytest.raises(KeyboardInterrupt):
-                train(data, parts, recipe, resume=run.resumable(parts))
+                train(data, parts, recipe, resume=run_folder.resumable(parts))
         torch.manual_seed(123)  # where the state that torch starts with must not matter
     resumed = train(data, parts, recipe, resume=True)
 
@@ -250,4 +250,4 @@ def test_a_loss_that_is_not_finite_names_the_images(tmp_path: Path) -> None:
     wild = replace(TINY, learning_rate=1e12, warmup_steps=0, gradient_clip=None, epochs=9)
     with pytest.raises(UserError, match=r"epoch \d: the loss is no longer a finite number, at images/site/00_000001"):
         train(data, tmp_path / "run", wild)
-    assert not run.resumable(tmp_path / "run")
+    assert not run_folder.resumable(tmp_path / "run")

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from skope.eval.confidence import curve
-from skope.eval.match import match
-from skope.eval.measure import Measured
-from skope.eval.tally import Options
+from skope.metrics.counts import Options
+from skope.metrics.match import match
+from skope.metrics.reliability import curve
+from skope.metrics.split_scores import SplitScores
 from skope.page.charts import Line
 
 ALPHAS = np.linspace(0, 0.2, 41)
 
 
-def precision_recall(measured: Measured, options: Options) -> list[Line]:
+def precision_recall(measured: SplitScores, options: Options) -> list[Line]:
     """Box precision over recall by falling score, a line per IoU threshold, of all results whatever they score.
 
     Detections on ignored vehicles are left out, as in the pooled protocol.
@@ -29,7 +29,7 @@ def precision_recall(measured: Measured, options: Options) -> list[Line]:
     return lines
 
 
-def pck_over_alpha(measured: Measured, options: Options) -> list[Line]:
+def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
     """PCK of matched vehicles over alpha, a line per IoU threshold."""
     lines = []
     for t in options.iou:
@@ -40,14 +40,14 @@ def pck_over_alpha(measured: Measured, options: Options) -> list[Line]:
     return lines
 
 
-def reliability(measured: Measured) -> list[Line]:
+def reliability(measured: SplitScores) -> list[Line]:
     """The share of keypoints that are right over the score that they claim, per tenth of scores."""
     rows = measured.entry["confidence"]["reliability"]
     notes = [f"{row['count']} keypoints" for row in rows]
     return [Line(name="keypoints", x=[row["score"] for row in rows], y=[row["right"] for row in rows], notes=notes)]
 
 
-def keypoint_precision_recall(measured: Measured) -> list[Line]:
+def keypoint_precision_recall(measured: SplitScores) -> list[Line]:
     """Keypoint precision over recall by falling keypoint score."""
     precision = measured.entry["confidence"]["precision_at_recall"]
     end = max((i + 1 for i, p in enumerate(precision) if p > 0), default=0)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.eval.failures import KINDS, false_detections, wrong_points
-from skope.eval.match import box_of
-from skope.eval.measure import Measured
-from skope.eval.tally import Floats, Integers, Judged, Options
+from skope.metrics.counts import Floats, Integers, Judged, Options
+from skope.metrics.failures import KINDS, false_detections, wrong_points
+from skope.metrics.match import box_of
+from skope.metrics.split_scores import SplitScores
 from skope.page import stage
 from skope.page.marks import tag
 
@@ -34,7 +34,7 @@ class Choice:
     quality: float
 
 
-def quality(measured: Measured, threshold: float) -> Floats:
+def quality(measured: SplitScores, threshold: float) -> Floats:
     """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
 
     NaN where nothing is labelled: such images are not shown.
@@ -68,7 +68,7 @@ def _spread(candidates: list[int], blocks: Integers) -> list[int]:
     return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 
 
-def gallery(measured: Measured, root: Path, options: Options) -> str:
+def gallery(measured: SplitScores, root: Path, options: Options) -> str:
     """Figures of the chosen images whose files are there, as markup."""
     threshold = options.loosest
     judged = measured.judged[threshold]
@@ -104,7 +104,7 @@ def gallery(measured: Measured, root: Path, options: Options) -> str:
 
 
 def _layers(
-    measured: Measured, index: int, judged: Judged, kinds: Integers, options: Options
+    measured: SplitScores, index: int, judged: Judged, kinds: Integers, options: Options
 ) -> tuple[list[str], list[str]]:
     """Layers of one image as SVG groups, and its failures in words."""
     matches, image = measured.matches, measured.file.images[index]

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope import __version__
-from skope.eval.measure import Measured
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.table import COLUMNS, evidence, published_row, row_of
-from skope.eval.tally import PROTOCOLS, Options
+from skope.eval.report.table import COLUMNS, evidence, published_row, row_of
+from skope.metrics.counts import PROTOCOLS, Options
+from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
 from skope.page.marks import bar, plain, share, table, tag
@@ -40,7 +40,7 @@ _LAYERS: Final = {
 
 def render(
     document: Mapping[str, Any],
-    measured: Sequence[Measured],
+    measured: Sequence[SplitScores],
     root: Path,
     options: Options,
     protocol: str,
@@ -155,7 +155,7 @@ def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) 
     return f"{text}<small>{scale * low:.{digits}f}–{scale * high:.{digits}f}</small>"
 
 
-def _split(measured: Measured, root: Path, options: Options) -> str:
+def _split(measured: SplitScores, root: Path, options: Options) -> str:
     entry, name = measured.entry, measured.file.name
     loosest = f"{options.loosest:g}"
     boxes = Axes(x_label="recall", y_label="precision")

@@ -1,5 +1,5 @@
 """Datasets in the formats of other tools, both ways: one module a format.
 
 A writer takes a dataset folder and fills an empty one; a reader takes files of elsewhere and adds their images and
-vehicles to a new dataset (see `skope.gen.formats.gather`).
+vehicles to a new dataset (see `skope.gen.formats.dataset_builder`).
 """

@@ -14,7 +14,7 @@ from skope import coco, schema
 from skope.console import Console
 from skope.dataset import Dataset
 from skope.files import write_text
-from skope.gen.formats.gather import plain, put
+from skope.gen.formats.dataset_builder import plain, put
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation
 

@@ -14,13 +14,13 @@ from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.gather import LICENCE_FILE, SPLIT_NAME, dataset_at, outside
-from skope.gen.pack import FORMATS
+from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, dataset_at, outside
+from skope.gen.output.writers import FORMATS
 from skope.outputs import move_new
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class ConversionOptions:
     """What some of the formats take; None or empty where nothing was said."""
 
     map: Path | None = None
@@ -54,7 +54,13 @@ READERS: Final = ("coco", "cvat", "skope3d")
 
 
 def convert(
-    sources: Sequence[Path], out: Path, *, read_as: str | None, write_as: str | None, options: Options, console: Console
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    read_as: str | None,
+    write_as: str | None,
+    options: ConversionOptions,
+    console: Console,
 ) -> None:
     """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
 
@@ -93,7 +99,7 @@ def convert(
             move_new(whole / out.name, out)
 
 
-def _read(sources: Sequence[Path], root: Path, form: str, options: Options, console: Console) -> None:
+def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOptions, console: Console) -> None:
     # Names alone: where files lie on this machine is nobody's business.
     told = [(f"--{name}", Path(value).name) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
     names = [path.resolve().name for path in sources]
@@ -112,7 +118,7 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: Options, cons
         )
 
 
-def _write(dataset: Dataset, form: str, folder: Path, options: Options, console: Console) -> None:
+def _write(dataset: Dataset, form: str, folder: Path, options: ConversionOptions, console: Console) -> None:
     if form in FORMATS:
         native.convert(dataset, form, folder, console)
         return

@@ -26,7 +26,7 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.gather import put
+from skope.gen.formats.dataset_builder import put
 from skope.schema import Annotation, Box3D, Image
 
 Array = NDArray[np.float64]

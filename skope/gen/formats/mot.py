@@ -12,7 +12,7 @@ from skope.console import Console
 from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.gather import frame_rate, put
+from skope.gen.formats.dataset_builder import frame_rate, put
 from skope.schema import Annotation, Image
 
 CLASS: Final = 1

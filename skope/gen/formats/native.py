@@ -7,8 +7,8 @@ from skope.console import Console
 from skope.dataset import CARD, MANIFEST, Dataset
 from skope.errors import UserError
 from skope.files import read_bytes, write_bytes
-from skope.gen import card
-from skope.gen.pack import frames_of_split, writer_of
+from skope.gen.output import card
+from skope.gen.output.writers import frames_of_split, writer_of
 
 
 def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Vehicle:
+class ArchiveVehicle:
     """One vehicle in one frame, as its files have it, in pixels of the image."""
 
     box_xyxy: Array
@@ -49,7 +49,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ArchiveScene:
     """An archive's content, its vehicles unread."""
 
     archive: Archive
@@ -57,7 +57,7 @@ class Scene:
     frames: Mapping[int, tuple[tuple[str, str], ...]]
     """Frame -> the names of each vehicle's keypoint and metadata file."""
 
-    def vehicles(self, frame: int) -> list[Vehicle]:
+    def vehicles(self, frame: int) -> list[ArchiveVehicle]:
         return [_vehicle(self.archive, *names) for names in self.frames[frame]]
 
 
@@ -73,7 +73,7 @@ def archives(sources: Sequence[Path]) -> list[Path]:
     return sorted(dict.fromkeys(found), key=order)
 
 
-def scene_of(archive: Archive) -> Scene:
+def scene_of(archive: Archive) -> ArchiveScene:
     """What an archive holds; a UserError says what its layout lacks."""
     found: dict[int, dict[str, dict[str, str]]] = {}
     names = set()
@@ -105,10 +105,10 @@ def scene_of(archive: Archive) -> Scene:
                     raise UserError(f"{archive.path}: {name}/{frame}: vehicle {vehicle} has no {kind} file")
         ordered = sorted(vehicles, key=lambda v: (len(v), v))
         frames[frame] = tuple((vehicles[v]["keypoint"], vehicles[v]["metadata"]) for v in ordered)
-    return Scene(archive, name, frames)
+    return ArchiveScene(archive, name, frames)
 
 
-def _vehicle(archive: Archive, keypoint: str, metadata: str) -> Vehicle:
+def _vehicle(archive: Archive, keypoint: str, metadata: str) -> ArchiveVehicle:
     rows = _rows(archive, keypoint, 3 + K)
     rows[:3] = map(_unfilled, rows[:3])
     origin = _numbers(archive, keypoint, rows, slice(0, 1), 2)[0]
@@ -127,7 +127,9 @@ def _vehicle(archive: Archive, keypoint: str, metadata: str) -> Vehicle:
     track, model = _cells(archive, metadata, rows, 0, 2)
     if not re.fullmatch(r"\d{1,18}(\.0*)?", track):
         raise UserError(f"{archive.path}: {metadata}: line 1: expected a track id from 0, got {track[:40]!r}")
-    return Vehicle(box, points, int(track.split(".")[0]), model, _numbers(archive, metadata, rows, slice(1, None), 2))
+    return ArchiveVehicle(
+        box, points, int(track.split(".")[0]), model, _numbers(archive, metadata, rows, slice(1, None), 2)
+    )
 
 
 def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:

@@ -23,8 +23,8 @@ from skope.dataset import Dataset, recordings
 from skope.errors import UserError
 from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
-from skope.gen.formats.gather import Gathered, frame_rate, licence_beside
-from skope.gen.formats.scenes import VIDEO, Array, Scene, Vehicle, archives, scene_of
+from skope.gen.formats.dataset_builder import Gathered, frame_rate, licence_beside
+from skope.gen.formats.scenes import VIDEO, ArchiveScene, ArchiveVehicle, Array, archives, scene_of
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.names import for_opencv
 from skope.names import name as check_name
@@ -46,7 +46,7 @@ _NOWHERE: Final = -1.0
 
 
 @dataclass(frozen=True)
-class Place:
+class ScenePlace:
     """Where a scene belongs in the dataset."""
 
     split: str
@@ -69,7 +69,7 @@ def read(
         with opened(path) as archive:
             scene = scene_of(archive)
             told = _places(path.parent / SCENES)
-            place = told.get(scene.name, Place("train", scene.name, "00"))
+            place = told.get(scene.name, ScenePlace("train", scene.name, "00"))
             # What this program exported itself is not the published data.
             licences.add(licence_beside(path.parent) if scene.name in told else LICENCE)
             place = replace(place, split=split) if split else place
@@ -85,13 +85,13 @@ def read(
     gathered.finish(command=command, licence=licences.pop(), label_rules=rules)
 
 
-def _places(path: Path) -> dict[str, Place]:
+def _places(path: Path) -> dict[str, ScenePlace]:
     if not path.is_file():
         return {}
     places = {}
     try:
         for row in csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))):
-            places[row["scene"]] = Place(row["split"], row["site"], row["recording"])
+            places[row["scene"]] = ScenePlace(row["split"], row["site"], row["recording"])
     except (KeyError, UnicodeDecodeError, csv.Error):
         raise UserError(f"{path}: expected the columns scene, split, site, recording") from None
     for scene, place in places.items():
@@ -100,7 +100,9 @@ def _places(path: Path) -> dict[str, Place]:
     return places
 
 
-def _gather(scene: Scene, place: Place, names: Mapping[int, int] | None, gathered: Gathered, video: Path) -> None:
+def _gather(
+    scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, gathered: Gathered, video: Path
+) -> None:
     scene.archive.extract(f"{scene.name}/{VIDEO}", video)
     try:
         for frame, time_s, pixels in _pictures(scene, video):
@@ -123,7 +125,7 @@ def _gather(scene: Scene, place: Place, names: Mapping[int, int] | None, gathere
         video.unlink(missing_ok=True)
 
 
-def _pictures(scene: Scene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
+def _pictures(scene: ArchiveScene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
     """Annotated frames with their time and BGR pixels."""
     where = f"{scene.archive.path}: {scene.name}/{VIDEO}"
     capture = cv2.VideoCapture(for_opencv(video), cv2.CAP_FFMPEG)
@@ -145,7 +147,7 @@ def _pictures(scene: Scene, video: Path) -> Iterator[tuple[int, float | None, ND
         capture.release()
 
 
-def _annotation(vehicle: Vehicle, width: int, height: int, names: Mapping[int, int] | None) -> Annotation | None:
+def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping[int, int] | None) -> Annotation | None:
     """None for a vehicle whose box lies outside the image."""
     box = boxes.clip(vehicle.box_xyxy, width, height)
     if boxes.area(box) <= 0:

@@ -15,7 +15,7 @@ from skope.console import Console
 from skope.dataset import Dataset, held_back
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.gather import plain, put
+from skope.gen.formats.dataset_builder import plain, put
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 

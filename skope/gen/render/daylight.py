@@ -7,7 +7,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.conditions import DARK_DEG, OVERCAST, Conditions
+from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.conditions import DARK_DEG, Conditions
-from skope.gen.recording import Moment
 from skope.gen.render.daylight import temperature_color
 from skope.gen.render.lamps import Lit, lit_lamps
 from skope.gen.render.signals import lit_signals
-from skope.gen.towns.scenery import Scenery
+from skope.gen.scene.conditions import DARK_DEG, Conditions
+from skope.gen.scene.recording import Moment
+from skope.gen.scenery.build import Scenery
 
 Array = NDArray[np.float64]
 

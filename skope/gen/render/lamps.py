@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.bodies import body_of
-from skope.gen.recording import Moment
-from skope.gen.traffic import LAMPS
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment
+from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.render import Silhouette, View
+from skope.gen.render.frame import RenderedFrame, Silhouette
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class Lens:
         """A picture of the pinhole camera as the lens shows it."""
         return np.asarray(cv2.remap(rgb, self._columns, self._rows, cv2.INTER_LINEAR), dtype=np.uint8)
 
-    def bend(self, view: View) -> View:
+    def bend(self, view: RenderedFrame) -> RenderedFrame:
         """The view as the lens shows it; depth and ids are those of the nearest pixel, depth carried on its slope."""
         depth = view.depth.reshape(-1)[self._nearest]
         slope = view.slope.reshape(-1, 2)[self._nearest]
@@ -83,7 +83,7 @@ class Lens:
         # Inverse depth is linear in the pixel on a plane.
         shift = np.where(finite, (slope * self._off).sum(-1), np.float32(0))
         moved = np.where(finite, z / np.maximum(1 - shift / z, np.float32(0.5)), depth)
-        return View(
+        return RenderedFrame(
             rgb=self.bent(view.rgb),
             depth=moved,
             slope=np.einsum("hwi,hwij->hwj", slope, self._jacobian),

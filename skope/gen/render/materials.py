@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.conditions import DARK_DEG, OVERCAST, Conditions
+from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
 
 RGB = tuple[float, float, float]
 

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.conditions import DARK_DEG, Conditions
-from skope.gen.recording import Recording
-from skope.gen.render import Renderer, View
+from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
 from skope.gen.render.rain import Rain
 from skope.gen.render.stream import streamed
+from skope.gen.scene.conditions import DARK_DEG, Conditions
+from skope.gen.scene.recording import Recording
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""
@@ -39,7 +39,7 @@ class Sensor:
         self._rain = Rain(recording)
         self._clean = make(seen)
 
-    def render(self, frame: int) -> View:
+    def render(self, frame: int) -> RenderedFrame:
         """Draw a frame; its contrast is in units of the noise's sigma."""
         view = self._clean.render(frame)
         if self._lens:

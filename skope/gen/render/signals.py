@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.recording import Moment
-from skope.gen.towns.scenery import Signal
+from skope.gen.scene.recording import Moment
+from skope.gen.scenery.build import Signal
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Recording
+from skope.gen.scene.recording import Recording
 
 Image = NDArray[np.uint8]
 

@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.bodies import body_of
-from skope.gen.bullet import engine
 from skope.gen.mesh import Mesh
-from skope.gen.recording import Moment, RecordedVehicle, Recording
-from skope.gen.render import SKY, STATIC, Silhouette, View
+from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.signals import light_signals
 from skope.gen.render.windows import NEAR, Window, hull_of, window_of
-from skope.gen.towns.scenery import scenery
-from skope.gen.traffic import LAMPS
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
+from skope.gen.scenery.build import scenery
+from skope.gen.simulation.pybullet_engine import engine
+from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
 
@@ -44,7 +44,7 @@ WET_LOSS: Final = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class _Layer:
+class _FineLayer:
     """Samples of a window of the image, `FINE` times as fine as it."""
 
     x: int
@@ -111,7 +111,7 @@ class _Stage:
             self._bodies[part], T[:3, 3], orientation, physicsClientId=self._client
         )
 
-    def draw(self, camera: Camera, T_camera_stage: Array, window: Window, light: Light) -> _Layer:
+    def draw(self, camera: Camera, T_camera_stage: Array, window: Window, light: Light) -> _FineLayer:
         """Draw a window (x0, y0, x1, y1) of the image, in image pixels."""
         x0, y0, x1, y1 = window
         width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
@@ -143,7 +143,7 @@ class _Stage:
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
         through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
         rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)
-        return _Layer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
+        return _FineLayer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
 
 
 # pybullet gives back little of what a closed client had, 140 MB of a town's, so that recordings share them.
@@ -179,7 +179,7 @@ class TinyRenderer:
 
     # ------------------------------------------------------------------------------------------------------ scenery
 
-    def _draw_background(self) -> tuple[_Layer, NDArray[np.bool_]]:
+    def _draw_background(self) -> tuple[_FineLayer, NDArray[np.bool_]]:
         camera = self._camera
         stage = _town_stage(self._recording.town)
         layer = stage.draw(camera, camera.T_camera_world, self._image, self._light)
@@ -187,7 +187,7 @@ class TinyRenderer:
         ground = is_ground[layer.part]
         if (photograph := self._recording.photograph) is not None:
             fine = photograph.repeat(FINE, axis=0).repeat(FINE, axis=1)
-            return _Layer(0, 0, fine, layer.depth, layer.part), ground
+            return _FineLayer(0, 0, fine, layer.depth, layer.part), ground
         rows, columns = np.mgrid[: layer.depth.shape[0], : layer.depth.shape[1]]
         pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
         rgb = layer.rgb.astype(np.float32)
@@ -200,11 +200,11 @@ class TinyRenderer:
         share = np.clip(up / 0.5, 0, 1)[:, None] ** 0.6
         zenith, horizon = np.array(self._light.zenith), np.array(self._light.horizon)
         rgb[sky] = 255 * (horizon + (zenith - horizon) * share)
-        return _Layer(0, 0, np.clip(rgb, 0, 255).astype(np.uint8), layer.depth, layer.part), ground
+        return _FineLayer(0, 0, np.clip(rgb, 0, 255).astype(np.uint8), layer.depth, layer.part), ground
 
     # ----------------------------------------------------------------------------------------------------- vehicles
 
-    def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _Layer | None:
+    def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _FineLayer | None:
         """A vehicle by itself; None when it lies outside the image."""
         T_camera_chassis = self._camera.T_camera_world @ chassis
         vehicle = body_of(recorded)
@@ -254,7 +254,7 @@ class TinyRenderer:
 
     # ------------------------------------------------------------------------------------------------------- frames
 
-    def render(self, frame: int) -> View:
+    def render(self, frame: int) -> RenderedFrame:
         """Draw a frame."""
         moment = self._recording.moment(frame)
         layers = [
@@ -273,7 +273,7 @@ class TinyRenderer:
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
         coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
-        return View(
+        return RenderedFrame(
             self._glare.spread(np.rint(clean).astype(np.uint8), coarse, middle, moment),
             coarse,
             _slope(depth),
@@ -285,7 +285,7 @@ class TinyRenderer:
     def _contrast(
         self,
         i: int,
-        layers: list[_Layer | None],
+        layers: list[_FineLayer | None],
         shaded: NDArray[np.uint8],
         clean: NDArray[np.float32],
         ids: NDArray[np.int32],
@@ -308,7 +308,7 @@ class TinyRenderer:
 
 
 def _put(
-    layer: _Layer | None,
+    layer: _FineLayer | None,
     window: Window,
     rgb: NDArray[np.uint8],
     depth: NDArray[np.float32],
@@ -374,7 +374,7 @@ def _line_slope(inverse: Array) -> Array:
     return np.asarray(FINE * np.where(bend < 0.25 * np.abs(slope), slope, 0.0))
 
 
-def _silhouette(layer: _Layer | None) -> Silhouette:
+def _silhouette(layer: _FineLayer | None) -> Silhouette:
     if layer is None:
         return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
     return Silhouette(layer.x, layer.y, layer.part[FINE // 2 :: FINE, FINE // 2 :: FINE] >= 0)

@@ -20,8 +20,8 @@ from skope.gen.mesh import Mesh
 from skope.gen.towns import Site, network, sites_of
 from skope.gen.towns.lefthand import is_lefthand, mirrored
 from skope.gen.towns.place import known
-from skope.gen.towns.style import Road, Style, style
-from skope.gen.towns.terrain import Ground, Lanes
+from skope.gen.towns.style import Road, TownStyle, style
+from skope.gen.towns.terrain import GroundSurface, Lanes
 
 Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
@@ -50,7 +50,7 @@ class Layout:
 
     town: str
     net: Any
-    style: Style
+    style: TownStyle
     sites: tuple[Site, ...]
     mirrored: bool = False
     """Whether all this is seen in the mirror of left-hand traffic (see `lefthand`)."""
@@ -190,7 +190,7 @@ class Layout:
     # ------------------------------------------------------------------------------------------------------- heights
 
     @cached_property
-    def ground(self) -> Ground:
+    def ground(self) -> GroundSurface:
         def lanes(*forms: str) -> Iterator[tuple[Any, float]]:
             for edge in self.edges:
                 if self.kind(edge).form in forms:
@@ -200,7 +200,7 @@ class Layout:
                 inner = (self.net.getLane(name) for name in node.getInternal() if name)
                 yield from ((lane, verge) for lane in inner if lane.allows("passenger"))
 
-        return Ground(self.style.terrain, Lanes(lanes("ground", "walled")), Lanes(lanes("ground")))
+        return GroundSurface(self.style.terrain, Lanes(lanes("ground", "walled")), Lanes(lanes("ground")))
 
     @cached_property
     def deck_lanes(self) -> Lanes:

@@ -125,7 +125,7 @@ class Gantry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Style:
+class TownStyle:
     """All of a town's character."""
 
     title: str
@@ -171,13 +171,13 @@ class Style:
 
 
 @cache
-def style(town: str) -> Style:
+def style(town: str) -> TownStyle:
     """The style of a town."""
     row = _read(town)
     own = row.pop("kinds", {})
     shared = tomllib.loads(folder("buildings.toml").read_text(encoding="utf-8"))
     used = {name for part in (*row.get("rows", []), {"kinds": row.get("behind", {})}) for name in part["kinds"]}
-    return Style(
+    return TownStyle(
         terrain=Terrain(**_fixed(row.pop("terrain", {}))),
         roads={name: Road(**values) for name, values in row.pop("roads", {}).items()},
         road=Road(**row.pop("road", {})),

@@ -78,7 +78,7 @@ class Lanes:
         return np.divide(height, total, out=np.full(len(places), np.nan), where=total > 0), away
 
 
-class Ground:
+class GroundSurface:
     """Heights of carriageways on the ground and of the ground beside them."""
 
     def __init__(self, style: Terrain, driven: Lanes, shaping: Lanes) -> None:

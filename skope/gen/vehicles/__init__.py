@@ -19,7 +19,7 @@ from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck import TruckBody
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.schema import COLORS
@@ -125,7 +125,7 @@ class ParametricVehicle(Derived):
     model: str
     vehicle_type: str
     shape: Shape
-    style: Style
+    style: VehicleStyle
     mass: float
     """Kilograms, laden with a driver."""
     substituted: tuple[str, ...] = ()
@@ -236,7 +236,7 @@ def fleet() -> Mapping[str, FleetEntry]:
 def _entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
     shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
     choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
-    style = Style(**choices)
+    style = VehicleStyle(**choices)
     vehicle = ParametricVehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
     return FleetEntry(vehicle, row["share"], row.get("held_out", False))
 

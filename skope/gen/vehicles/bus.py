@@ -11,7 +11,7 @@ from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.tower import Tower, arch, corner_w
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ class BusBody:
     Its roof points are the upper corners of the windscreen's frame and of the rear window.
     """
 
-    def __init__(self, shape: Shape, style: Style) -> None:
+    def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2

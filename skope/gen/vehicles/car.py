@@ -26,7 +26,7 @@ from skope.gen.vehicles.loft import (
     along,
 )
 from skope.gen.vehicles.panels import rectangle
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ _CROWN: Final = 0.035
 class CarBody:
     """The surfaces of a car. `mesh` is the body without wheels; `points` the left keypoints by stem, and the logo."""
 
-    def __init__(self, shape: Shape, style: Style) -> None:
+    def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self._parts: list[Mesh] = []

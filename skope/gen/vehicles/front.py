@@ -9,7 +9,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.loft import FRONT_END, SIDE_START, WRAP, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, mirrored, plate_height, quad, rectangle, rounded, within
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _PATTERN: Final = {
 }
 
 
-def draw_front(shell: Surface, w: Array, s: Shape, style: Style, points: Points) -> list[Mesh]:
+def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
     """Draw a front on a shell and note its keypoints; returns what stands out from it."""
     inner, outer = s.headlight_inner, float(w[SIDE_START - 3]) + s.headlight_wrap
     low, high = s.headlight_low, s.headlight_high
@@ -57,7 +57,7 @@ def _against(shell: Surface, plate: float) -> tuple[float, float, float]:
     return max(float(low_x), float(high_x)) + 0.002, plate, float(np.clip(low_x - high_x, 0.0, 0.03))
 
 
-def _grille(shell: Surface, s: Shape, style: Style, intake: float) -> None:
+def _grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> None:
     """The upper grille between the headlights, sunk behind its frame."""
     bottom, top, edge = s.headlight_low, s.headlight_high, s.headlight_inner - 0.03
     tall = top - bottom
@@ -93,7 +93,7 @@ def _grille(shell: Surface, s: Shape, style: Style, intake: float) -> None:
         shell.draw(rectangle(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
 
 
-def _intake(shell: Surface, s: Shape, style: Style, z: tuple[float, float], wide: float) -> None:
+def _intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
     """What the bumper takes in air by, fog lamps, the lip below."""
     low, high = z
     if style.intake == "wide":

@@ -21,7 +21,7 @@ from skope.gen.vehicles.loft import (
     along,
 )
 from skope.gen.vehicles.panels import rectangle
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ _SUNK: Final = 0.012
 class Greenhouse:
     """The left half; `points` are its keypoints by stem, `parts` what stands out from it."""
 
-    def __init__(self, shape: Shape, style: Style, deck: Callable[[Array, Array], Array]) -> None:
+    def __init__(self, shape: Shape, style: VehicleStyle, deck: Callable[[Array, Array], Array]) -> None:
         """`deck` is the height of the lower body's top over places x, y."""
         self.shape, self.style = shape, style
         self.hatch = shape.deck_length < 0.3

@@ -7,7 +7,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.loft import FRONT_END, SIDE_START, WRAP, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, plate_height, quad, rectangle, rounded, within
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _PANES = {
 }
 
 
-def draw_rear(shell: Surface, w: Array, s: Shape, style: Style, points: Points) -> list[Mesh]:
+def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
     """Draw a rear on a shell and note its keypoints; returns what stands out from it."""
     end, last = float(w[-1]), len(w) - 1
     inner, outer = end - s.taillight_inner, float(w[last - SIDE_START + 3]) - s.taillight_wrap
@@ -76,7 +76,7 @@ def _plate(shell: Surface, end: float, plate: float) -> None:
         shell.draw(rectangle(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03), WRAP, "lamp_clear")
 
 
-def _taillight(shell: Surface, style: Style, lamp: Array, end: float, span: tuple[float, float]) -> None:
+def _taillight(shell: Surface, style: VehicleStyle, lamp: Array, end: float, span: tuple[float, float]) -> None:
     inner, outer = span
     low, high = lamp[:, 1].min(), lamp[:, 1].max()
     shape = rounded(lamp, 0.022)
@@ -99,7 +99,7 @@ def _taillight(shell: Surface, style: Style, lamp: Array, end: float, span: tupl
         shell.draw(rectangle(inner, end + 0.1, high - 0.075, high - 0.03), WRAP, "taillight", layer=2)
 
 
-def _bumper(shell: Surface, s: Shape, style: Style, corner: float, end: float) -> list[Mesh]:
+def _bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
     """Reflectors, the trim between the pipes, and the pipes."""
     low = s.clearance
     shell.draw(rectangle(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP, "gap")

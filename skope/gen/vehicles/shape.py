@@ -110,7 +110,7 @@ class Shape(Dimensions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Style:
+class VehicleStyle:
     """What a model's shape parameters do not say; the same for all shapes of the model."""
 
     family: str = "car"

@@ -10,7 +10,7 @@ from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
-from skope.gen.vehicles.shape import Shape, Style
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.tower import ARCH, Tower, arch, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
 
@@ -24,7 +24,7 @@ _LEFT = (0.0, 1.0, 0.0)
 class TruckBody:
     """The surfaces of a truck. `mesh` is the body without its four outer wheels; `points` the left keypoints."""
 
-    def __init__(self, shape: Shape, style: Style) -> None:
+    def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2

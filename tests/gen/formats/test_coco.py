@@ -14,7 +14,7 @@ from pycocotools.coco import COCO
 from skope import coco, keypoints
 from skope.dataset import open_dataset
 from skope.files import read_json, write_json
-from skope.gen.check import check
+from skope.gen.inspect.check import check
 from skope.keypoints import PUBLISHED
 from skope.schema import AnnotationFile, Result
 from tests.samples import make_annotation, make_dataset, make_image

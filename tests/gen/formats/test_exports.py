@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from skope import coco, keypoints, shards
-from skope.calibration import over_plane, read_calibration, read_plane
 from skope.camera import Camera
+from skope.camera_files import over_plane, read_calibration, read_plane
 from skope.dataset import open_dataset
 from skope.files import read_json, write_json
-from skope.gen.check import check
+from skope.gen.inspect.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
 from tests import hostile
 from tests.samples import make_annotation, make_dataset

@@ -14,8 +14,8 @@ import pytest
 from skope import coco, keypoints
 from skope.dataset import open_dataset
 from skope.files import read_json, write_json
-from skope.gen.check import check
 from skope.gen.formats import archive
+from skope.gen.inspect.check import check
 from skope.video import write_video
 from tests.samples import make_dataset
 

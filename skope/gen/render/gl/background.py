@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.cache import Arrays, cached, digest_of
-from skope.gen.recording import Recording
-from skope.gen.render import SKY, STATIC
 from skope.gen.render.daylight import Daylight
+from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl import photograph
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
 from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
-from skope.gen.towns.scenery import scenery
+from skope.gen.scene.recording import Recording
+from skope.gen.scenery.build import scenery
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.render.gl.context import Device
-from skope.gen.render.gl.placer import Placed
+from skope.gen.render.gl.placer import PlacedVehicle
 from skope.gen.render.lamps import has_headlights
 from skope.gen.render.windows import beam_corners, beam_hull_of
-from skope.gen.traffic import LAMPS
+from skope.gen.traffic.sumo import LAMPS
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Beams:
             "u_beam_light": IRRADIANCE * exposure * _COLOR / np.pi,
         }
 
-    def draw(self, placed: Sequence[Placed], camera: Camera) -> list[Array]:
+    def draw(self, placed: Sequence[PlacedVehicle], camera: Camera) -> list[Array]:
         """Draw the beams of those whose lamps are lit; returns polygons in the image around what they may light."""
         device = self._device
         lit = [one for one in placed if one.look["u_lamps"] & LAMPS["low_beam"] and has_headlights(one.vehicle)]
@@ -51,7 +51,7 @@ class Beams:
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
         return [beam_hull_of(one.vehicle, one.T_world_chassis, camera, REACH) for one in lit]
 
-    def _corners(self, one: Placed) -> NDArray[np.float32]:
+    def _corners(self, one: PlacedVehicle) -> NDArray[np.float32]:
         """(6, 7) corners of two triangles around the road that a vehicle lights: their place in the map, their place
         ahead of its bumper, how far its light reaches, half its width, its height."""
         length, width, height = one.vehicle.size_lwh

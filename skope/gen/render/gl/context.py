@@ -17,7 +17,7 @@ from skope.errors import UserError
 from skope.gen.mesh import Mesh
 from skope.gen.render.materials import GLOSS, MATERIALS
 from skope.gen.render.windows import Window
-from skope.gen.traffic import LAMPS
+from skope.gen.traffic.sumo import LAMPS
 
 Array = NDArray[np.float64]
 

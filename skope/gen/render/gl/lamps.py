@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.conditions import Conditions
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import FAR, projection
+from skope.gen.scene.conditions import Conditions
 
 Array = NDArray[np.float64]
 

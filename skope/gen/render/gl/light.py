@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.conditions import Conditions
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import lamps
@@ -28,6 +27,7 @@ from skope.gen.render.gl.context import (
 from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
+from skope.gen.scene.conditions import Conditions
 
 Array = NDArray[np.float64]
 Parts = list[tuple[DeviceMesh, tuple[str, ...]]]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.render.gl.placer import Placed
+from skope.gen.render.gl.placer import PlacedVehicle
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ LEAST: Final = 1.5
 class Moving:
     """A vehicle that moves visibly while the shutter is open."""
 
-    vehicle: Placed
+    vehicle: PlacedVehicle
     way: Array
     """(2,) pixels."""
     nearest: float
@@ -30,7 +30,7 @@ class Moving:
     """(N, 2) convex polygon around all pixels that it may blur into."""
 
 
-def moving(placed: Iterable[Placed], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
+def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
     """Those of the vehicles that move visibly; `velocity` (N, 3) is that of all in the frame.
 
     What is nearer than its own length is left sharp: its parts move in all directions.

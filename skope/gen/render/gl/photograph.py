@@ -10,12 +10,12 @@ import shapely
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.recording import Recording
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import Device, linear, put
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.materials import MATERIALS
-from skope.gen.towns.backdrop import plates
+from skope.gen.scene.recording import Recording
+from skope.gen.scenery.backdrop import plates
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.place import Place
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-from skope.gen.bodies import body_of
 from skope.gen.mesh import merged
-from skope.gen.recording import Moment
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, hull_of, window_of
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment
 from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
 
@@ -25,7 +25,7 @@ PANES: Final = ("glass", "glass_tinted")
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedVehicle:
     """A vehicle in a frame."""
 
     index: int
@@ -61,7 +61,7 @@ class Placer:
     def __init__(self, device: Device, camera: Camera) -> None:
         self._device, self._camera = device, camera
 
-    def place(self, moment: Moment) -> list[Placed]:
+    def place(self, moment: Moment) -> list[PlacedVehicle]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
         camera, out = self._camera, []
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
@@ -78,7 +78,7 @@ class Placer:
             paint = PAINTS[recorded.color]
             look = {"u_paint": _linear(paint.rgb), "u_livery": _linear(paint.livery)}
             out.append(
-                Placed(
+                PlacedVehicle(
                     index=i,
                     vehicle=vehicle,
                     T_world_chassis=chassis,
@@ -95,7 +95,7 @@ class Placer:
 
 @lru_cache(maxsize=64)
 def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
-    """A vehicle's meshes on the device, by field of `Placed`."""
+    """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
     body, *wheels = vehicle.parts
     glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
     inside = [vehicle.interior] if vehicle.interior else []

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.render.gl.context import Device, projection, put
-from skope.gen.render.gl.placer import PARTS, Placed
+from skope.gen.render.gl.placer import PARTS, PlacedVehicle
 from skope.gen.render.gl.water import Plane
 from skope.gen.render.windows import TILE, mirror_hull_of, runs, tiles
 
@@ -38,7 +38,7 @@ class Reflections:
         }
 
     def draw(
-        self, placed: Sequence[Placed], uniforms: Mapping[str, Any], units: Mapping[str, Any]
+        self, placed: Sequence[PlacedVehicle], uniforms: Mapping[str, Any], units: Mapping[str, Any]
     ) -> NDArray[np.bool_]:
         """Draw mirror images; returns the tiles of the image that they may touch once they are blurred.
 

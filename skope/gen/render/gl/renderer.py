@@ -15,14 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.recording import Recording
-from skope.gen.render import Silhouette, View
+from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
 from skope.gen.render.gl.lamps import MAP_RADIUS
 from skope.gen.render.gl.motion import Moving, moving
-from skope.gen.render.gl.placer import PARTS, Placed, Placer
+from skope.gen.render.gl.placer import PARTS, PlacedVehicle, Placer
 from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.glare import Glare
 from skope.gen.render.signals import light_signals
@@ -37,7 +36,8 @@ from skope.gen.render.windows import (
     tiles,
     union,
 )
-from skope.gen.towns.scenery import scenery
+from skope.gen.scene.recording import Recording
+from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import Body
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ class GLRenderer:
 
     # --------------------------------------------------------------------------------------------------------- frames
 
-    def render(self, frame: int) -> View:
+    def render(self, frame: int) -> RenderedFrame:
         """Draw a frame."""
         camera, moment, empty = self._camera, self._recording.moment(frame), self._background
         shutter_s = self._recording.conditions.shutter_s
@@ -132,9 +132,9 @@ class GLRenderer:
                 contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
         rgb = self._glare.spread(rgb, depth, ids, moment)
-        return View(rgb, depth, slope, ids, tuple(silhouettes), contrast)
+        return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
-    def _draw(self, placed: Sequence[Placed], blurred: Sequence[Moving]) -> "_Drawn":
+    def _draw(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> "_Drawn":
         """Draw all of a frame, and wait for it once."""
         camera, pixels = self._camera, self._pixels
         pixels.forget()
@@ -165,7 +165,7 @@ class GLRenderer:
 
     # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
-    def _draw_geometry(self, placed: Sequence[Placed], windows: Sequence[Window], *, whole: bool) -> None:
+    def _draw_geometry(self, placed: Sequence[PlacedVehicle], windows: Sequence[Window], *, whole: bool) -> None:
         """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it.
 
         With `whole` the rest of the target is empty.
@@ -180,7 +180,7 @@ class GLRenderer:
             put(program, {**vehicle.matrices, "u_id": float(vehicle.number)})
             vehicle.mesh.draw(program)
 
-    def _draw_silhouette(self, placed: Placed) -> None:
+    def _draw_silhouette(self, placed: PlacedVehicle) -> None:
         """A vehicle as if nothing stood before it, in its own window; ask for it."""
         device, window = self._device, placed.window
         size = (window[2] - window[0], window[3] - window[1])
@@ -196,7 +196,7 @@ class GLRenderer:
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_color(self, placed: Sequence[Placed], blurred: Sequence[Moving]) -> NDArray[np.bool_]:
+    def _draw_color(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> NDArray[np.bool_]:
         """Draw the vehicles, their shadows, their lamps' light and their mirror images; returns in which tiles."""
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
@@ -223,7 +223,7 @@ class GLRenderer:
             self._compose(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
         return covered | shaded | mirrored
 
-    def _draw_shadows(self, placed: Sequence[Placed]) -> None:
+    def _draw_shadows(self, placed: Sequence[PlacedVehicle]) -> None:
         """The vehicles' shadow map, and the map of the sky that they leave the road."""
         device = self._device
         program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS)
@@ -254,7 +254,7 @@ class GLRenderer:
         return own | ({"u_beams": self._beams.texture} if self._beams else {})
 
     def _draw_vehicles(
-        self, target: Any, placed: Sequence[Placed], places: Sequence[Window], *, peel: bool = False
+        self, target: Any, placed: Sequence[PlacedVehicle], places: Sequence[Window], *, peel: bool = False
     ) -> None:
         """Draw the vehicles' picture into parts of a target, where the scenery does not hide them.
 
@@ -267,7 +267,7 @@ class GLRenderer:
         units = {**self._vehicle_textures(), "u_front": self._geometry.color_attachments[0]}
         uniforms |= {**self._bind(units), "u_project": self._project}
 
-        def draw(option: str, meshes: Iterable[tuple[Placed, DeviceMesh | None]]) -> None:
+        def draw(option: str, meshes: Iterable[tuple[PlacedVehicle, DeviceMesh | None]]) -> None:
             program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._options)
             put(program, uniforms)
             for vehicle, mesh in meshes:
@@ -322,12 +322,14 @@ class GLRenderer:
         (picture,) = self._pixels.fetch()
         return np.ascontiguousarray(picture[..., :3])
 
-    def _draw_behind(self, crowd: Sequence[Placed]) -> None:
+    def _draw_behind(self, crowd: Sequence[PlacedVehicle]) -> None:
         """What the image would show behind vehicles that stand before others."""
         size = (self._camera.width, self._camera.height)
         self._draw_vehicles(self._behind, crowd, runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
-    def _contrast(self, placed: Placed, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn") -> float:
+    def _contrast(
+        self, placed: PlacedVehicle, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
+    ) -> float:
         """Mean difference, where a vehicle shows, between the picture and the one without it and its shadow."""
         window = x0, y0, x1, y1 = inside(placed.window, self._camera)
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
@@ -366,7 +368,7 @@ class _Drawn:
     picture: _Layer
     behind: _Layer | None
     """What is behind the crowd."""
-    crowd: list[Placed]
+    crowd: list[PlacedVehicle]
     """Vehicles whose windows cross others'."""
 
 
@@ -386,7 +388,7 @@ def _put(
     return np.asarray(own)
 
 
-def _crossed(vehicle: Placed, others: Iterable[Placed]) -> bool:
+def _crossed(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) -> bool:
     """Whether a vehicle's window crosses that of another."""
     return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
 

@@ -1,0 +1,214 @@
+"""What a shortcut, a choice or a label rule does to PCK: the same training with and without it, over several seeds.
+
+    python scripts/research/experiment_train.py --data data/skope --init auto --epochs 10 --device cuda --out runs/x
+
+Each variant trains the same recipe with some values set otherwise, from the same weights, on the same images for the
+same number of steps, once a seed, and is measured on the test splits in float32. Finished trainings are not done again:
+the same command goes on after an interruption. The table gives mean and sample standard deviation over the seeds;
+`exact` is torchvision's own arithmetic, without any shortcut. Variants of the labels (boxes of what is seen, no ignored
+vehicles) learn from a copy of the annotations, and `varied` from the dataset of --varied; all are measured on the
+test splits of --data, `visible boxes` on its own kind of box too, and on those of --varied where it is given.
+
+On a machine with several GPUs start it several times, with other --variants or --seeds and CUDA_VISIBLE_DEVICES; the
+command with all of them does what is missing and prints the table. --fresh-heads takes only backbone and pyramid
+from --init, as from COCO weights, which know nothing of these keypoints either.
+"""
+
+import argparse
+import shutil
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchvision.models.detection import KeypointRCNN
+
+from skope import detector
+from skope.console import Console
+from skope.dataset import CARD, open_dataset, take
+from skope.files import read_json, write_json, write_text
+from skope.schema import VEHICLE_TYPES
+from skope.train import loop, run_folder, splits, validate
+from skope.train.recipe import RECIPES, Recipe, adjusted
+from skope.train.run_folder import RunConfig
+
+EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
+FAST = ("bfloat16=true", "keypoint_regions=48", "fold_norms=true", "channels_last=true")
+SIGHT = "supervise=visible"
+LIVELY = tuple(f"augment.{name}" for name in ("crop=0.5", "occluders=0.3", "brightness=0.3", "color=0.3", "jpeg=0.2"))
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to train."""
+
+    settings: Sequence[str]
+    labels: Callable[[Sequence[Row]], list[Row]] | None = None
+    """What becomes of the annotations, rows of the annotation file, before they are learnt from."""
+    measured_so: bool = False
+    """Whether the test splits are looked at with `labels` too."""
+    varied: bool = False
+    """Whether it learns from --varied."""
+
+
+def visible_boxes(rows: Sequence[Row]) -> list[Row]:
+    return [{**row, "bbox": row["bbox_visible"]} for row in rows]
+
+
+def none_ignored(rows: Sequence[Row]) -> list[Row]:
+    """What would be ignored is background."""
+    return [row for row in rows if not row["iscrowd"]]
+
+
+VARIANTS: Mapping[str, Variant] = {
+    "exact": Variant((*EXACT, SIGHT)),
+    "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], SIGHT)),
+    "bfloat16": Variant((FAST[0], *EXACT[1:], SIGHT)),
+    "16 keypoint regions": Variant((EXACT[0], "keypoint_regions=16", *EXACT[2:], SIGHT)),
+    "32 keypoint regions": Variant((EXACT[0], "keypoint_regions=32", *EXACT[2:], SIGHT)),
+    "all shortcuts": Variant((*FAST, SIGHT)),
+    "all shortcuts, 32 keypoint regions": Variant((FAST[0], "keypoint_regions=32", *FAST[2:], SIGHT)),
+    "hidden points learnt": Variant((*FAST, "supervise=all")),
+    "augmented": Variant((*FAST, SIGHT, *LIVELY)),
+    "visible boxes": Variant((*FAST, SIGHT), labels=visible_boxes, measured_so=True),
+    "none ignored": Variant((*FAST, SIGHT), labels=none_ignored),
+    "no pickups": Variant((*FAST, SIGHT, "exclude_types=pickup")),
+    "varied cameras": Variant((*FAST, SIGHT), varied=True),
+}
+FIGURES = ("pck", "pck_given", "keypoint_recall", "box_recall")
+
+
+def main() -> None:
+    options = parse()
+    names = options.variants or [name for name, one in VARIANTS.items() if options.varied or not one.varied]
+    if options.fresh_heads:
+        options.init = str(headless(options.init, options.out / "first_weights.safetensors"))
+    rows = [measured(options, name, seed) for seed in options.seeds for name in names]
+    write_json(options.out / "results.json", rows)
+    text = table(rows)
+    write_text(options.out / "results.md", text)
+    print(text)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--varied", type=Path, help="dataset of the preset `varied`")
+    parser.add_argument("--out", type=Path, default=Path("runs/experiment"))
+    parser.add_argument("--recipe", default="paper", choices=tuple(RECIPES))
+    parser.add_argument("--init", default="auto", help="as `skope train` takes it")
+    parser.add_argument("--fresh-heads", action="store_true", help="of --init, a checkpoint, only the backbone")
+    parser.add_argument("--epochs", type=int)
+    parser.add_argument("--min-size", type=int)
+    parser.add_argument("--max-images", type=int)
+    parser.add_argument("--set", action="append", default=[], help="a value of the recipe, for every variant")
+    parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1, 2])
+    parser.add_argument("--variants", nargs="*", choices=tuple(VARIANTS), help="default: all")
+    parser.add_argument("--splits", nargs="*", default=["easy", "medium", "hard"])
+    parser.add_argument("--test-images", type=int, default=300, help="of each split, with vehicles, evenly spread")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--workers", type=int, default=8)
+    return parser.parse_args()
+
+
+def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
+    common = [f"init={options.init}", *([f"epochs={options.epochs}"] if options.epochs else []), *options.set]
+    recipe = adjusted(RECIPES[options.recipe], [*common, *VARIANTS[name].settings])
+    return recipe.with_min_size(options.min_size) if options.min_size else recipe
+
+
+def headless(init: str, path: Path) -> Path:
+    """A weights file with the backbone and pyramid of a checkpoint and heads that know nothing yet."""
+    model, config, _ = detector.load_weights(detector.find_checkpoint(Path(init)), torch.device("cpu"))
+    kept = {name: value for name, value in model.state_dict().items() if name.startswith("backbone.")}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        fresh = detector.build(config, trainable_layers=5)
+    fresh.load_state_dict({**fresh.state_dict(), **kept})
+    detector.save_weights(path, fresh, config, {})
+    return path
+
+
+def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
+    """Train and measure, or what was found when that was done before."""
+    folder = options.out / f"{name.replace(' ', '_').replace(',', '')}_{seed}"
+    done = folder / "result.json"
+    if done.is_file():
+        return dict(read_json(done))
+    device = detector.choose_device(options.device)
+    recipe, variant = recipe_of(options, name), VARIANTS[name]
+    data = options.varied if variant.varied else options.data
+    own = relabelled(data, variant.labels, folder / "data") if variant.labels else data
+    config = RunConfig(recipe=recipe, seed=seed, data=(str(own),), mix=None, max_images=options.max_images)
+    console = Console()
+    console.say(f"--- {name}, seed {seed}")
+    checkpoint = loop.train(
+        config,
+        folder / "run",
+        device=device,
+        workers=options.workers if device.type == "cuda" else 0,
+        resume=run_folder.resumable(folder / "run"),
+        console=console,
+        saving=loop.Saving(),
+    )
+    model, _, _ = detector.load_weights(checkpoint, device)
+    found = figures(options, model, options.data, device)
+    if variant.measured_so:
+        found |= {f"{split}, its own boxes": row for split, row in figures(options, model, own, device).items()}
+    if options.varied:
+        found |= {f"{split}, varied": row for split, row in figures(options, model, options.varied, device).items()}
+    row = {"variant": name, "seed": seed, "splits": found, "recipe": recipe.to_dict()}
+    write_json(done, row)
+    for heavy in (folder / "run", folder / "data"):
+        shutil.rmtree(heavy, ignore_errors=True)
+    return row
+
+
+def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Path) -> Path:
+    """A dataset folder with the images of another and its annotations changed."""
+    for path in (data / "annotations").glob("*.json"):
+        document = read_json(path)
+        write_json(out / "annotations" / path.name, {**document, "annotations": change(document["annotations"])})
+    for name in ("images", "depth"):
+        if (data / name).is_dir() and not (out / name).exists():
+            (out / name).symlink_to((data / name).resolve(), target_is_directory=True)
+    write_json(out / CARD, read_json(data / CARD))
+    return out
+
+
+def figures(options: argparse.Namespace, model: KeypointRCNN, folder: Path, device: torch.device) -> dict[str, Row]:
+    """Of each test split, and of its pickups alone where there are some."""
+    data = open_dataset(folder)
+    found = {}
+    for split in options.splits:
+        file = take(data.read(split), options.test_images)
+        paths = [data.root / image.file_name for image in file.images]
+        answers = validate.answers(model, file, paths, device)
+        found[split] = validate.figures(file, answers)
+        pickups = splits.excluding(file, [name for name in VEHICLE_TYPES if name != "pickup"])
+        if not all(annotation.ignored for annotation in pickups.annotations):
+            found[f"{split}, pickups"] = validate.figures(pickups, answers)
+    return found
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Markdown: a line for each variant and split."""
+    lines = ["| variant | split | " + " | ".join(FIGURES) + " |", "|---" * (2 + len(FIGURES)) + "|"]
+    for name in dict.fromkeys(row["variant"] for row in rows):
+        own = [row["splits"] for row in rows if row["variant"] == name]
+        for split in own[0]:
+            cells = []
+            for figure in FIGURES:
+                known = [100 * row[split][figure] for row in own if row[split][figure] is not None]
+                spread = f" ± {statistics.stdev(known):.2f}" if len(known) > 1 else ""
+                cells.append(f"{statistics.mean(known):.2f}{spread}" if known else "-")
+            lines.append(f"| {name} | {split} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Depth files: 16-bit PNGs as KITTI's, metres = value / 256, 0 = sky."""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from isal import isal_zlib
+from numpy.typing import NDArray
+
+from skope import shards
+from skope.errors import UserError
+
+DEPTH_SCALE: Final = 256.0
+"""Depth files hold round(metres * 256)."""
+_BAND: Final = 64
+"""Rows that are encoded at a time: few enough to stay in the processor's cache."""
+_UP: Final = 2
+"""PNG's filter that takes each row as its difference from the one above."""
+
+
+def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """(H, W) metres, sky = +inf -> the 16-bit values of a depth file (0 = sky, 65535 = 255.99 m or farther)."""
+    out = np.empty(depth_m.shape, dtype=np.uint16)
+    for first in range(0, len(out), _BAND):
+        band = depth_m[first : first + _BAND]
+        scaled = band * np.float32(DEPTH_SCALE)
+        np.rint(scaled, out=scaled)
+        np.clip(scaled, 1, 65535, out=scaled)
+        scaled[np.isinf(band)] = 0
+        out[first : first + _BAND] = scaled
+    return out
+
+
+def depth_png(depth_m: NDArray[np.float32]) -> bytes:
+    """A depth file's content for (H, W) metres.
+
+    Written here because Intel's ISA-L compresses it five times as fast as OpenCV's PNG encoder does, and smaller.
+    """
+    height, width = depth_m.shape
+    rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
+    rows[:, 0] = _UP
+    above = np.zeros(2 * width, dtype=np.uint8)
+    for first in range(0, height, _BAND):
+        big_endian = encode_depth(depth_m[first : first + _BAND]).byteswap().view(np.uint8)
+        np.subtract(big_endian[0], above, out=rows[first, 1:])
+        np.subtract(big_endian[1:], big_endian[:-1], out=rows[first + 1 : first + len(big_endian), 1:])
+        above = big_endian[-1]
+    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(rows, 1)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Decode a depth file to (H, W) metres, sky = +inf."""
+    import cv2
+
+    data = np.frombuffer(shards.read(path), dtype=np.uint8)
+    raw = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
+        raise UserError(f"{path}: not a 16-bit depth image")
+    depth: NDArray[np.float32] = raw.astype(np.float32) / np.float32(DEPTH_SCALE)
+    depth[raw == 0] = np.inf
+    return depth

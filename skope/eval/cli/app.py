@@ -1,0 +1,259 @@
+"""`skope eval`: flags, and the choice between a checkpoint and a results file."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skope.console import Console, QuietOption, VersionOption, goes_on
+from skope.errors import UserError, one_of
+from skope.eval.cli import footage
+from skope.weights import names
+
+DATA = Path("data/skope")
+RUN = Path("runs/skope")
+GIVEN = "given"
+PAPER = "paper"
+
+app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
+
+
+@app.callback(invoke_without_command=True)
+def run(
+    ctx: typer.Context,
+    data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN)),
+    ] = None,
+    split: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Split to evaluate; several: repeat it or separate by commas.", show_default="all test splits"
+        ),
+    ] = None,
+    annotations: Annotated[
+        Path | None, typer.Option(help="Score --predictions against this COCO file, without a dataset folder.")
+    ] = None,
+    predictions: Annotated[
+        Path | None, typer.Option(help="Score this COCO results file, of any detector, instead of a checkpoint.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    precision: Annotated[
+        str, typer.Option(help="float32, bfloat16, or auto: bfloat16 where the processor has it.")
+    ] = "float32",
+    batch_size: Annotated[
+        int | None, typer.Option(help="Images that go through the network together.", show_default="1, on a GPU 8")
+    ] = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Place keypoints only on detections above --score; no AP then.")
+    ] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="What the table shows: pooled or paper.", show_default="pooled, or paper beside the paper's rows"
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(help="paper: print the published rows below ours (splits easy, medium, hard).")
+    ] = None,
+    labelled: Annotated[
+        str, typer.Option(help="Keypoints that count: visible, or all (hidden ones inside the image too).")
+    ] = "visible",
+    boxes: Annotated[
+        str,
+        typer.Option(help="full or visible ground-truth boxes, or given: keypoints on the ground truth's own boxes."),
+    ] = "full",
+    score: Annotated[float, typer.Option(help="A detection counts when it scores above this.")] = 0.9,
+    alpha: Annotated[
+        float, typer.Option(help="A keypoint is correct within this share of the box's longer edge.")
+    ] = 0.1,
+    iou: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            show_default="0.9,0.8,0.7,0.6",
+        ),
+    ] = None,
+    keypoint_score: Annotated[
+        float, typer.Option(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+    ] = 0.0,
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            help="Keypoint scheme of --predictions; the points that mean the same are scored.",
+            show_default="the ground truth's",
+        ),
+    ] = None,
+    max_images: Annotated[
+        int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
+    ] = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
+    if goes_on(ctx):
+        return
+    from skope.eval.inference.settings import Settings
+    from skope.eval.run import EvalJob, evaluate
+    from skope.metrics import inputs
+    from skope.metrics.counts import PROTOCOLS, Options
+    from skope.metrics.match import BOX_KINDS, THRESHOLDS
+
+    if compare is not None:
+        one_of("--compare", compare, (PAPER,))
+    protocol = one_of("--protocol", protocol or ("paper" if compare else "pooled"), PROTOCOLS)
+    one_of("--boxes", boxes, (*BOX_KINDS, GIVEN))
+    options = Options(
+        score=score,
+        alpha=alpha,
+        labelled=labelled,
+        boxes="full" if boxes == GIVEN else boxes,
+        iou=_thresholds(iou) or THRESHOLDS,
+        keypoint_score=keypoint_score,
+    )
+    if max_images is not None and max_images < 1:
+        raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
+    splits = _separated(split)
+    _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if fast and (predictions or boxes == GIVEN):
+        raise UserError("--fast is for running a checkpoint that detects vehicles")
+    if scheme:
+        one_of("--scheme", scheme, inputs.SCHEMES)
+        if not predictions:
+            raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
+    out = out or _default_out(checkpoint, predictions)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out: {out} is a file, expected a folder")
+    truth = inputs.read_annotations(annotations) if annotations else inputs.read_dataset(data or DATA, splits)
+    scheme = scheme or truth.scheme.name
+    options = replace(options, scheme=truth.scheme, points=inputs.scheme_points(scheme, truth.scheme))
+    evaluate(
+        EvalJob(
+            truth=truth,
+            out=out,
+            options=options,
+            protocol=protocol,
+            checkpoint=None if predictions else checkpoint or RUN,
+            predictions=predictions,
+            settings=Settings(device=device, given=boxes == GIVEN, precision=precision, batch_size=batch_size),
+            fast=fast,
+            max_images=max_images,
+            scheme=scheme,
+            beside_paper=compare == PAPER,
+        ),
+        Console(quiet),
+        width=shutil.get_terminal_size((120, 24)).columns,
+    )
+
+
+@app.command(name="compare")
+def compare_runs(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `skope eval` wrote (its --out).")],
+    protocol: Annotated[str, typer.Option(help="pooled or paper.")] = "pooled",
+    out: Annotated[Path | None, typer.Option(help="Also write everything to this JSON file.")] = None,
+) -> None:
+    """Put evaluations side by side, with paired intervals of their differences from the first."""
+    from skope.eval.report import compare
+    from skope.files import json_bytes
+    from skope.outputs import write_new
+
+    document = compare.compare(folders)
+    text = compare.render(document, protocol)
+    if out:
+        write_new(out, json_bytes(document))
+    typer.echo(text)
+
+
+@app.command(name="calibrate")
+def calibrate_scores(
+    checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
+    data: Annotated[Path, typer.Option(help="Dataset folder.")] = DATA,
+    split: Annotated[
+        str, typer.Option(help="Split to fit on; of train, the part that training kept for validation.")
+    ] = "train",
+    last: Annotated[
+        float | None, typer.Option(help="Take this share of each recording, at its end.", show_default="see --split")
+    ] = None,
+    score: Annotated[float, typer.Option(help="Fit on the keypoints of detections above this.")] = 0.9,
+    max_images: Annotated[int | None, typer.Option(help="Take only so many images.")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
+    precision: Annotated[str, typer.Option(help="float32, bfloat16 or auto.")] = "float32",
+    batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+
+    (`skope eval camera` finds a camera's focal length and tilt.)
+    """
+    from skope.eval.inference.fit_calibration import CalibrationJob, calibrate
+    from skope.eval.inference.settings import Settings
+
+    if not 0 <= score <= 1:
+        raise UserError(f"--score: expected a number from 0 to 1, got {score}")
+    job = CalibrationJob(
+        checkpoint=checkpoint,
+        data=data,
+        split=split,
+        last=last,
+        score=score,
+        max_images=max_images,
+        settings=Settings(device=device, precision=precision, batch_size=batch_size),
+    )
+    path = calibrate(job, Console(quiet))
+    typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
+
+
+app.command(name="predict")(footage.predict)
+app.command(name="pose")(footage.pose)
+app.command(name="track")(footage.track)
+app.command(name="camera")(footage.camera)
+
+
+def _separated(values: list[str] | None) -> list[str]:
+    """The parts of a flag that may be repeated and hold several parts separated by commas."""
+    return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
+
+
+def _thresholds(values: list[str] | None) -> tuple[float, ...]:
+    """IoU thresholds from the strictest."""
+    try:
+        return tuple(sorted((float(part) for part in _separated(values)), reverse=True))
+    except ValueError:
+        raise UserError(f"--iou: expected numbers, got {', '.join(values or ())}") from None
+
+
+def _refuse_mixtures(
+    data: Path | None,
+    checkpoint: Path | None,
+    splits: list[str],
+    annotations: Path | None,
+    predictions: Path | None,
+    boxes: str,
+) -> None:
+    def clash(a: str, b: str, given_a: Any, given_b: Any, why: str) -> None:
+        if given_a and given_b:
+            raise UserError(f"{a} and {b} do not go together: {why}")
+
+    clash("--predictions", "--checkpoint", predictions, checkpoint, "results are scored as they are")
+    clash("--predictions", "--boxes given", predictions, boxes == GIVEN, "only a checkpoint can be run on given boxes")
+    clash("--annotations", "--data", annotations, data, "each says what the ground truth is")
+    clash("--annotations", "--split", annotations, splits, "an annotation file is one split")
+    if annotations and not predictions:
+        raise UserError("--annotations needs --predictions; to run a checkpoint, give its dataset with --data")
+    if predictions and not annotations and len(splits) != 1:
+        raise UserError("--predictions with a dataset needs exactly one --split, the one that was predicted")
+
+
+def _default_out(checkpoint: Path | None, predictions: Path | None) -> Path:
+    if predictions:
+        return Path("eval")
+    run = checkpoint or RUN
+    if str(run) in names() and not run.exists():
+        run = RUN.parent / run
+    return (run.parent if run.is_file() else run) / "eval"

@@ -1,0 +1,1 @@
+"""Running a detector: on datasets, folders, videos and streams."""

@@ -1,0 +1,313 @@
+"""Frames of images, folders, globs, videos and streams, one after another, with their times."""
+
+import bisect
+import contextlib
+import glob
+import itertools
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import dataset, names
+from skope.errors import UserError
+from skope.eval.inference import stream
+from skope.schema import Image
+
+Pixels = NDArray[np.uint8]
+
+IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+_GLOB: Final = frozenset("*?[")
+_SAME_S: Final = 5e-4
+"""Times that differ by less are the same: containers count in thousandths of a second, or finer."""
+_FAR: Final = 50
+"""Frames that are as soon decoded as jumped over."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Which frames of a source are wanted."""
+
+    every: int = 1
+    start_s: float = 0.0
+    end_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise UserError(f"--every: expected a whole number from 1, got {self.every}")
+        if not 0 <= self.start_s < self.end_s:
+            raise UserError(f"--start, --end: expected 0 <= start < end, got {self.start_s:g} and {self.end_s:g}")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video file or stream, opened once to see what it says of itself: a camera may not like to be asked often."""
+
+    address: str
+    count: float
+    """Frames as the container says, 0 or less where it does not."""
+    rate: float
+    """Frames a second, in the mean."""
+    times_s: tuple[float, ...] = ()
+    """Of all frames of a file on this machine, from the first; empty: each frame says its own when it is read."""
+
+    @property
+    def live(self) -> bool:
+        """Whether its frames come when they come, and only once."""
+        scheme, found, _ = self.address.partition("://")
+        return bool(found) and (scheme not in ("http", "https") or self.count <= 0)
+
+
+@dataclass
+class Footage:
+    """A source of frames; going over it again gives the same ones, except of a live stream."""
+
+    name: str
+    cut: Cut = field(default_factory=Cut)
+    images: tuple[Path, ...] = ()
+    """Of images; empty for a video or stream."""
+    clip: Clip | None = None
+    skipped: list[str] = field(default_factory=list)
+    """What could not be read, in one line each."""
+
+    @property
+    def names(self) -> list[str]:
+        """Of the images: their paths inside the folder that holds them all."""
+        folder = os.path.commonpath([path.parent for path in self.images]) if self.images else ""
+        return [path.relative_to(folder).as_posix() for path in self.images]
+
+    @property
+    def live(self) -> bool:
+        """Whether it cannot be read again."""
+        return self.clip is not None and self.clip.live
+
+    def __len__(self) -> int:
+        """How many frames there are, as far as the file says; 0: unknown."""
+        if self.clip is None:
+            return len(self.images[:: self.cut.every])
+        if self.clip.times_s:
+            return len(self._wanted(self.clip))
+        count, fps = self.clip.count, self.clip.rate
+        last = min(count, self.cut.end_s * fps)
+        return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
+
+    @property
+    def fps(self) -> float | None:
+        """Frames a second after the cut; None of images, and of a live stream, whose frames come as they can."""
+        return None if self.clip is None or self.clip.live else self.clip.rate / self.cut.every
+
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
+        """Frames with their pixels (H, W, 3) RGB, numbered from 1 as `Image.id`; `first` of them are left out.
+
+        What cannot be read is noted in `skipped`, and keeps its number.
+        """
+        if self.clip is None:
+            return self._of_images(first)
+        if self.clip.live:
+            return self._of_stream(self.clip)
+        return self._of_file(self.clip, first) if self.clip.times_s else self._of_video(self.clip, first)
+
+    def _of_images(self, first: int) -> Iterator[tuple[Image, Pixels]]:
+        every = self.cut.every
+        whole = zip(self.images[::every], self.names[::every], strict=True)
+        for number, (path, name) in enumerate(itertools.islice(whole, first, None), start=first + 1):
+            try:
+                pixels = dataset.read_image(path)
+            except UserError as error:
+                self._skip(str(error))
+                continue
+            yield _image(number, name, pixels, number - 1, None), pixels
+
+    def _wanted(self, clip: Clip) -> range:
+        """Which frames of a file whose times are known."""
+        edges = (self.cut.start_s - _SAME_S, self.cut.end_s - _SAME_S)
+        first, last = (bisect.bisect_left(clip.times_s, edge) for edge in edges)
+        return range(first, last, self.cut.every)
+
+    def _of_file(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
+        wanted = self._wanted(clip)
+        left = deque(enumerate(wanted[first:], start=first + 1))
+        if not left:
+            return
+        with contextlib.closing(_decoded(clip, left[0][1])) as decoded:
+            for at, retrieve in decoded:
+                while left and left[0][1] < at:  # not to be decoded
+                    self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
+                    left.popleft()
+                if left and left[0][1] == at:
+                    yield self._frame(left.popleft()[0], at, clip.times_s[at], retrieve())
+                if not left:
+                    break
+        if left:
+            self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
+        elif self.cut.end_s > clip.times_s[-1]:
+            self._note_missing(clip, len(clip.times_s))
+
+    def _note_missing(self, clip: Clip, count: int) -> None:
+        """Say that a file ends early: containers round their counts, but not by half a second."""
+        if count < clip.count - max(2.0, clip.rate / 2):
+            self._skip(f"{clip.address}: frame {count} of {clip.count:.0f} cannot be decoded")
+
+    def _of_video(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
+        """A file on a server: it comes once from its begin, and each frame says its time."""
+        with _opened(clip.address) as capture:
+            number, at, begin, time_s = 0, 0, 0, -1 / clip.rate
+            while capture.grab():
+                told = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                time_s = told if told > time_s else time_s + 1 / clip.rate
+                if time_s >= self.cut.end_s - _SAME_S:
+                    return
+                if time_s < self.cut.start_s - _SAME_S:
+                    begin = at + 1
+                elif (at - begin) % self.cut.every == 0:
+                    number += 1
+                    if number > first:
+                        good, bgr = capture.retrieve()
+                        if not good:
+                            break
+                        yield self._frame(number, at, time_s, bgr)
+                at += 1
+            self._note_missing(clip, at)
+
+    def _of_stream(self, clip: Clip) -> Iterator[tuple[Image, Pixels]]:
+        frames = stream.frames(
+            lambda: _opened(clip.address), self.cut.every, camera_clock=clip.address.startswith("rtsp")
+        )
+        with contextlib.closing(frames):
+            wanted = (f for f in frames if f.time_s >= self.cut.start_s)
+            try:
+                for number, (at, time_s, bgr) in enumerate(wanted, start=1):
+                    if time_s >= self.cut.end_s:
+                        return
+                    yield self._frame(number, at, time_s, bgr)
+            except stream.BrokenOffError as error:
+                self._skip(f"{clip.address}: {error}")
+
+    def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
+        pixels = np.asarray(cv2.cvtColor(_three(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
+
+    def _skip(self, reason: str) -> None:
+        if reason not in self.skipped:  # a second pass meets the same
+            self.skipped.append(reason)
+
+
+def open_footage(source: str, cut: Cut | None = None) -> Footage:
+    """The frames of an image, a folder of images, a glob, a video file or a stream's address; all, or those of `cut`.
+
+    Raises UserError for what is none of these.
+    """
+    cut = cut or Cut()
+    if "://" in source:
+        return Footage("stream", cut, clip=_looked_at(source))
+    footage = _on_this_machine(source, cut)
+    for image, name in zip(footage.images, footage.names, strict=True):
+        if not names.is_relative(name):
+            raise UserError(f"{str(image)!r}: no name for a dataset (control characters, backslashes)")
+    return footage
+
+
+def _on_this_machine(source: str, cut: Cut) -> Footage:
+    path = Path(source)
+    if path.is_dir():
+        found = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
+        if not found:
+            raise UserError(f"{source}: no images in it ({', '.join(IMAGES)})")
+        return Footage(path.name, cut, images=tuple(found))
+    if not path.exists() and _GLOB & set(source):
+        found = sorted(Path(p) for p in glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
+        if not found:
+            raise UserError(f"{source}: matches no file")
+        return Footage("images", cut, images=tuple(found))
+    if not path.is_file():
+        raise UserError(f"{source}: no such file or folder")
+    if path.suffix.lower() in IMAGES:
+        return Footage(path.stem, cut, images=(path,))
+    return Footage(path.stem, cut, clip=_looked_at(source))
+
+
+def _looked_at(video: str) -> Clip:
+    with _opened(video) as capture:
+        count, rate = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture)
+    if "://" in video:
+        return Clip(video, count, rate)
+    times_s = _times(video)
+    if len(times_s) < 2:
+        return Clip(video, count, rate, times_s)
+    return Clip(video, count, (len(times_s) - 1) / times_s[-1], times_s)
+
+
+def _times(video: str) -> tuple[float, ...]:
+    """When each frame of a file is shown, from the first: as its packets say, none of which is decoded.
+
+    Empty where they do not say it, or two frames at once.
+    """
+    capture = cv2.VideoCapture(names.for_opencv(video), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    try:
+        times = []
+        while capture.grab():
+            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    finally:
+        capture.release()
+    times.sort()  # packets come in the order in which they are decoded
+    rises = all(b - a > _SAME_S for a, b in itertools.pairwise(times))
+    return tuple(time_s - times[0] for time_s in times) if rises else ()
+
+
+def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArray[np.generic]]]]:
+    """Numbers of the frames of a file from `first` on or somewhat before, each with what gives its pixels."""
+    with _opened(clip.address) as capture:
+        at = -1
+        if first >= _FAR and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
+            at = _number(clip, capture) if capture.grab() else len(clip.times_s)
+            if at > first:  # where frames last differently long, the decoder can only guess
+                capture.release()
+                capture.open(clip.address)
+                at = -1
+            else:
+                yield at, lambda: capture.retrieve()[1]
+        while capture.grab():
+            at = max(at + 1, _number(clip, capture))
+            yield at, lambda: capture.retrieve()[1]
+
+
+def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
+    """Of the frame that was read last, by its time."""
+    time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+    after = bisect.bisect_left(clip.times_s, time_s)
+    around = range(max(0, after - 1), min(len(clip.times_s), after + 1))
+    return min(around, key=lambda i: abs(clip.times_s[i] - time_s))
+
+
+@contextlib.contextmanager
+def _opened(video: str) -> Iterator[cv2.VideoCapture]:
+    capture = cv2.VideoCapture(names.for_opencv(video))
+    try:
+        if not capture.isOpened():
+            raise UserError(f"{video}: neither an image nor a video that can be opened")
+        yield capture
+    finally:
+        capture.release()
+
+
+def _rate(capture: cv2.VideoCapture) -> float:
+    fps = capture.get(cv2.CAP_PROP_FPS)
+    return fps if math.isfinite(fps) and 0 < fps <= 1000 else 25.0
+
+
+def _three(pixels: NDArray[np.generic]) -> Pixels:
+    """Grey or 16-bit frames as 8-bit of three channels."""
+    eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels.astype(np.uint8)  # type: ignore[operator]
+    return np.repeat(eight[..., None], 3, axis=-1) if eight.ndim == 2 else eight
+
+
+def _image(number: int, name: str, pixels: Pixels, index: int, time_s: float | None) -> Image:
+    height, width = pixels.shape[:2]
+    return Image(id=number, file_name=name, width=width, height=height, frame_index=index, time_s=time_s)

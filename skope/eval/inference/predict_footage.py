@@ -1,0 +1,142 @@
+"""`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path, PurePath
+from typing import Final
+
+from skope import coco, draw
+from skope.camera import Camera
+from skope.console import Console
+from skope.dataset import FRAMES, PREDICTIONS
+from skope.errors import UserError
+from skope.eval.inference.blur import blurred
+from skope.eval.inference.footage import Footage, Pixels
+from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.progress import Progress
+from skope.eval.inference.settings import Settings
+from skope.eval.pose.views import with_camera
+from skope.files import replacing, sha256_of
+from skope.keypoints import Scheme
+from skope.outputs import claim
+from skope.schema import AnnotationFile, Image
+from skope.video import write_video
+
+_PROGRESS: Final = ".predict.jsonl"
+OVERLAY: Final = "overlay.mp4"
+OVERLAYS: Final = "overlays"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictJob:
+    """What to run, on what."""
+
+    footage: Footage
+    checkpoint: Path
+    out: Path
+    settings: Settings = field(default_factory=Settings)
+    score: float = 0.5
+    """Least score of a detection that is kept."""
+    camera: Camera | None = None
+    overlay: bool = False
+    blur: bool = False
+
+
+def predict(job: PredictJob, console: Console) -> list[Path]:
+    """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
+    predictor = Predictor(job.checkpoint, job.settings, console)
+    _claim(job, predictor.files)
+    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped"))
+    images = []
+    for row in progress.rows():
+        images.append(coco.image_from_dict(row["image"]))
+        job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
+    last = images[-1].id if images else 0
+    if images:
+        console.say(f"{job.footage.name}: going on after frame {last}")
+    with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
+        bar.update(last)
+        try:
+            for bare, found in predictor.each(job.footage.frames(last)):
+                image = with_camera(bare, job.camera)
+                told = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
+                progress.add({**told, "skipped": list(job.footage.skipped)})
+                images.append(image)
+                bar.update(image.id - bar.n)
+        except KeyboardInterrupt:
+            if not job.footage.live:
+                raise
+            console.say(f"{job.footage.name}: stopped after {len(images)} images")
+    if not images:
+        progress.end()
+        why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
+        raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
+    written = [job.out / PREDICTIONS, job.out / FRAMES]
+    coco.write_result_rows(written[0], (result for row in progress.rows() for result in row["results"]))
+    info = {"source": job.footage.name, "fps": job.footage.fps}
+    frames_file = AnnotationFile(
+        images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
+    )
+    coco.write(written[1], frames_file)
+    if job.overlay:
+        written.append(_overlay(job, progress, len(images), predictor.scheme, console))
+    progress.end()
+    return written
+
+
+def _claim(job: PredictJob, files: Sequence[Path]) -> None:
+    """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
+    cut, settings = job.footage.cut, job.settings
+    options = {
+        "source": _content(job.footage),
+        "every": cut.every,
+        "start": cut.start_s,
+        "end": cut.end_s if math.isfinite(cut.end_s) else None,
+        "score": job.score,
+        "precision": settings.precision,
+        "camera": job.camera.to_dict() if job.camera else None,
+    }
+    claim(job.out, "skope eval predict", files, options)
+
+
+def _content(footage: Footage) -> str:
+    """What the frames are, wherever their files lie, by checksums; of a live stream, which comes once, its begin."""
+    if footage.live:
+        return f"{footage.name} of {datetime.now(UTC).isoformat()}"
+    if footage.clip and "://" in footage.clip.address:
+        return footage.clip.address
+    files = [Path(footage.clip.address)] if footage.clip else footage.images
+    digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
+    return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
+
+
+def _overlay(job: PredictJob, progress: Progress, count: int, scheme: Scheme, console: Console) -> Path:
+    """Draw what was found: a video of a video, images of images."""
+    drawn = console.bar(_drawn(job, progress, scheme), total=count, unit="image", label="overlay")
+    if job.footage.clip is None:
+        folder = job.out / OVERLAYS
+        shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
+        for image, pixels in drawn:
+            bare = PurePath(image.file_name).with_suffix("")
+            draw.write(folder / f"{bare if shared[bare] == 1 else image.file_name}.jpg", pixels)
+        return folder
+    path = job.out / OVERLAY
+    with replacing(path) as temporary:
+        write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps or 25.0)
+    return path
+
+
+def _drawn(job: PredictJob, progress: Progress, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
+    rows = progress.rows()
+    row = next(rows, None)
+    for image, pixels in job.footage.frames():
+        if row is None:
+            return
+        if row["image"]["id"] == image.id:  # others were not to be read
+            found = [coco.result_from_dict(result) for result in row["results"]]
+            yield image, draw.results(blurred(pixels, found) if job.blur else pixels, found, scheme=scheme)
+            row = next(rows, None)

@@ -1,0 +1,165 @@
+"""Run the detector over a split: images decoded beside the computing, in batches where that helps."""
+
+import itertools
+import time
+from collections import deque
+from collections.abc import Container, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from torchvision.models.detection import KeypointRCNN
+
+from skope import boxes, dataset, detector, keypoints
+from skope.console import Console, minutes
+from skope.errors import UserError
+from skope.eval.inference import bfloat16, score_calibration
+from skope.eval.inference.settings import Settings
+from skope.keypoints import Scheme
+from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.weights import shipped
+
+Pixels = NDArray[np.uint8]
+
+GPU_BATCH: Final = 8
+"""A CPU gains nothing from batches."""
+_DECODERS: Final = 2
+
+
+class Predictor:
+    """A checkpoint on a device."""
+
+    def __init__(self, checkpoint: Path, settings: Settings, console: Console) -> None:
+        self._settings, self._console = settings, console
+        self._device = detector.choose_device(settings.device)
+        self._batch = settings.batch_size or (GPU_BATCH if self._device.type == "cuda" else 1)
+        self.weights = detector.find_checkpoint(checkpoint)
+        self._model: KeypointRCNN
+        self._model, config, self.metadata = detector.load_weights(self.weights, self._device)
+        self.scheme = keypoints.SCHEMES[config.scheme]
+        self._calibration = score_calibration.read(self.weights, config.scheme) if settings.calibrated else None
+        low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
+        if low:
+            bfloat16.convert(self._model)
+            if not detector.has_bfloat16(self._device):
+                console.say(f"{self._device} has no instructions for bfloat16: float32 would be faster")
+        sides = f"short side {config.min_size}, long side at most {config.max_size} px"
+        scores = "calibrated" if self.calibrated else "uncalibrated"
+        number = "bfloat16" if low else "float32"
+        name = self.weights.stem if shipped(self.weights) else self.weights
+        console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
+
+    def check_scheme(self, scheme: Scheme, data: Path) -> None:
+        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""
+        if scheme is not self.scheme:
+            raise UserError(
+                f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
+                "held against each other"
+            )
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether keypoint scores are probabilities that were fitted for these weights."""
+        return self._calibration is not None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
+        return (self.weights, score_calibration.path_beside(self.weights)) if self.calibrated else (self.weights,)
+
+    def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
+        """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""
+        return tuple(result for _, found in self.by_image(file, root) for result in found)
+
+    def by_image(
+        self, file: AnnotationFile, root: Path, known: Container[int] = ()
+    ) -> Iterator[tuple[int, list[Result]]]:
+        """Ids of the images of `file`, but those that are `known`, in their order, with what is found in each.
+
+        File names are relative to `root`.
+        """
+        annotations = file.by_image()
+        images = [image for image in file.images if image.id not in known]
+        with self._console.bar(total=len(file.images), unit="image", label=file.name) as bar:
+            before = len(file.images) - len(images)
+            bar.update(before)
+            begun, done = time.perf_counter(), before
+            for batch in _batches(_decoded(images, root, 2 * self._batch), self._batch):
+                if self._settings.given:
+                    for image, pixels in batch:
+                        yield image.id, self._on_boxes(image.id, pixels, annotations[image.id])
+                else:
+                    yield from _by_image(batch, self._found(batch))
+                bar.update(len(batch))
+                # The first batch also warms the libraries up: where there is a second one, that one tells.
+                if bar.n == before + len(batch) < len(file.images):
+                    begun, done = time.perf_counter(), bar.n
+                elif bar.n <= before + 2 * self._batch and not self._console.quiet:
+                    seconds = (time.perf_counter() - begun) * len(images) / (bar.n - done)
+                    bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
+
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+        """The results of one image after another, as they come."""
+        for batch in _batches(images, self._batch):
+            alike = {image.id: image for image, _ in batch}
+            for image_id, found in _by_image(batch, self._found(batch)):
+                yield alike[image_id], found
+
+    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
+        pixels = [pixels for _, pixels in batch]
+        least = self._settings.min_score
+        answers = detector.detect(
+            self._model, pixels, self._device, min_score=detector.MIN_SCORE if least is None else least
+        )
+        out = []
+        for (image, _), found in zip(batch, answers, strict=True):
+            out += detector.results(image.id, found.boxes_xyxy, found.scores, self._scored(found.keypoints))
+        return out
+
+    def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
+        # In order of id, so that of two vehicles with the same box each is matched to itself.
+        truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
+        given = np.array([a.bbox for a in truth]).reshape(-1, 4)
+        points = detector.detect_on_boxes(self._model, pixels, boxes.xywh_to_xyxy(given), self._device)
+        rows = zip(truth, self._scored(points), strict=True)
+        return [Result(image_id=image_id, bbox=vehicle.bbox, score=1.0, keypoints=p) for vehicle, p in rows]
+
+    def _scored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._calibration(points) if self._calibration else points
+
+
+def _by_image(batch: Sequence[tuple[Image, Pixels]], found: Sequence[Result]) -> Iterator[tuple[int, list[Result]]]:
+    """The results of each image of a batch."""
+    for image, _ in batch:
+        yield image.id, [result for result in found if result.image_id == image.id]
+
+
+def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
+    """Images with their pixels, in order; up to `ahead` of them are decoded while the caller computes."""
+
+    def read(image: Image) -> Pixels:
+        return dataset.read_image(root / image.file_name, size=(image.width, image.height))
+
+    left = iter(images)
+    waiting: deque[tuple[Image, Future[Any]]] = deque()
+    with ThreadPoolExecutor(_DECODERS) as pool:
+        try:
+            for image in itertools.islice(left, ahead):
+                waiting.append((image, pool.submit(read, image)))
+            while waiting:
+                image, future = waiting.popleft()
+                pixels = future.result()
+                for following in itertools.islice(left, 1):
+                    waiting.append((following, pool.submit(read, following)))
+                yield image, pixels
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _batches(images: Iterator[tuple[Image, Pixels]], size: int) -> Iterator[list[tuple[Image, Pixels]]]:
+    """Neighbours of equal size, `size` at most together: another's padding would change what is found."""
+    for _, alike in itertools.groupby(images, key=lambda pair: pair[1].shape):
+        while batch := list(itertools.islice(alike, size)):
+            yield batch

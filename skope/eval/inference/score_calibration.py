@@ -1,0 +1,187 @@
+"""Keypoint scores that are probabilities: two numbers per keypoint on the heat map's raw maximum.
+
+A keypoint's score is the probability that the point is visible and within alpha L of its place, given that the vehicle
+is there. Platt's method (1999): the logistic regression of "visible and near enough" on the raw maximum, fitted on
+validation data, per keypoint. The fit lies in a file beside the weights and names them by digest.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints, schema
+from skope.errors import UserError
+from skope.files import read_json, sha256_of, write_json
+from skope.outputs import differences
+
+VERSION: Final = 1
+ALPHA: Final = 0.1
+IOU: Final = 0.6
+
+# How firmly each keypoint's two numbers are held to those of all keypoints together, in units of one observation: what
+# is hardly ever seen takes theirs, what is seen hundreds of times its own.
+_HOLD: Final = 1.0
+_STEPS: Final = 50
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScoreCalibration:
+    """score = 1 / (1 + exp(-(scale x raw maximum + offset)))"""
+
+    scale: Array
+    """(33,) never negative: a higher maximum is never a lower score."""
+    offset: Array
+    """(33,)"""
+    fitted_on: dict[str, Any]
+    """In words and counts, for people."""
+
+    def __call__(self, points: Array) -> Array:
+        """(N, 33, 3) points as `skope.detector` gives them -> the same with calibrated scores."""
+        scores = sigmoid(self.scale * raw_maxima(points[..., 2]) + self.offset)
+        return np.concatenate([points[..., :2], scores[..., None]], axis=-1)
+
+
+def sigmoid(x: Array) -> Array:
+    """1 / (1 + exp(-x)), without overflow."""
+    return np.asarray(0.5 * (1 + np.tanh(0.5 * np.asarray(x, dtype=np.float64))))
+
+
+def raw_maxima(p: Array) -> Array:
+    """The heat maps' maxima of which `skope.detector` gives the sigmoid p in float64; 36 is where that ends at 1."""
+    p = np.clip(p, 2.0**-52, 1 - 2.0**-53)
+    return np.asarray(np.log(p) - np.log1p(-p))
+
+
+# -------------------------------------------------------------------------------------------------------------- fitting
+
+
+def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> ScoreCalibration:
+    """The calibration of (N, 33) raw maxima by whether each point was visible and near enough."""
+    if not len(raw):
+        raise UserError("nothing to calibrate on: no detection matched a vehicle")
+    x, y = np.asarray(raw, dtype=np.float64), _targets(right)
+    together = _logistic(x.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
+    scale, offset = _logistic(x, y, np.repeat(together, x.shape[1], axis=1), _HOLD)
+    # Where more certainty meant less, the maximum tells nothing: the base rate alone remains.
+    useless = scale <= 0
+    rate = y.mean(axis=0)
+    scale = np.where(useless, 0.0, scale)
+    offset = np.where(useless, np.log(rate / (1 - rate)), offset)
+    return ScoreCalibration(scale=scale, offset=offset, fitted_on=fitted_on)
+
+
+def _targets(right: NDArray[np.bool_]) -> Array:
+    """Platt's targets for (N, M) outcomes: not quite 0 and 1, so that a clean separation gives a finite fit."""
+    n = right.sum(axis=0)
+    high, low = (n + 1) / (n + 2), 1 / (len(right) - n + 2)
+    return np.asarray(np.where(right, high, low))
+
+
+def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
+    """(2, M) slope and intercept of M logistic regressions of (N, M) y on x, held to `start` as by `hold` of evidence.
+
+    Newton's method with halved steps where a full one does not lower the loss.
+    """
+
+    def loss(ab: Array) -> Array:
+        z = ab[0] * x + ab[1]
+        return np.asarray((np.logaddexp(0, z) - y * z).sum(axis=0) + hold / 2 * ((ab - start) ** 2).sum(axis=0))
+
+    ab: Array = start.copy()
+    value = loss(ab)
+    for _ in range(_STEPS):
+        p = sigmoid(ab[0] * x + ab[1])
+        w, r = p * (1 - p), p - y
+        gradient = np.stack([(r * x).sum(axis=0), r.sum(axis=0)]) + hold * (ab - start)
+        aa, ab_, bb = (w * x * x).sum(axis=0) + hold, (w * x).sum(axis=0), w.sum(axis=0) + hold
+        step = np.stack([bb * gradient[0] - ab_ * gradient[1], aa * gradient[1] - ab_ * gradient[0]]) / (
+            aa * bb - ab_**2
+        )
+        size = np.ones(x.shape[1])
+        for _ in range(_STEPS):
+            trial = loss(ab - size * step)
+            worse = trial > value
+            if not worse.any():
+                break
+            size = np.where(worse, size / 2, size)
+        done = np.asarray(np.where(trial <= value, size, 0.0) * step)
+        ab, value = ab - done, np.minimum(trial, value)
+        if np.abs(done).max() < 1e-10:
+            break
+    return ab
+
+
+def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
+    """Mean negative logarithm of the probability given to what happened; lower is better."""
+    p = np.clip(score, 1e-12, 1 - 1e-12)
+    return float(-np.mean(np.where(right, np.log(p), np.log(1 - p))))
+
+
+# ---------------------------------------------------------------------------------------------------------------- files
+
+
+def path_beside(weights: Path) -> Path:
+    """Where the calibration of a checkpoint lies."""
+    return weights.with_suffix(".calibration.json")
+
+
+def check_free(weights: Path, work: Mapping[str, Any]) -> None:
+    """Raise a UserError where the calibration beside a checkpoint is of other work (see `skope.outputs.work_of`)."""
+    path = path_beside(weights)
+    if not path.exists():
+        return
+    try:
+        document = read_json(path)
+        held = document.get("work") if isinstance(document, dict) else None
+        different = differences(held, work) if held else "it does not say of what"
+    except UserError as error:
+        different = str(error)
+    if different:
+        raise UserError(
+            f"{path}: is there already, of other work ({different}); remove it, or calibrate a copy of the checkpoint"
+        )
+
+
+def write(
+    weights: Path, calibration: ScoreCalibration, work: Mapping[str, Any], scheme: str = keypoints.SCHEME
+) -> Path:
+    """Write a calibration, and the `work` that it is, beside the checkpoint that it is for; returns its path."""
+    path = path_beside(weights)
+    fields = asdict(calibration)
+    numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
+    head = {"version": VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
+    write_json(path, {**head, "work": dict(work), "fitted_on": calibration.fitted_on, **numbers})
+    return path
+
+
+def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | None:
+    """The calibration beside a checkpoint; None without one, and a UserError if it was made for other weights."""
+    path = path_beside(weights)
+    if not path.is_file():
+        return None
+    document = read_json(path)
+    if not isinstance(document, dict):
+        raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
+    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", sha256_of(weights))):
+        if document.get(name) != expected:
+            raise UserError(
+                f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
+                "remove it, and run `skope eval calibrate` again"
+            )
+    return _parsed(path, document)
+
+
+def _parsed(path: Path, document: dict[str, Any]) -> ScoreCalibration:
+    try:
+        scale, offset = (schema.array(name, document.get(name), keypoints.K) for name in ("scale", "offset"))
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    if (scale < 0).any():
+        raise UserError(f"{path}: scale: expected numbers from 0, got {scale.min():g}")
+    return ScoreCalibration(scale=scale, offset=offset, fitted_on=document.get("fitted_on") or {})

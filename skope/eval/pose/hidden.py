@@ -1,0 +1,43 @@
+"""Which keypoints a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
+
+`vehicle_sight.json` is worked out from the fleet by `scripts/vehicle_sight.py`: of each body type and keypoint the
+logistic regression of "seen" on the direction from the keypoint to the eye, which tells 97 to 99% of them right.
+"""
+
+from functools import cache
+from importlib import resources
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.errors import UserError
+from skope.eval.pose.shape_model import Shapes
+from skope.files import read_json
+
+Array = NDArray[np.float64]
+
+_NUMBERS: Final = 4
+
+
+@cache
+def _fleet_sight() -> dict[str, Array]:
+    """By body type (33, 4): weights of the direction's x, y, z in the vehicle frame, and of 1."""
+    with resources.as_file(resources.files("skope.eval.pose").joinpath("vehicle_sight.json")) as path:
+        document = read_json(path)
+    if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
+        raise UserError(f"{path}: scheme: expected keypoint scheme {keypoints.SCHEME!r}")
+    return {name: np.reshape(row, (keypoints.K, _NUMBERS)) for name, row in document["types"].items()}
+
+
+def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) -> NDArray[np.bool_]:
+    """(N, 33) which keypoints (N, 33, 3) of vehicles of body types `kind` (N,) an eye (N, 3) sees past the body.
+
+    All in the vehicle frame. Of a body type that the fleet has not, every keypoint.
+    """
+    always = np.tile([0.0, 0.0, 0.0, 1.0], (keypoints.K, 1))
+    weights = np.stack([_fleet_sight().get(name, always) for name in shapes.types])[kind]
+    away = eye[:, None] - points
+    away = away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+    return np.asarray(np.einsum("nki,nki->nk", away, weights[..., :3]) + weights[..., 3] > 0)

@@ -1,0 +1,220 @@
+"""The most probable pose and shape of many vehicles at once, by Levenberg and Marquardt's method.
+
+Unknown are a small shift and turn and the shape's numbers, 6 + M a vehicle. The residuals are those of the keypoints in
+the image (over their standard deviations, weighted as Cauchy's distribution does), the shape's numbers themselves, and
+on a known ground the height of the vehicle's origin and the lean of its upright axis.
+"""
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.eval.pose.observations import Observed
+from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.types import IMPOSSIBLE, Ground, Starts
+
+if TYPE_CHECKING:
+    from skope.eval.pose.types import Starts
+
+Array = NDArray[np.float64]
+
+_STEPS: Final = 12
+_TAIL: Final = 9.0
+"""Squared distance, in variances, at which a keypoint's weight is half."""
+_NEAR: Final = 0.5
+_BEHIND: Final = 1e6
+"""Squared distance of a keypoint that would lie behind the camera."""
+_SETTLED: Final = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """J fits for each of N vehicles, in the world frame (in the camera's when the ground is unknown)."""
+
+    p: Array
+    """(N, J, 3)"""
+    R: Array
+    """(N, J, 3, 3)"""
+    a: Array
+    """(N, J, M) the shape's numbers."""
+    kind: NDArray[np.intp]
+    """(N, J) body type."""
+    cost: Array
+    """(N, J) twice the negative log of the probability, but for a constant."""
+    squared: Array
+    """(N, J, 33) squared distances in the image, in variances."""
+    variance: Array
+    """(N, J, 33) pixels squared, with what the shape space leaves out."""
+    normal: Array
+    """(N, J, 6 + M, 6 + M) of shift, turn about the vehicle's own axes, shape."""
+
+    def shaped(self, n: int, j: int) -> "Fits":
+        """Those of (N * J,) fits in a row as (N, J)."""
+        return Fits(*(value.reshape(n, j, *value.shape[1:]) for value in (getattr(self, f.name) for f in fields(self))))
+
+    def take(self, rows: NDArray[np.intp]) -> "Fits":
+        """A copy of some of the vehicles'."""
+        return Fits(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def ordered(self) -> "Fits":
+        """The best of each vehicle first."""
+        order, row = np.argsort(self.cost, axis=1, kind="stable"), np.arange(len(self.cost))[:, None]
+        return Fits(*(getattr(self, f.name)[row, order] for f in fields(self)))
+
+    def replace_where(self, rows: NDArray[np.intp], other: "Fits", better: NDArray[np.bool_]) -> None:
+        """Take over those fits of `other`, which are of the vehicles `rows`, that are better."""
+        for f in fields(self):
+            getattr(self, f.name)[rows[better]] = getattr(other, f.name)[better]
+
+    def covariance(self, scale: Array) -> Array:
+        """(N, 4, 4) of position and heading: that of the best fit times `scale` (N,), and the spread of the others.
+
+        Other body types count as probable as their cost says; fits that head elsewhere are another matter.
+        """
+        eye = 1e-12 * np.eye(self.normal.shape[-1])
+        own = np.linalg.inv(self.normal[:, 0] + eye)[:, [0, 1, 2, 5]][..., [0, 1, 2, 5]] * scale[:, None, None]
+        turn = np.einsum("nij,njk->nik", np.swapaxes(self.R[:, 0], -1, -2), self.R[:, -1])
+        angle = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+        apart = np.concatenate([self.p[:, -1] - self.p[:, 0], angle[:, None]], axis=1)
+        odds = np.exp(-np.clip(self.cost[:, -1] - self.cost[:, 0], 0, 700) / 2) * (np.abs(angle) < 0.5)
+        share = odds / (1 + odds)
+        return np.asarray(own + (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None, :])
+
+
+def refine(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kind: NDArray[np.intp]) -> Fits:
+    """Fits from `starts` (N, J) with the body types `kind` (N, J)."""
+    n, j = kind.shape
+    flat = seen.take(np.repeat(np.arange(n), j))
+    problem = _Problem(flat, shapes, ground, kind.ravel())
+    fits = problem.solve(starts.p.reshape(-1, 3), starts.R.reshape(-1, 3, 3))
+    return fits.shaped(n, j)
+
+
+class _Problem:
+    """B vehicles, each with one body type and one start. Keypoints that do not count are left out where all agree."""
+
+    def __init__(self, seen: Observed, shapes: Shapes, ground: Ground | None, kind: NDArray[np.intp]) -> None:
+        self._kind, self._ground = kind, ground
+        self._T = np.eye(4) if ground is None else seen.T_camera_world
+        most = max(1, int(seen.count.max(initial=1)))
+        self._which = np.argsort(~seen.counted, axis=1, kind="stable")[:, :most]  # (B, k)
+        row = np.arange(len(kind))[:, None]
+        self._counted = seen.counted[row, self._which]
+        self._xy = seen.xy[row, self._which]
+        self._own = seen.variance[row, self._which]
+        self._focal = seen.focal
+        self._rest = (seen.focal.mean() * shapes.rest[kind[:, None], self._which]) ** 2
+        self._mean = shapes.mean[kind[:, None], self._which]  # (B, k, 3)
+        self._directions = np.moveaxis(shapes.directions, 1, -1)[kind[:, None], self._which]  # (B, k, 3, M)
+
+    def solve(self, p: Array, R: Array) -> Fits:
+        """One fit for each of the B starts, in arrays without the axis J; a step that makes things worse is undone."""
+        a = np.zeros((len(p), self._directions.shape[-1]))
+        damping = np.full(len(p), 1e-3)
+        cost, squared, variance, normal, gradient = self._linearised(p, R, a)
+        live = np.arange(len(p))
+        for _ in range(_STEPS):
+            part = self._part(live)
+            H = normal[live].copy()
+            diagonal = np.einsum("bii->bi", H)
+            diagonal += damping[live, None] * diagonal + 1e-9
+            step: Array = np.linalg.solve(H, -gradient[live][..., None])[..., 0].astype(np.float64)
+            moved = p[live] + step[:, :3], R[live] @ _turn(step[:, 3:6]), a[live] + step[:, 6:]
+            there = part._linearised(*moved)
+            better = there[0] <= cost[live]
+            gained = cost[live] - there[0]
+            good = live[better]
+            for mine, other in zip((p, R, a), moved, strict=True):
+                mine[good] = other[better]
+            for mine, other in zip((cost, squared, variance, normal, gradient), there, strict=True):
+                mine[good] = other[better]
+            damping[live] *= np.where(better, 0.1, 10.0)
+            live = live[~(better & (gained < _SETTLED * (1 + cost[live]))) & (damping[live] < 1e8)]
+            if not live.size:
+                break
+        row = np.arange(len(p))[:, None]
+        all_squared = np.zeros((len(p), keypoints.K))
+        all_variance = np.ones((len(p), keypoints.K))
+        all_squared[row, self._which] = squared
+        all_variance[row, self._which] = variance
+        if self._ground is None:
+            cost = np.where(_from_above(p, R), cost, IMPOSSIBLE)
+        return Fits(p, R, a, self._kind, cost, all_squared, all_variance, normal)
+
+    def _part(self, rows: NDArray[np.intp]) -> "_Problem":
+        if len(rows) == len(self._kind):
+            return self
+        out = object.__new__(_Problem)
+        out._ground, out._T, out._focal = self._ground, self._T, self._focal
+        for name in ("_kind", "_which", "_counted", "_xy", "_own", "_rest", "_mean", "_directions"):
+            setattr(out, name, getattr(self, name)[rows])
+        return out
+
+    def _linearised(self, p: Array, R: Array, a: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Cost (B,), squared distances and variances (B, k), normal matrix and gradient of half the cost."""
+        body = self._mean + np.einsum("bkim,bm->bki", self._directions, a)
+        world = body @ np.swapaxes(R, -1, -2) + p[:, None]
+        x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
+        front = z > _NEAR
+        near = np.where(front, z, _NEAR)
+        fx, fy = self._focal
+        away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
+        variance = self._own + self._rest / near**2
+        squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
+        weight = np.where(front & self._counted, 1 / (1 + squared / _TAIL) / variance, 0.0)
+        # Of the two image coordinates by the world's axes, then by the vehicle's.
+        Rc = self._T[:3, :3]
+        by_x = (fx / near)[..., None] * (Rc[0] - (x / near)[..., None] * Rc[2])
+        by_y = (fy / near)[..., None] * (Rc[1] - (y / near)[..., None] * Rc[2])
+        by_world = np.stack([by_x, by_y], axis=-2)  # (B, k, 2, 3)
+        by_body = by_world @ R[:, None]
+        m = self._directions.shape[-1]
+        J = np.empty((*by_world.shape[:3], 6 + m))
+        J[..., :3] = by_world
+        J[..., 3:6] = np.cross(body[:, :, None], by_body)
+        for i in range(3):
+            term = by_body[..., i, None] * self._directions[:, :, None, i]
+            J[..., 6:] = term if i == 0 else J[..., 6:] + term
+        J = J.reshape(len(p), -1, 6 + m)
+        away = away.reshape(len(p), -1, 1)
+        weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
+        normal, gradient = weighted @ J, (weighted @ away)[..., 0]
+        normal[:, range(6, 6 + m), range(6, 6 + m)] += 1
+        gradient[:, 6:] += a
+        cost = (_TAIL * np.log1p(squared / _TAIL) * self._counted).sum(axis=1) + (a**2).sum(axis=1)
+        if self._ground is not None:
+            cost += self._on_road(p, R, normal, gradient)
+        return cost, squared, variance, normal, gradient
+
+    def _on_road(self, p: Array, R: Array, normal: Array, gradient: Array) -> Array:
+        """Adds what is known of the ground to `normal` and `gradient`; returns its cost (B,)."""
+        assert self._ground is not None
+        J = np.zeros((len(p), 3, 5))
+        J[:, 0, 2] = 1 / self._ground.height_sigma
+        # The upright axis moves by w x z: along the vehicle's x by w_y, along its y by -w_x.
+        J[:, 1:, 3] = -R[:, :2, 1] / self._ground.tilt_sigma
+        J[:, 1:, 4] = R[:, :2, 0] / self._ground.tilt_sigma
+        height = (p[:, 2:] - self._ground.height) / self._ground.height_sigma
+        residual = np.concatenate([height, R[:, :2, 2] / self._ground.tilt_sigma], axis=1)
+        JT = np.swapaxes(J, -1, -2)
+        normal[:, :5, :5] += JT @ J
+        gradient[:, :5] += (JT @ residual[..., None])[..., 0]
+        return np.asarray((residual**2).sum(axis=1))
+
+
+def _from_above(p: Array, R: Array) -> NDArray[np.bool_]:
+    """(B,) whether the camera, upright itself, sees upright vehicles from above their road."""
+    return np.asarray((R[:, 1, 2] < 0) & (np.einsum("bi,bi->b", p, R[:, :, 2]) < 0))
+
+
+def _turn(w: Array) -> Array:
+    """(B, 3) rotation vectors -> (B, 3, 3), Rodrigues' formula."""
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    x, y, z = w.T
+    zero = np.zeros_like(x)
+    W = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=-2)
+    safe = np.maximum(angle, 1e-9)
+    return np.asarray(np.eye(3) + np.sin(safe) / safe * W + (1 - np.cos(safe)) / safe**2 * (W @ W))

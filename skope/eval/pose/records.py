@@ -1,0 +1,135 @@
+"""Vehicles in the world, one record each, and the files that hold them: JSON Lines and CSV."""
+
+import csv
+import io
+import itertools
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.eval.pose.solver import Poses, locate
+from skope.eval.pose.views import Scene, View
+from skope.files import write_text
+from skope.keypoints import WHEELS
+
+Array = NDArray[np.float64]
+
+_CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
+"""Of the box in the vehicle frame, in lengths, widths and heights: front before rear, left before right, low before
+high."""
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """The vehicles of one image."""
+
+    view: View
+    camera: Camera
+    poses: Poses
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """(N,) which have a pose."""
+        return np.array([reason is None for reason in self.poses.refusal], dtype=bool)
+
+
+def locate_view(view: View, scene: Scene) -> Located:
+    """Poses of the vehicles of an image of a scene."""
+    camera = scene.camera_of(view.image)
+    poses = locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground, cut=view.cut)
+    return Located(view, camera, poses)
+
+
+def records(located: Located) -> Iterator[dict[str, Any]]:
+    """What `poses.jsonl` says of each vehicle: metres, degrees (counter-clockwise from world x), pixels."""
+    view, poses = located.view, located.poses
+    T_camera_world = located.camera.T_camera_world
+    for i, reason in enumerate(poses.refusal):
+        row: dict[str, Any] = {
+            "image_id": view.image.id,
+            "file_name": view.image.file_name,
+            "time_s": view.image.time_s,
+            "vehicle": i,
+            "score": round(float(view.scores[i]), 6),
+            "bbox": _rounded(view.boxes[i], 2),
+            "refused": reason,
+            "flags": list(poses.flags[i]),
+        }
+        if reason is None:
+            T, size = poses.T_world_vehicle[i], poses.size_lwh[i]
+            corners = (_CORNERS * size) @ T[:3, :3].T + T[:3, 3]
+            wheels = (poses.points[i, list(WHEELS)] * [1, 1, 0]) @ T[:3, :3].T + T[:3, 3]
+            row |= {
+                "type": poses.types[i],
+                "position": _rounded(T[:3, 3], 4),
+                "position_camera": _rounded(_camera(T_camera_world, T[:3, 3]), 4),
+                "heading_deg": round(float(np.degrees(poses.yaw[i])), 3),
+                "sigma_position": _rounded(np.sqrt(np.diag(poses.covariance[i])[:3]), 4),
+                "sigma_heading_deg": round(float(np.degrees(np.sqrt(poses.covariance[i, 3, 3]))), 3),
+                "covariance": [[float(f"{v:.6g}") for v in line] for line in poses.covariance[i]],
+                "size_lwh": _rounded(size, 3),
+                "box_3d": _rounded(corners, 4),
+                "box_3d_camera": _rounded(_camera(T_camera_world, corners), 4),
+                "wheels": _rounded(wheels, 4),
+                "wheels_camera": _rounded(_camera(T_camera_world, wheels), 4),
+                "T_camera_vehicle": (T_camera_world @ T).tolist(),
+                "keypoints_used": int(poses.used[i].sum()),
+                "rms_px": round(float(poses.rms_px[i]), 3),
+            }
+        yield row
+
+
+_COLUMNS: Final = (
+    *("image_id", "file_name", "time_s", "vehicle", "score", "refused", "flags", "type"),
+    *("x", "y", "z", "heading_deg", "sigma_x", "sigma_y", "sigma_z", "sigma_heading_deg"),
+    *("length", "width", "height", "camera_x", "camera_y", "camera_z"),
+    *(f"wheel_{end}_{side}_{axis}" for end in ("front", "rear") for side in ("right", "left") for axis in "xyz"),
+    *("keypoints_used", "rms_px"),
+)
+
+
+def write_poses(folder: Path, rows: Iterable[dict[str, Any]]) -> list[Path]:
+    """Write `poses.jsonl` and `poses.csv`."""
+    kept = list(rows)
+    paths = [folder / "poses.jsonl", folder / "poses.csv"]
+    write_text(paths[0], "".join(json.dumps(row, allow_nan=False) + "\n" for row in kept))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows(_cells(row) for row in kept)
+    write_text(paths[1], text.getvalue())
+    return paths
+
+
+def _cells(row: dict[str, Any]) -> list[Any]:
+    head = [row["image_id"], row["file_name"], row["time_s"], row["vehicle"], row["score"], row["refused"]]
+    head.append(" ".join(row["flags"]))
+    if row["refused"] is not None:
+        return head + [""] * (len(_COLUMNS) - len(head))
+    return [
+        *head,
+        row["type"],
+        *row["position"],
+        row["heading_deg"],
+        *row["sigma_position"],
+        row["sigma_heading_deg"],
+        *row["size_lwh"],
+        *row["position_camera"],
+        *itertools.chain.from_iterable(row["wheels"]),
+        row["keypoints_used"],
+        row["rms_px"],
+    ]
+
+
+def _camera(T_camera_world: Array, points: Array) -> Array:
+    return np.asarray(points @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
+
+
+def _rounded(values: Array, digits: int) -> Any:
+    return (np.round(values, digits) + 0.0).tolist()

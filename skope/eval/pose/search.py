@@ -1,0 +1,148 @@
+"""Second tries for vehicles whose keypoints contradict each other: from random subsets of the keypoints, without those
+that the vehicle's own body hides, and with sides or ends of the vehicle exchanged."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.camera import Camera
+from skope.eval.pose.candidates import FEWEST, best_types, refined, starts_of
+from skope.eval.pose.hidden import facing
+from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.optimize import Fits
+from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.types import Ground
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
+"""Flags of keypoints that fit only with left and right, or front and rear, or both taken for each other."""
+_SUBSETS: Final = {True: 24, False: 4}
+"""Random starts, with and without a known ground."""
+_SUBSET: Final = 6
+_BETTER: Final = 12.0
+"""How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
+_HIDDEN: Final = 9.0
+"""What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+RIVAL: Final = 30.0
+"""Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
+_LOOKS: Final = 2
+"""How often it is looked again what a pose hides."""
+
+
+_OPPOSITE: Final = {
+    "roof_front": "roof_rear",
+    "windscreen_base": "rear_window_base",
+    "headlight_outer": "taillight_outer",
+    "headlight_inner": "taillight_inner",
+    "wheel_front": "wheel_rear",
+    "bumper_front": "bumper_rear",
+    "hood_front": "trunk_rear",
+}
+
+
+def _other_end(name: str) -> str:
+    stem, _, side = name.rpartition("_")
+    both = _OPPOSITE | {b: a for a, b in _OPPOSITE.items()}
+    return f"{both[stem]}_{side}" if stem in both else name
+
+
+ENDS: Final = tuple(keypoints.INDEX[_other_end(name)] for name in keypoints.NAMES)
+"""`ENDS[i]` is the keypoint that `i` becomes when front and rear are taken for each other (a permutation)."""
+assert all(ENDS[ENDS[i]] == i for i in range(keypoints.K))
+
+
+_ORDERS: Final = (list(keypoints.FLIP), list(ENDS), [keypoints.FLIP[i] for i in ENDS])
+
+
+def retry_from_subsets(
+    seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
+) -> None:
+    """Random few keypoints place the vehicles `poor`; where that ends in a better fit to all, it takes the place."""
+    times = _SUBSETS[ground is not None]
+    some, again = seen.take(poor), seen.take(np.tile(poor, times))
+    starts = starts_of(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
+    better = refined(some, shapes, ground, starts, np.tile(np.arange(len(shapes.types)), times))
+    fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
+
+
+def without_hidden(
+    camera: Camera, seen: Observed, fits: Fits, poor: Rows, cut: Mask, shapes: Shapes, ground: Ground | None
+) -> tuple[Observed, Array]:
+    """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
+
+    Of those that the image's edge may `cut`, keypoints beyond the edge are left out likewise. Detectors give all of
+    these high scores too. Returns `seen` without what was left out where that explains more (a keypoint
+    that is hidden may lie anywhere, at the cost `_HIDDEN`), and by how much the opposite heading costs more.
+    """
+    some, every = seen.take(poor), np.arange(len(poor))
+    best, cost = fits.take(poor), fits.cost[poor, 0].copy()
+    rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
+    for turned in (False, True):
+        guess, reached = best.take(every), np.full(len(poor), np.inf)
+        for look in range(_LOOKS):
+            shown = _shown(camera, guess, shapes, ground, turned=turned and not look)
+            shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
+            enough = (some.counted & shown).sum(axis=1) >= FEWEST[ground is not None]
+            tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
+            guess = best_types(tried, shapes, ground)
+            whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)
+            reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
+            wins = whole < cost
+            rival = np.where(wins & _opposite(guess, best), cost, rival)
+            best.replace_where(every, guess, wins)
+            cost = np.where(wins, whole, cost)
+            seen = seen.with_rows(poor[wins], tried.take(np.flatnonzero(wins)))
+        rival = np.minimum(rival, reached)
+    fits.replace_where(poor, best, np.ones(len(poor), dtype=bool))
+    return seen, rival - cost
+
+
+def _opposite(one: Fits, other: Fits) -> Mask:
+    """(N,) whether the best fits head opposite ways."""
+    return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
+
+
+def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
+    """(N, 33) the keypoints that the best fit's own body does not hide; `turned`: were front and rear exchanged."""
+    R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
+    if turned:
+        R = R * np.array([-1.0, -1.0, 1.0])
+    eye = (np.zeros(3) if ground is None else camera.position) - p
+    return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
+
+
+def _inside(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
+    """(N, 33) the keypoints that the best fit puts inside the image."""
+    points = np.einsum("nij,nkj->nki", fits.R[:, 0], shapes.mean[fits.kind[:, 0], :-1]) + fits.p[:, 0, None]
+    from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
+    pixels, _, valid = from_here.project(points.reshape(-1, 3))
+    return np.asarray(valid & from_here.inside(pixels)).reshape(points.shape[:2])
+
+
+def retry_exchanged(
+    seen: Observed,
+    whole: Observed,
+    fits: Fits,
+    poor: Rows,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+) -> Observed:
+    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better.
+
+    `whole` are these vehicles with the keypoints that `seen` has without those that are hidden.
+    """
+    for name, order in zip(EXCHANGES, _ORDERS, strict=True):
+        some = whole.relabelled(order)
+        other = best_types(some, shapes, ground)
+        left_out = whole.count - seen.count[poor]
+        wins = other.cost[:, 0] < fits.cost[poor, 0] + _HIDDEN * left_out - _BETTER
+        fits.replace_where(poor, other, wins)
+        seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
+        exchanged |= dict.fromkeys(poor[wins].tolist(), name)
+    return seen

@@ -1,0 +1,74 @@
+"""The shape space of vehicles: of each body type the mean and principal directions of its keypoints and dimensions.
+
+`vehicle_shapes.json` is worked out from the fleet by `scripts/vehicle_shapes.py`. Coordinates are the vehicle frame's
+(x forward, y left, z up, origin on the ground under the middle of the box), metres. A shape is `mean + a @ directions`,
+where the numbers `a` are independent and of unit variance among vehicles of the type.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import keypoints
+from skope.errors import UserError
+from skope.files import read_json
+
+Array = NDArray[np.float64]
+
+ROWS: Final = keypoints.K + 1
+"""The keypoints and, last, length, width and height."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """T body types with M directions each."""
+
+    types: tuple[str, ...]
+    share: Array
+    """(T,) how often each is seen, sum 1."""
+    mean: Array
+    """(T, 34, 3)"""
+    directions: Array
+    """(T, M, 34, 3) metres for one standard deviation."""
+    rest: Array
+    """(T, 33) standard deviation of a keypoint beyond the directions, metres an axis."""
+
+    @classmethod
+    def known(cls, points: ArrayLike, size_lwh: ArrayLike, *, name: str = "known") -> Self:
+        """The one shape of a vehicle whose keypoints (33, 3) and dimensions (3,) are known."""
+        row = np.concatenate([np.asarray(points, dtype=np.float64), [np.asarray(size_lwh, dtype=np.float64)]])
+        return cls((name,), np.ones(1), row[None], np.zeros((1, 0, ROWS, 3)), np.zeros((1, keypoints.K)))
+
+    def mean_vehicle(self) -> Array:
+        """(34, 3) keypoints and dimensions of the average vehicle on the road."""
+        return np.asarray(np.einsum("t,tki->ki", self.share, self.mean))
+
+
+@cache
+def fleet_shapes() -> Shapes:
+    """The shape space that skope ships."""
+    with resources.as_file(resources.files("skope.eval.pose").joinpath("vehicle_shapes.json")) as path:
+        return read_shapes(path)
+
+
+def read_shapes(path: Path) -> Shapes:
+    """A file of `scripts/vehicle_shapes.py`. Raises UserError naming file and type."""
+    document = read_json(path)
+    if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
+        raise UserError(f"{path}: scheme: expected shapes of keypoint scheme {keypoints.SCHEME!r}")
+    types: dict[str, Any] = document.get("types") or {}
+    try:
+        mean = np.array([np.reshape(row["mean"], (ROWS, 3)) for row in types.values()])
+        directions = np.array([np.reshape(row["directions"], (-1, ROWS, 3)) for row in types.values()])
+        rest = np.array([np.reshape(row["rest"], keypoints.K) for row in types.values()])
+        share = np.array([float(row["share"]) for row in types.values()])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: types: {error}") from None
+    if not types:
+        raise UserError(f"{path}: types: none")
+    return Shapes(tuple(types), share / share.sum(), mean, directions, rest)

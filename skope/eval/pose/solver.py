@@ -1,0 +1,257 @@
+"""Position, heading and shape of vehicles from their keypoints, many vehicles at once.
+
+Each vehicle is a deformable model (`skope.eval.pose.shape_model`) that is moved, turned and bent until its keypoints
+project to where they were found: the most probable pose and shape given
+
+- keypoints that are off by `sigma_px`, more where their score is lower, with the heavy tails of a Cauchy distribution;
+- shapes as vehicles of the body type have them;
+- wheels that stand on the road, where `ground` says where that is.
+
+The search starts from every body type's mean (on a known ground in closed form, see `skope.eval.pose.initialize`),
+goes on by Levenberg and Marquardt's method from the best few, and is repeated for vehicles that do not fit
+(`skope.eval.pose.search`). What is not supported by enough keypoints is refused.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import keypoints
+from skope.camera import Camera
+from skope.eval.pose.candidates import FEWEST, INLIER, best_types, share
+from skope.eval.pose.observations import Observed, observe
+from skope.eval.pose.optimize import Fits
+from skope.eval.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden
+from skope.eval.pose.shape_model import Shapes, fleet_shapes
+from skope.eval.pose.types import Ground
+
+Array = NDArray[np.float64]
+
+REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
+"""Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
+fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
+FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
+"""What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
+for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
+end that faces away from the camera; the image shows a part of the vehicle only."""
+
+_CHUNK: Final = 128
+_AGREE: Final = 0.4
+"""Detectors that learn from visible keypoints alone put hidden ones, half of all, anywhere, with a high score."""
+_DOUBT: Final = 0.8
+"""Share of agreeing keypoints under which other starts are tried."""
+_LEVEL: Final = 6.0
+"""Difference of cost within which another heading is as good."""
+_HOPELESS: Final = 1e5
+_BESIDE: Final = 6.0
+"""Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
+_SHOWN: Final = 0.4
+"""How much more probable the lamps of one end must be to contradict that."""
+_WORST_HEADING: Final = math.radians(25)
+_WORST_DISTANCE: Final = 0.1
+"""Largest standard deviation of the position as a share of the distance, at least 1 m."""
+
+
+_FRONT: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(("headlight", "front_logo"))]
+_REAR: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Answers for N vehicles; where `refusal` is not None the numbers mean nothing."""
+
+    T_world_vehicle: Array
+    """(N, 4, 4)"""
+    points: Array
+    """(N, 33, 3) keypoints in the vehicle frame, metres."""
+    size_lwh: Array
+    """(N, 3)"""
+    covariance: Array
+    """(N, 4, 4) of x, y, z (world, metres) and the turn about the vehicle's upright axis (radians)."""
+    types: tuple[str, ...]
+    """The body type that fits best."""
+    used: NDArray[np.bool_]
+    """(N, 33) keypoints that agree with the pose."""
+    rms_px: Array
+    """(N,) over the keypoints that agree."""
+    refusal: tuple[str | None, ...]
+    flags: tuple[tuple[str, ...], ...]
+
+    def __len__(self) -> int:
+        return len(self.types)
+
+    def moved(self, T: Array) -> Self:
+        """The same vehicles in another world, `T` (4, 4) from this one to it; headings turn about the upright axes."""
+        turn = np.eye(4)
+        turn[:3, :3] = T[:3, :3]
+        return replace(self, T_world_vehicle=T @ self.T_world_vehicle, covariance=turn @ self.covariance @ turn.T)
+
+    @property
+    def yaw(self) -> Array:
+        """(N,) heading, counter-clockwise from world x, radians."""
+        R = self.T_world_vehicle[:, :3, :3]
+        return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+
+    @property
+    def position(self) -> Array:
+        """(N, 3) on the ground under the middle of the box, world."""
+        return self.T_world_vehicle[:, :3, 3]
+
+
+def locate(
+    camera: Camera,
+    points: ArrayLike,
+    *,
+    sigma_px: ArrayLike = 2.0,
+    ground: Ground | None = Ground(),  # noqa: B008 (frozen)
+    shapes: Shapes | None = None,
+    cut: ArrayLike = False,
+) -> Poses:
+    """Pose and shape of vehicles from their keypoints (N, 33, 3): x, y in pixels and the probability that it is right.
+
+    Keypoints with probability 0 do not count. `sigma_px`, one for all or one a vehicle, is the standard deviation
+    of a keypoint of probability 1. `ground` is where the road is in the camera's world; None: unknown, so that distance
+    rests on the size of vehicles alone. `shapes` are the body types to choose from, by default the fleet's. Of vehicles
+    that the image's edge may `cut`, one for all or one each, keypoints beyond the edge do not count.
+    """
+    found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
+    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
+    at_edge = np.broadcast_to(np.asarray(cut, dtype=bool), len(found))
+    space = shapes or fleet_shapes()
+    if ground and not ground.level:
+        camera, flat = levelled(camera, ground)
+        level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
+        return level.moved(ground.T_world_level)
+    rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
+    parts = [slice(i, i + _CHUNK) for i in range(0, len(found), _CHUNK)]
+    chunks = [_locate(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
+    return _joined(chunks)
+
+
+def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
+    """Camera and ground in the frame in which the ground is the level z = 0 (`Ground.T_world_level`)."""
+    flat = replace(ground, height=0.0, slope=(0.0, 0.0), about=(0.0, 0.0))
+    return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
+
+
+def _locate(
+    camera: Camera,
+    found: Array,
+    sigma: Array,
+    cut: NDArray[np.bool_],
+    ground: Ground | None,
+    shapes: Shapes,
+    rng: np.random.Generator,
+) -> Poses:
+    seen = observe(camera, found, sigma)
+    fits = best_types(seen, shapes, ground)
+    exchanged: dict[int, str] = {}
+    doubted: set[int] = set()
+    doubtful = (share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
+    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST[ground is not None]))
+    if poor.size:
+        retry_from_subsets(seen, fits, poor, shapes, ground, rng)
+        whole = seen.take(poor)
+        seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
+        doubted.update(poor[margin < RIVAL].tolist())
+        seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
+    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
+
+
+def _judged(
+    camera: Camera,
+    seen: Observed,
+    fits: Fits,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+    doubted: set[int],
+    cut: NDArray[np.bool_],
+) -> Poses:
+    squared = fits.squared[:, 0]
+    used = (squared <= INLIER) & seen.counted
+    agreeing = used.sum(axis=1)
+    # Noise larger than promised makes the answer as much less certain.
+    excess = np.where(used, squared, 0.0).sum(axis=1) + (fits.a[:, 0] ** 2).sum(axis=1)
+    excess /= np.maximum(1, 2 * agreeing - (6 if ground is None else 3))
+    covariance = fits.covariance(np.maximum(1.0, excess))
+    T = np.tile(np.eye(4), (len(used), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = fits.R[:, 0], fits.p[:, 0]
+    if ground is None:  # worked out in the camera's frame
+        to_world = np.linalg.inv(camera.T_camera_world)
+        T = to_world @ T
+        turn = np.eye(4)
+        turn[:3, :3] = to_world[:3, :3]
+        covariance = turn @ covariance @ turn.T
+    kind = fits.kind[:, 0]
+    rows = shapes.mean[kind] + np.einsum("nm,nmki->nki", fits.a[:, 0], shapes.directions[kind])
+    misses = np.where(used, squared * fits.variance[:, 0], 0.0).sum(axis=1)
+    return Poses(
+        T_world_vehicle=T,
+        points=rows[:, :-1],
+        size_lwh=np.maximum(rows[:, -1], 0.1),
+        covariance=covariance,
+        types=tuple(shapes.types[k] for k in kind),
+        used=used,
+        rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
+        refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST[ground is not None]),
+        flags=tuple(
+            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted), *(["cut"] if cut[i] else []))
+            for i in range(len(T))
+        ),
+    )
+
+
+def _refusals(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, covariance: Array, agreeing: Array, fewest: int
+) -> tuple[str | None, ...]:
+    distance = np.linalg.norm(T[:, :3, 3] - camera.position, axis=1)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1], 0))
+    unsure = (spread > np.maximum(1.0, _WORST_DISTANCE * distance)) | (covariance[:, 3, 3] > _WORST_HEADING**2)
+    reasons = (
+        seen.count < fewest,
+        seen.on_a_line(),
+        ~(np.isfinite(T).all(axis=(1, 2)) & (fits.cost[:, 0] < _HOPELESS)),
+        agreeing < np.maximum(fewest, _AGREE * seen.count),
+        unsure | ~np.isfinite(spread),
+    )
+    found = np.stack([*reasons, np.ones(len(T), dtype=bool)])
+    return tuple((*REFUSALS, None)[i] for i in found.argmax(axis=0))
+
+
+def _doubts(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
+) -> tuple[str, ...]:
+    agree = (fits.squared[i, 0] <= INLIER) & seen.counted[i]
+    forward = fits.R[i, :, :, 0]
+    elsewhere = forward @ forward[0] < math.cos(0.5)
+    ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
+    shown = float(seen.probability[i, _FRONT].mean() - seen.probability[i, _REAR].mean())
+    doubts = {
+        "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
+        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
+        "end_in_doubt": abs(ahead) > _BESIDE and abs(shown) > _SHOWN and ahead * shown < 0,
+    }
+    return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))
+
+
+def _joined(chunks: list[Poses]) -> Poses:
+    if not chunks:
+        empty = np.zeros((0, 4, 4))
+        return Poses(
+            empty, np.zeros((0, keypoints.K, 3)), np.zeros((0, 3)), empty, (), np.zeros((0, keypoints.K), bool),
+            np.zeros(0), (), (),
+        )  # fmt: skip
+    arrays = {
+        name: np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("T_world_vehicle", "points", "size_lwh", "covariance", "used", "rms_px")
+    }
+    return Poses(
+        **arrays,
+        types=tuple(t for chunk in chunks for t in chunk.types),
+        refusal=tuple(r for chunk in chunks for r in chunk.refusal),
+        flags=tuple(f for chunk in chunks for f in chunk.flags),
+    )

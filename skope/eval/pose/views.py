@@ -1,0 +1,231 @@
+"""Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, keypoints
+from skope.camera import Camera
+from skope.camera_files import read_calibration
+from skope.dataset import FRAMES, PREDICTIONS
+from skope.errors import UserError
+from skope.eval.pose.types import Ground
+from skope.files import read_json
+from skope.metrics import inputs
+from skope.metrics.match import match
+from skope.schema import Annotation, AnnotationFile, Image, Result
+
+Array = NDArray[np.float64]
+
+MATCH_IOU: Final = 0.6
+"""From which a detection's box and a ground-truth vehicle's belong together."""
+_SHARE: Final = 0.02
+"""Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
+_NEAR: Final = 0.04
+"""How far a predicted box that the image cuts may end from the edge, as a share of its longer edge ..."""
+_NEAR_PX: Final = 4.0
+"""... or pixels."""
+_AT: Final = 0.02
+"""How far from that edge a keypoint is taken to be pushed there, likewise ..."""
+_AT_PX: Final = 2.0
+"""... or pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image and its vehicles' keypoints."""
+
+    image: Image
+    found: Array
+    """(N, 33, 3) x, y, probability."""
+    sigma_px: Array
+    """(N,)"""
+    scores: Array
+    """(N,)"""
+    boxes: Array
+    """(N, 4) x, y, width, height."""
+    cut: NDArray[np.bool_]
+    """(N,) whose box reaches the image's edge: the image may show a part of them only."""
+    truth: tuple[Annotation | None, ...]
+    """(N,) the ground-truth vehicle that each is, or that it matches; None: none, or nobody knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A sequence of images."""
+
+    file: AnnotationFile
+    results: Iterable[Result] | None
+    """Read more than once; a file's lie in the order of the images. None: the annotations' own keypoints are taken."""
+    camera: Camera | None
+    """In place of those of the images."""
+    ground: Ground | None
+
+    @property
+    def has_truth(self) -> bool:
+        return any(a.box_3d is not None for a in self.file.annotations)
+
+    def camera_of(self, image: Image) -> Camera:
+        """Raises UserError when nobody says what it is."""
+        camera = self.camera or image.camera
+        if camera is None:
+            raise UserError(f"{self.file.name}: {image.file_name} has no camera; give one with --camera")
+        return sized(camera, (image.width, image.height), image.file_name)
+
+    def views(
+        self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
+    ) -> Iterator[View]:
+        """Every image with its detections above `score`, or its labelled vehicles with `noise` pixels added.
+
+        `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
+        """
+        rng = np.random.default_rng(seed)
+        if self.results is None:
+            labelled = self.file.by_image()
+            for image in self.file.images:
+                yield _labelled(image, labelled[image.id], noise, sigma_px, rng)
+        elif isinstance(self.results, tuple) or self.file.annotations:
+            results: dict[int, list[tuple[Result, Annotation | None]]] = {}
+            for result, vehicle in self._matched(score):
+                results.setdefault(result.image_id, []).append((result, vehicle))
+            for image in self.file.images:
+                yield _predicted(image, results.get(image.id, []), sigma_px)
+        else:
+            own = itertools.groupby(self.results, lambda result: result.image_id)
+            image_id, found = next(own, (None, ()))
+            for image in self.file.images:
+                if image.id == image_id:
+                    yield _predicted(image, [(result, None) for result in found if result.score > score], sigma_px)
+                    image_id, found = next(own, (None, ()))
+                else:
+                    yield _predicted(image, [], sigma_px)
+
+    def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
+        """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
+        kept = [result for result in self.results or () if result.score > score]
+        matches = match(self.file, kept, score=score, thresholds=(MATCH_IOU,))
+        partner: list[Annotation | None] = [None] * len(kept)
+        for result, vehicle in zip(matches.det_result, matches.taken[MATCH_IOU], strict=True):
+            if vehicle >= 0:
+                partner[result] = matches.vehicles[vehicle]
+        return list(zip(kept, partner, strict=True))
+
+
+def _labelled(
+    image: Image,
+    vehicles: list[Annotation],
+    noise: float,
+    sigma: float | None,
+    rng: np.random.Generator,
+) -> View:
+    kept = tuple(a for a in vehicles if not a.ignored)
+    found = np.array([a.keypoints for a in kept]).reshape(-1, keypoints.K, 3)
+    found[..., :2] += rng.normal(0.0, 1.0, found[..., :2].shape) * noise
+    found[..., 2] = found[..., 2] == 2
+    known = max(noise, 0.5) if sigma is None else sigma
+    boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
+    cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
+    return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, cut, kept)
+
+
+def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigma: float | None) -> View:
+    results = [result for result, _ in pairs]
+    found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
+    boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
+    spread = (
+        np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
+    )
+    scores = np.array([r.score for r in results])
+    longer = boxes[:, 2:].max(axis=1, initial=0.0)
+    reached = _margins(image, boxes) <= np.maximum(_NEAR_PX, _NEAR * longer)[:, None]
+    # A detector puts what the image does not show at the edge, with high scores.
+    edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
+    at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
+    found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
+    return View(image, found, spread, scores, boxes, reached.any(axis=1), tuple(vehicle for _, vehicle in pairs))
+
+
+def _margins(image: Image, boxes: Array) -> Array:
+    """(..., 4) pixels between boxes x, y, width, height and the left, top, right and bottom edge of the image."""
+    x, y, w, h = np.moveaxis(boxes, -1, 0)
+    return np.stack([x, y, image.width - x - w, image.height - y - h], axis=-1)
+
+
+def read_scene(
+    folder: Path | None, annotations: Path | None, predictions: Path | None, camera: Path | None, ground: float | None
+) -> Scene:
+    """What `skope eval predict` wrote into `folder`, or an annotation file with or without a results file.
+
+    `ground` is the road's height in the camera's world; a camera without a pose has no ground.
+    """
+    if (folder is None) == (annotations is None):
+        raise UserError("give either the folder that `skope eval predict` wrote or --annotations")
+    if folder is not None:
+        if not folder.is_dir():
+            raise UserError(f"{folder}: no such folder; `skope eval predict SOURCE --out {folder}` makes it")
+        annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
+    assert annotations is not None
+    file = coco.read(annotations)
+    if file.scheme is not keypoints.SKOPE33:
+        raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
+    results = inputs.stream_results(predictions, file) if predictions else None
+    if camera is None:
+        return Scene(file, results, None, None if ground is None else Ground(height=ground))
+    read, posed = read_camera(camera, _size(file))
+    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None)
+
+
+def _size(file: AnnotationFile) -> tuple[int, int] | None:
+    return (file.images[0].width, file.images[0].height) if file.images else None
+
+
+def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
+    """A camera from a file, and whether the file says where it hangs: else its own frame is the world.
+
+    Read are what `skope eval camera` writes, annotation files (their first image's camera) and the calibrations of
+    `skope.camera_files`. `size` serves where the file says nothing of it.
+    """
+    if path.suffix.lower() == ".json":
+        document = read_json(path)
+        if isinstance(document, dict) and "images" in document:
+            images = [image for image in coco.read(path).images if image.camera is not None]
+            if not images:
+                raise UserError(f"{path}: images: none has a camera")
+            assert images[0].camera is not None
+            return images[0].camera, True
+        if isinstance(document, dict) and "T_camera_world" in document:
+            try:
+                return Camera.from_dict(document, int(document["width"]), int(document["height"])), True
+            except (KeyError, TypeError):
+                raise UserError(f"{path}: width, height: expected whole numbers") from None
+            except UserError as error:
+                raise UserError(f"{path}: {error}") from None
+    known = read_calibration(path)
+    width_height = known.size or size
+    if width_height is None:
+        raise UserError(f"{path}: image size: missing")
+    pose = np.eye(4) if known.T_camera_world is None else known.T_camera_world
+    return Camera(*width_height, known.K, pose, known.distortion), known.T_camera_world is not None
+
+
+def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
+    """The camera at an image's size; a UserError where its shape is another."""
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+        raise UserError(
+            f"{name}: is {size[0]}x{size[1]}, which a camera of {camera.width}x{camera.height} does not make"
+        )
+    return camera.resized(size)
+
+
+def with_camera(image: Image, camera: Camera | None) -> Image:
+    """An image that carries its camera."""
+    if camera is None:
+        return image
+    return replace(image, camera=sized(camera, (image.width, image.height), image.file_name))

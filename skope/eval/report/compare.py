@@ -1,0 +1,179 @@
+"""Evaluations side by side, with intervals of their differences.
+
+Two detectors on the same images share what makes an image hard, and their difference varies far less than either
+figure: the same recordings are left out of both.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from skope.errors import UserError, one_of
+from skope.eval.report.table import evidence, number
+from skope.files import read_json
+from skope.metrics import figures
+from skope.metrics.counts import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
+from skope.metrics.intervals import Blocks, difference
+from skope.metrics.split_scores import from_tallies
+
+T = TypeVar("T")
+
+TALLIES: Final = "tallies.json"
+METRICS: Final = "metrics.json"
+# Evaluations that differ in one of these measure different things; those that differ in the scores from which a
+# detection or a keypoint counts may well be compared: each detector has its own scale.
+_ALIKE: Final = ("alpha", "labelled", "boxes", "points")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One evaluation's folder."""
+
+    name: str
+    metrics: Mapping[str, Any]
+    tallies: Mapping[str, Mapping[str, Any]]
+    """Entry of `tallies.json` by split."""
+
+
+def read(folder: Path) -> Run:
+    """What `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
+    documents = {}
+    for name in (METRICS, TALLIES):
+        path = folder / name
+        documents[name] = document = read_json(path)
+        if not isinstance(document, dict) or document.get("version") != figures.VERSION or "splits" not in document:
+            raise UserError(f"{path}: not a file of `skope eval` of version {figures.VERSION}; evaluate again")
+    return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
+
+
+def compare(folders: Sequence[Path]) -> dict[str, Any]:
+    """Figures of each run and their differences from the first, per split and threshold that all of them have.
+
+    Raises UserError where runs were not measured in the same way on the same images with the same ground truth.
+    """
+    if len(folders) < 2:
+        raise UserError("compare: expected the folders of two or more evaluations")
+    runs = [read(folder) for folder in folders]
+    first = runs[0]
+    for run in runs[1:]:
+        for name in _ALIKE:
+            ours, theirs = first.metrics.get(name), run.metrics.get(name)
+            if ours != theirs:
+                raise UserError(f"{first.name} and {run.name} differ in {name}: {ours} and {theirs}")
+    splits = [name for name in first.tallies if all(name in run.tallies for run in runs)]
+    if not splits:
+        raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
+    return {
+        "version": figures.VERSION,
+        "runs": [run.name for run in runs],
+        "alpha": first.metrics["alpha"],
+        "score_thresholds": [run.metrics["score_threshold"] for run in runs],
+        "splits": {name: _split(runs, name) for name in splits},
+    }
+
+
+def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
+    blocks, columns = zip(*(_aligned(runs[0], run, split) for run in runs), strict=True)
+    thresholds = [t for t in columns[0] if all(t in of for of in columns)]
+    return {
+        **blocks[0].to_dict(),
+        "images": len(blocks[0].number),
+        "iou": {t: _differences(blocks[0], [of[t] for of in columns]) for t in thresholds},
+        "coco": [run.metrics["splits"][split]["coco"] for run in runs],
+    }
+
+
+def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, Tally]]:
+    """Blocks and counts of a run, its images in the order of the first run's."""
+    path = Path(run.name) / TALLIES
+    reference = _valid(Path(first.name) / TALLIES, lambda: list(first.tallies[split]["image_ids"]))
+    own = _valid(path, lambda: list(run.tallies[split]["image_ids"]))
+    if sorted(own) != sorted(reference):
+        raise UserError(f"{path}: split {split}: not the images of {first.name}")
+    blocks, columns = _valid(path, lambda: from_tallies(run.tallies[split]))
+    place = {image: i for i, image in enumerate(own)}
+    order = np.array([place[image] for image in reference], dtype=np.int64)
+    aligned = {t: Tally(**{name: column[order] for name, column in vars(of).items()}) for t, of in columns.items()}
+    _, expected = from_tallies(first.tallies[split])
+    for t, of in aligned.items():
+        for name in ("ground_truth", "labelled_all"):
+            if t in expected and (getattr(of, name) != getattr(expected[t], name)).any():
+                raise UserError(f"{path}: split {split}: not the ground truth of {first.name}")
+    return Blocks(unit=blocks.unit, sites=blocks.sites, number=blocks.number[order]), aligned
+
+
+def _valid(path: Path, make: Callable[[], T]) -> T:
+    try:
+        return make()
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError):
+        raise UserError(f"{path}: damaged; evaluate again") from None
+
+
+def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
+    """Of each figure its value in each run, and the differences from the first run with their intervals."""
+    columns = [quotients(counts) for counts in runs]
+    return [
+        {
+            "figure": name[0],
+            "protocol": name[1],
+            "values": [_value(of, name) for of in columns],
+            "differences": [
+                {
+                    "value": _minus(_value(of, name), _value(columns[0], name)),
+                    "interval": difference(columns[0], of, blocks, name),
+                }
+                for of in columns[1:]
+            ],
+        }
+        for name in FIGURES
+    ]
+
+
+def _value(columns: Mapping[Name, tuple[Any, Any]], name: Name) -> float | None:
+    top, bottom = columns[name]
+    return ratio(top.sum(), bottom.sum())
+
+
+def _minus(b: float | None, a: float | None) -> float | None:
+    return None if a is None or b is None else b - a
+
+
+# ------------------------------------------------------------------------------------------------------------ printing
+
+
+def render(document: Mapping[str, Any], protocol: str) -> str:
+    """A table per split: a row per threshold and figure, a column per run, and the differences from the first."""
+    one_of("--protocol", protocol, PROTOCOLS)
+    letters = [chr(ord("A") + i) if i < 26 else str(i) for i in range(len(document["runs"]))]
+    scores = document["score_thresholds"]
+    lines = [f"{a}  {name}  (score > {s:g})" for a, name, s in zip(letters, document["runs"], scores, strict=True)]
+    lines += [f"Protocol: {protocol}. Differences with paired 95% intervals; * where they exclude 0."]
+    gaps = [f"{letter} - {letters[0]}" for letter in letters[1:]]
+    for name, split in document["splits"].items():
+        lines += ["", f"{name}: {split['images']} images, {evidence(split)}"]
+        lines.append(
+            f"  IoU  {'figure':18}" + "".join(f"{a:>8}" for a in letters) + "".join(f"  {g:^24}" for g in gaps)
+        )
+        for t, rows in split["iou"].items():
+            lines += [f"  {t:>3}  {_row(row)}" for row in rows if row["protocol"] in (None, protocol)]
+        for ap in split["coco"][0]:
+            values = [of[ap] for of in split["coco"]]
+            lines.append(f"       {ap.replace('_', ' '):18}" + "".join(number(v, 8) for v in values))
+    return "\n".join(lines)
+
+
+def _row(row: Mapping[str, Any]) -> str:
+    values = "".join(number(value, 8) for value in row["values"])
+    return f"{row['figure'].replace('_', ' '):18}{values}" + "".join(f"  {_change(d):24}" for d in row["differences"])
+
+
+def _change(gap: Mapping[str, Any]) -> str:
+    if gap["value"] is None:
+        return f"{'-':>7}"
+    if gap["interval"] is None:
+        return f"{gap['value']:+7.3f}"
+    low, high = gap["interval"]
+    return f"{gap['value']:+7.3f} {low:+.3f}..{high:+.3f}{'*' if low > 0 or high < 0 else ' '}"

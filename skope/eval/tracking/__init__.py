@@ -1,0 +1,1 @@
+"""Vehicles followed through footage."""

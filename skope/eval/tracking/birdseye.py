@@ -1,0 +1,86 @@
+"""Tracks seen from above: a plot, and a video of outlines that move."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.draw import PALETTE
+from skope.eval.tracking.tracker import Track
+from skope.files import replacing
+
+Pixels = NDArray[np.uint8]
+Array = NDArray[np.float64]
+
+_SIDE: Final = 900
+"""Pixels of the video's longer side."""
+_MARGIN: Final = 6.0
+_ROAD: Final = (44, 46, 50)
+_TRAIL: Final = 50
+"""Frames of a track that are drawn behind its vehicle."""
+
+
+def plot(path: Path, tracks: Sequence[Track], camera_xy: Array) -> None:
+    """Paths from above, coloured by speed, and the camera; metres, north up."""
+    import matplotlib as mpl
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    axes = figure.subplots()
+    fastest = max((float(t.speed.max()) for t in tracks), default=1.0)
+    norm = mpl.colors.Normalize(0, max(fastest, 1.0) * 3.6)
+    lines = None
+    for track in tracks:
+        points = track.position[:, None, :2]
+        lines = LineCollection(list(np.concatenate([points[:-1], points[1:]], axis=1)), cmap="viridis", norm=norm)
+        lines.set_array(track.speed[1:] * 3.6)
+        axes.add_collection(lines)
+        axes.annotate(str(track.number), track.position[-1, :2].tolist(), fontsize=7)
+    axes.plot(*camera_xy, marker="^", color="crimson", markersize=9, linestyle="none", label="camera")
+    axes.set(xlabel="x, m", ylabel="y, m", title=f"{len(tracks)} tracks", aspect="equal")
+    axes.autoscale_view()
+    axes.grid(alpha=0.3)
+    axes.legend()
+    if lines is not None:
+        figure.colorbar(lines, label="km/h")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+
+
+def frames(tracks: Sequence[Track], count: int) -> Iterator[Pixels]:
+    """`count` pictures (H, W, 3) from above, north up: outlines with a line to their front, number and km/h."""
+    places = [t.position[:, :2] for t in tracks] or [np.zeros((1, 2))]
+    low = np.concatenate(places).min(axis=0) - _MARGIN
+    high = np.concatenate(places).max(axis=0) + _MARGIN
+    scale = _SIDE / float((high - low).max())
+    # Encoders want even sides.
+    width, height = (2 * round(v / 2) for v in (high - low) * scale)
+
+    def at(points: Array) -> NDArray[np.int32]:
+        flipped = (points - low) * scale * [1, -1] + [0, height]
+        return np.asarray(np.rint(flipped), dtype=np.int32)
+
+    for frame in range(count):
+        picture: Pixels = np.full((max(2, height), max(2, width), 3), _ROAD, dtype=np.uint8)
+        for track in tracks:
+            i = frame - int(track.frames[0])
+            if not 0 <= i < len(track.frames):
+                continue
+            color = PALETTE[track.number % len(PALETTE)]
+            cv2.polylines(picture, [at(track.position[max(0, i - _TRAIL) : i + 1, :2])], False, color, 1, cv2.LINE_AA)
+            ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
+            across = np.array([-ahead[1], ahead[0]])
+            length, breadth = track.size_lwh[:2] / 2
+            middle = track.position[i, :2]
+            corners = [
+                middle + a * length * ahead + b * breadth * across for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
+            ]
+            cv2.fillPoly(picture, [at(np.array(corners))], color, cv2.LINE_AA)
+            cv2.line(picture, at(middle).tolist(), at(middle + length * ahead).tolist(), _ROAD, 2, cv2.LINE_AA)
+            text = f"{track.number}: {track.speed[i] * 3.6:.0f}"
+            cv2.putText(picture, text, at(middle + across).tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
+        yield picture

@@ -1,0 +1,107 @@
+"""Tracks in the files of others: CSV for tables, MOTChallenge for trackers' metrics, SUMO's floating-car data for
+traffic."""
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.eval.tracking.tracker import Track
+from skope.files import replacing
+
+_COLUMNS: Final = (
+    *("track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration"),
+    *("length", "width", "height"),
+)
+_SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "van": "delivery"}
+
+
+def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -> None:
+    """One row a frame and vehicle: metres, seconds, m/s, m/s^2, degrees counter-clockwise from world x."""
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for track in tracks:
+            seen, speed, along = track.seen, track.speed, track.along
+            for i, frame in enumerate(track.frames):
+                writer.writerow(
+                    [
+                        track.number,
+                        track.kind,
+                        frame_index[frame],
+                        f"{track.times_s[i]:.4f}",
+                        int(seen[i]),
+                        *(f"{v:.3f}" for v in track.position[i]),
+                        f"{math.degrees(track.heading[i]):.2f}",
+                        f"{speed[i]:.3f}",
+                        *(f"{v:.3f}" for v in track.velocity[i]),
+                        f"{along[i]:.3f}",
+                        *(f"{v:.2f}" for v in track.size_lwh),
+                    ]
+                )
+
+
+def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
+    """A line of MOTChallenge: frame from 1, id, left, top, width, height, and what follows."""
+    x, y, w, h = np.asarray(bbox, dtype=np.float64)
+    return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
+
+
+def write_mot(path: Path, tracks: Sequence[Track]) -> None:
+    """The boxes of what was seen, as MOTChallenge and TrackEval read them: with confidence and no place in the world.
+
+    TrackEval takes the column of the place's x for a class.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        last = max((int(track.frames[-1]) for track in tracks), default=-1)
+        for frame, present in _by_frame(tracks, last + 1):
+            for track, i in present:
+                if not math.isnan(track.scores[i]):
+                    file.write(mot_row(frame + 1, track.number, track.boxes[i], f"{track.scores[i]:.4f},-1,-1,-1"))
+
+
+def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> None:
+    """SUMO's floating-car data (`fcd-export`), in the network's coordinates.
+
+    There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write('<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
+        for (_, present), time_s in zip(_by_frame(tracks, len(times_s)), times_s, strict=True):
+            file.write(f'    <timestep time="{time_s:.3f}">\n')
+            file.writelines(_fcd_vehicle(track, i) for track, i in present)
+            file.write("    </timestep>\n")
+        file.write("</fcd-export>\n")
+
+
+def _fcd_vehicle(track: Track, i: int) -> str:
+    heading = float(track.heading[i])
+    x, y = track.position[i, :2] + track.size_lwh[0] / 2 * np.array([math.cos(heading), math.sin(heading)])
+    values = {
+        "id": str(track.number),
+        "x": f"{x:.3f}",
+        "y": f"{y:.3f}",
+        "z": f"{track.position[i, 2]:.3f}",
+        "angle": f"{(90 - math.degrees(heading)) % 360:.2f}",
+        "type": _SUMO_CLASS.get(track.kind, "passenger"),
+        "speed": f"{track.speed[i]:.3f}",
+        "acceleration": f"{track.along[i]:.3f}",
+    }
+    cells = " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
+    return f"        <vehicle {cells}/>\n"
+
+
+def _by_frame(tracks: Sequence[Track], count: int) -> Iterator[tuple[int, list[tuple[Track, int]]]]:
+    """Each of `count` frames with the tracks that are there, which rise in their first frames, and their rows."""
+    waiting = list(reversed(tracks))
+    present: list[Track] = []
+    for frame in range(count):
+        present = [track for track in present if track.frames[-1] >= frame]
+        while waiting and waiting[-1].frames[0] <= frame:
+            present.append(waiting.pop())
+        yield frame, [(track, frame - int(track.frames[0])) for track in present]

@@ -1,0 +1,129 @@
+"""`skope eval track`: poses of every frame, tracks through them, and their files."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval.inference.progress import Progress
+from skope.eval.pose.records import locate_view
+from skope.eval.pose.views import Scene
+from skope.eval.tracking import birdseye, export
+from skope.eval.tracking.detections import Detection, sight_from_dict, sight_to_dict, sights
+from skope.eval.tracking.tracker import Track, follow
+from skope.files import replacing, write_text
+from skope.video import write_video
+
+_PROGRESS: Final = ".poses.jsonl"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackJob:
+    """What to follow, and where to write it."""
+
+    scene: Scene
+    out: Path
+    fps: float | None
+    noise: float
+    score: float
+    sigma_px: float | None
+    video: bool
+
+
+def run(job: TrackJob, console: Console) -> Iterator[str]:
+    """Write everything; yields lines that say what."""
+    scene = job.scene
+    times = _times(scene, job.fps)
+    progress = Progress(job.out / _PROGRESS, ("sights",))
+    if progress.count:
+        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+    tracks = follow(console.bar(_seen(job, progress), total=len(times), unit="image", label="poses"), times)
+    index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
+    export.write_csv(job.out / "tracks.csv", tracks, index)
+    export.write_mot(job.out / "mot.txt", tracks)
+    export.write_fcd(job.out / "fcd.xml", tracks, times)
+    written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
+    birdseye.plot(job.out / "birdseye.png", tracks, scene.camera_of(scene.file.images[0]).position[:2])
+    if scene.file.annotations:
+        _write_truth(job.out / "mot_truth.txt", scene)
+        written.append("mot_truth.txt")
+    if job.video:
+        with replacing(job.out / "birdseye.mp4") as temporary:
+            write_video(temporary, birdseye.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
+        written.append("birdseye.mp4")
+    progress.end()
+    for name in written:
+        yield f"wrote {job.out / name}"
+    seconds = times[-1] - times[0]
+    yield f"{len(tracks)} tracks over {seconds:.1f} s"
+    if scene.has_truth:
+        yield from speed_errors(scene, tracks)
+
+
+def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
+    """The vehicles of each image: as an earlier run noted them down, or located now."""
+    noted = itertools.islice(progress.rows(), progress.count)
+    for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
+        if (row := next(noted, None)) is not None:
+            yield [sight_from_dict(told) for told in row["sights"]]
+            continue
+        found = sights(locate_view(view, job.scene))
+        progress.add({"sights": [sight_to_dict(sight) for sight in found]})
+        yield found
+
+
+def _times(scene: Scene, fps: float | None) -> list[float]:
+    """Seconds of each image; a UserError where nobody says."""
+    images = scene.file.images
+    if len(images) < 2:
+        raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
+    if fps is not None:
+        index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(images)]
+        if any(b <= a for a, b in itertools.pairwise(index)):
+            index = list(range(len(images)))
+        return [(i - index[0]) / fps for i in index]
+    times = [image.time_s for image in images]
+    if any(time is None for time in times):
+        raise UserError(f"{scene.file.name}: its images carry no times; give --fps")
+    known = [float(time) for time in times if time is not None]
+    if any(b <= a for a, b in itertools.pairwise(known)):
+        raise UserError(f"{scene.file.name}: times do not rise; it is not the footage of one camera")
+    return known
+
+
+def _write_truth(path: Path, scene: Scene) -> None:
+    """The annotations' own tracks as MOTChallenge has ground truth: to count, of class 1, visible."""
+    labelled = scene.file.by_image()
+    rows = [
+        export.mot_row(frame, a.track_id, a.bbox, "1,1,1")
+        for frame, image in enumerate(scene.file.images, start=1)
+        for a in labelled[image.id]
+        if not a.ignored and a.track_id is not None
+    ]
+    write_text(path, "".join(rows))
+
+
+def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
+    """How far speeds are from the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    labelled = scene.file.by_image()
+    truth = {
+        (image.id, a.track_id): float(np.linalg.norm(a.velocity))
+        for image in scene.file.images
+        for a in labelled[image.id]
+        if a.velocity is not None
+    }
+    ids = [image.id for image in scene.file.images]
+    share = []
+    for track in tracks:
+        for frame, truth_id, speed in zip(track.frames, track.truth_ids.tolist(), track.speed, strict=True):
+            real = truth.get((ids[frame], truth_id))
+            if real is not None and real >= 2.0:
+                share.append(abs(float(speed) - real) / real)
+    if share:
+        most = np.percentile(share, 90)
+        yield f"speed: {np.median(share):.1%} off in the median, 90% within {most:.1%} ({len(share)} speeds)"

@@ -1,0 +1,172 @@
+"""`skope gen vehicles`: the fleet's models listed, checked and drawn."""
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skope.console import Console, QuietOption, VersionOption
+from skope.errors import UserError
+from skope.names import name as check_name
+from skope.outputs import look
+
+if TYPE_CHECKING:
+    from skope.gen.vehicles.model import Vehicle
+
+app = typer.Typer(help="List, check, draw and add vehicle models.", no_args_is_help=True)
+
+NameArgument = Annotated[str | None, typer.Argument(help="One model instead of all.")]
+
+
+@app.command("list")
+def list_models(quiet: QuietOption = False, version: VersionOption = False) -> None:
+    """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
+    from skope.gen.vehicles import fleet
+
+    console = Console(quiet)
+    console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
+    total = sum(entry.share for entry in fleet().values())
+    models, damaged = _readable(_names())
+    for name, vehicle in models.items():
+        entry = fleet().get(name)
+        size = " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh)
+        triangles = len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles)
+        share = f"{entry.share / total:6.1%}" if entry else f"{'added':>6}"
+        console.result(
+            f"{name:<20} {vehicle.vehicle_type:<10} {size:<19} {vehicle.shape.wheelbase:9.2f} {triangles:9d} "
+            f"{share}{'  held out for test sites' if entry and entry.held_out else ''}"
+        )
+    if damaged:
+        raise UserError("; ".join(damaged))
+
+
+@app.command()
+def check(name: NameArgument = None, quiet: QuietOption = False, version: VersionOption = False) -> None:
+    """Check keypoints, symmetry, dimensions, wheels, surfaces, parts and sidecars; exit code 1 with findings."""
+    from skope.gen.inspect.vehicle_checks import findings
+
+    console, count = Console(quiet), 0
+    models, damaged = _readable(_names(name))
+    for model, vehicle in models.items():
+        for finding in findings(vehicle):
+            count += not finding.harmless
+            console.result(f"{model}: {finding}")
+    for text in damaged:
+        console.result(text)
+    count, total = count + len(damaged), len(models) + len(damaged)
+    console.result(f"{total} model{'' if total == 1 else 's'}, {count or 'no'} findings")
+    if count:
+        raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    name: NameArgument = None,
+    out: Annotated[Path, typer.Option(help="Folder for the sheets.")] = Path("runs/vehicles"),
+    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
+    from skope import draw
+    from skope.gen.inspect.vehicle_sheets import sheet
+    from skope.gen.render.choose import choose_renderer
+    from skope.gen.vehicles import added
+
+    console = Console(quiet)
+    engine, driver, why = choose_renderer(renderer)
+    console.say(why)
+    models = {model: _loaded(model) for model in _names(name)}
+    files = [added.folder() / model / "vehicle.json" for model in added.names()]
+    with look(out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}) as drawn:
+        for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
+            draw.write(drawn / f"{model}.png", sheet(vehicle, engine))
+    console.result(f"wrote {len(models)} sheet{'' if len(models) == 1 else 's'} to {out}")
+
+
+@app.command()
+def add(
+    model: Annotated[Path, typer.Argument(help="A .glb, .gltf or .obj file with 33 markers (see the README).")],
+    name: Annotated[str | None, typer.Option(help="What to call it; by default as the file is called.")] = None,
+    vehicle_type: Annotated[str, typer.Option("--type", help="Its vehicle_type in annotations.")] = "other",
+    wheels: Annotated[
+        str | None,
+        typer.Option(help="Objects of the wheels: front_right=A,front_left=B,rear_right=C,rear_left=D."),
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="The file's axis that points up, such as +y.")] = None,
+    forward: Annotated[str | None, typer.Option(help="The file's axis that points forward, such as -z.")] = None,
+    scale: Annotated[float, typer.Option(help="Metres per unit of the file.")] = 1.0,
+    mass: Annotated[float | None, typer.Option(help="Kilograms; by default as dense as a car.")] = None,
+    quiet: QuietOption = False,
+    version: VersionOption = False,
+) -> None:
+    """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
+    from skope.errors import one_of
+    from skope.gen.inspect.vehicle_checks import findings
+    from skope.gen.vehicles import fleet
+    from skope.gen.vehicles.added import check_mass, save, vehicle_of
+    from skope.gen.vehicles.markers import read_marked
+    from skope.schema import VEHICLE_TYPES
+
+    console, called = Console(quiet), model.stem if name is None else name
+    if not re.fullmatch(r"\w[\w-]*", called, re.ASCII) or called in fleet():
+        raise UserError(f"--name {called}: expected letters, digits, - (not at first) and _, and no model of the fleet")
+    check_name("--name", called)
+    if not 0 < scale < math.inf:
+        raise UserError(f"--scale: expected a positive number, got {scale}")
+    if mass is not None:
+        check_mass("--mass", mass)
+    one_of("--type", vehicle_type, VEHICLE_TYPES)
+    marked = read_marked(model, wheels=_corners(wheels), up=up, forward=forward, scale=scale)
+    vehicle = vehicle_of(marked, called, vehicle_type, mass)
+    found = list(findings(vehicle))
+    for finding in found:
+        console.result(f"{'note' if finding.harmless else 'error'}: {finding}")
+    if any(not finding.harmless for finding in found):
+        raise UserError(f"{model}: not added; mend the errors above")
+    length, width, height = vehicle.size_lwh
+    path = save(vehicle)
+    console.result(
+        f"wrote {path}: {length:.2f} x {width:.2f} x {height:.2f} m; next: skope gen vehicles show {called}, "
+        f"skope gen --vehicles {called}"
+    )
+
+
+def _corners(text: str | None) -> dict[str, str] | None:
+    """ "front_right=A,..." as a mapping."""
+    if text is None:
+        return None
+    pairs = [part.split("=", 1) for part in text.split(",")]
+    if any(len(pair) != 2 for pair in pairs):
+        raise UserError(f"--wheels: expected CORNER=OBJECT,..., got {text!r}")
+    return {pair[0]: pair[1] for pair in pairs}
+
+
+def _names(name: str | None = None) -> tuple[str, ...]:
+    """All models of the fleet and those that were added, or the one of that name."""
+    from skope.errors import one_of
+    from skope.gen.vehicles import fleet
+    from skope.gen.vehicles.added import names
+
+    everything = tuple(dict.fromkeys((*fleet(), *names())))
+    return everything if name is None else (one_of("model", name, everything),)
+
+
+def _loaded(model: str) -> "Vehicle":
+    from skope.gen.vehicles import fleet
+    from skope.gen.vehicles.added import load
+
+    return fleet()[model].vehicle if model in fleet() else load(model)
+
+
+def _readable(models: tuple[str, ...]) -> tuple[dict[str, "Vehicle"], list[str]]:
+    """Vehicles by name, and in words which of them are damaged."""
+    vehicles, damaged = {}, []
+    for model in models:
+        try:
+            vehicles[model] = _loaded(model)
+        except UserError as error:
+            damaged.append(str(error))
+    return vehicles, damaged

@@ -1,0 +1,167 @@
+"""Join datasets into one: `skope gen merge`."""
+
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+from skope import shards
+from skope.console import Console
+from skope.dataset import Dataset, recordings
+from skope.errors import UserError
+from skope.files import replacing_folder
+from skope.gen.formats.dataset_builder import Gathered, dataset_at, outside, plain
+from skope.gen.output.licences import united
+from skope.schema import AnnotationFile, Image
+
+
+def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
+    """Write a dataset with the images of all at `out`, an empty or missing folder, which holds all or nothing.
+
+    Images and depth are linked where the file system can. Splits stay as they are; a site that several datasets have
+    becomes one for each, and one that is in different splits of theirs is refused, as are different keypoint schemes
+    and licences that exclude each other. Recordings are left out: what was joined is not rendered again.
+    """
+    if len(sources) < 2:
+        raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
+    if len({source.resolve() for source in sources}) < len(sources):
+        raise UserError("a dataset is named twice")
+    outside(out, sources)
+    datasets = [dataset_at(source) for source in sources]
+    first = datasets[0]
+    for other in datasets[1:]:
+        if other.scheme is not first.scheme:
+            raise UserError(
+                f"{other.root}: has keypoint scheme {other.scheme.name}, {first.root} has {first.scheme.name}"
+            )
+    licence = united([dataset.licence for dataset in datasets])
+    with replacing_folder(out) as folder:
+        gathered = Gathered(folder, first.scheme)
+        names, begun = _Sites(), dict[str, tuple[Path, str]]()
+        for dataset in datasets:
+            twice = Counter[Path]()
+            for split in dataset.splits:
+                file = dataset.read(split)
+                names.check(dataset, split, file)
+                twice.update(_twice(dataset, split, file, begun))
+                _add(dataset, split, file, names, gathered, console)
+            names.close(dataset)
+            for whose, count in twice.items():
+                console.say(
+                    f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
+                )
+        gathered.finish(
+            # Names alone: where they lie on this machine is nobody's business.
+            command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
+            licence=licence,
+            label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
+            sources=[
+                {
+                    "name": d.root.resolve().name,
+                    "command": d.card.get("command"),
+                    "licence": d.licence,
+                    "sites": names.of(d),
+                }
+                for d in datasets
+            ],
+            **_fleet(datasets),
+        )
+
+
+class _Sites:
+    """What the sites of each dataset are called in the joined one."""
+
+    def __init__(self) -> None:
+        self._splits: dict[str, dict[Path, set[str]]] = {}
+        self._taken: set[str] = set()
+        self._named: dict[Path, dict[str, str]] = {}
+
+    def check(self, dataset: Dataset, split: str, file: AnnotationFile) -> None:
+        """Name the sites of a split; a UserError for one that another dataset has in another split."""
+        own = self._named.setdefault(dataset.root, {})
+        for site in dict.fromkeys(image.site for image in file.images if image.site is not None):
+            uses = self._splits.setdefault(site, {})
+            for whose, splits in uses.items():
+                if whose != dataset.root and splits != {split}:
+                    raise UserError(
+                        f"{dataset.root}: site {site} is in split {split}, and in {', '.join(sorted(splits))} of "
+                        f"{whose}: what is tested would have been learnt"
+                    )
+            uses.setdefault(dataset.root, set()).add(split)
+            if site not in own:
+                number, name = 1, site
+                while name in self._taken or name in own.values():
+                    number += 1
+                    name = f"{site}_{number}"
+                own[site] = name
+
+    def close(self, dataset: Dataset) -> None:
+        """From here on the names belong to this dataset."""
+        self._taken |= set(self._named[dataset.root].values())
+
+    def of(self, dataset: Dataset) -> dict[str, str]:
+        return self._named[dataset.root]
+
+
+def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
+    """For each recording whose first image with a vehicle another dataset begins one with too: whose.
+
+    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance. A UserError where the other
+    dataset has it in another split.
+    """
+    own = file.by_image()
+    for images in recordings(file):
+        first = next((image for image in images if own[image.id]), None)
+        if first is None:
+            continue
+        digest = sha256(shards.read(dataset.root / first.file_name)).hexdigest()
+        whose, of = begun.setdefault(digest, (dataset.root, split))
+        if whose == dataset.root:
+            continue
+        if of != split:
+            raise UserError(
+                f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
+                "what is tested would have been learnt"
+            )
+        yield whose
+
+
+def _add(
+    dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, gathered: Gathered, console: Console
+) -> None:
+    own, sites = file.by_image(), names.of(dataset)
+    for image in console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}"):
+        new, files = _moved(image, sites, dataset, gathered.root)
+        gathered.add(split, new, own[image.id], files)
+
+
+def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, Path]]:
+    """The image under its new names, and where each of its files lies."""
+    site = None if image.site is None else sites[image.site]
+    new: dict[str, str] = {}
+    files: dict[str, Path] = {}
+    for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
+        old = getattr(image, key)
+        if old is None:
+            continue
+        name = plain(old)
+        if site is not None:
+            name = f"{site}/{name.removeprefix(f'{image.site}/')}"
+        candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.resolve().name}/{name}")
+        free = next((c for c in candidates if not (root / c).exists()), None)
+        if free is None:
+            raise UserError(f"{dataset.root}: {old}: another image has this name")
+        new[key], files[free] = free, dataset.root / old
+    return replace(image, site=site, **new), files  # type: ignore[arg-type]
+
+
+def _fleet(datasets: Sequence[Dataset]) -> dict[str, object]:
+    """Card's field `fleet`, where all have it: a model is held out when no dataset's training shows it."""
+    told = [dataset.card.get("fleet") for dataset in datasets]
+    if not all(isinstance(fleet, dict) and {"held_out", "substituted"} <= fleet.keys() for fleet in told):
+        return {}
+    held_out = set.intersection(*(set(fleet["held_out"]) for fleet in told if fleet))
+    substituted = {model: names for fleet in told if fleet for model, names in fleet["substituted"].items()}
+    return {"fleet": {"held_out": sorted(held_out), "substituted": substituted}}

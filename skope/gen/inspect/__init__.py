@@ -1,0 +1,1 @@
+"""Looking at datasets, vehicles, towns and the installation; nothing else imports it."""

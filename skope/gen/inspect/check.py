@@ -1,0 +1,355 @@
+"""Does a dataset hold what it says?
+
+Files and their bytes, schema, ids, masks, re-projection, visibility, depth and motion.
+"""
+
+import hashlib
+import itertools
+from collections import Counter
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pycocotools import mask as coco_mask
+
+from skope import keypoints, shards
+from skope.camera import Camera
+from skope.dataset import CARD, MANIFEST, Dataset, read_manifest
+from skope.errors import UserError
+from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
+from skope.gen.output.frames import FORMATS
+from skope.gen.output.writers import rows_of
+from skope.schema import Annotation, AnnotationFile, Image
+
+Array = NDArray[np.floating[Any]]
+
+REPROJECTION_PX = 0.1
+BOX_PX = 1.0
+"""Boxes are of silhouettes at pixel centres, masks too."""
+DISTANCE_M = 0.05
+OUTSIDE_M = 0.35
+"""Mirrors stand out of the box, metres."""
+DEPTH_LIMIT = 250.0
+"""Depth files end soon after this, metres."""
+ACCELERATION = 10.0
+"""More than any vehicle brakes or corners with, m/s^2."""
+SPEED_DOUBT = 0.3
+"""What a body's rocking and the rounding of files add to that, m/s."""
+DOUBT = 0.015
+"""Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a dataset."""
+
+    where: str
+    """File, and the ids in it."""
+    text: str
+    """The field, and what is wrong with it."""
+    image: str | None = None
+    """File name of the image whose frame has to be made again to mend it; None when that would not help."""
+    stray: bool = False
+    """Whether `where` is a file that does not belong here."""
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.text}"
+
+
+def check(dataset: Dataset) -> Iterator[Finding]:
+    """What is wrong with a dataset; nothing for a sound one."""
+    yield from _check_manifest(dataset)
+    if not dataset.splits:
+        yield Finding(f"{dataset.root}", "no annotation files")
+    counts = Counter[str]()
+    seen = _Seen(own="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"]))
+    for split in dataset.splits:
+        name = f"{shards.FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
+        try:
+            file = dataset.read(split)
+        except UserError as error:
+            yield Finding(name, str(error).removeprefix(f"{dataset.root / name}: "))
+            continue
+        yield from seen.twice(name, split, file)
+        yield from _check_motion(name, file)
+        yield from _check_totals(dataset, name, split)
+        groups = file.by_image()
+        for image in file.images:
+            for where, text in _check_image(dataset, image, groups[image.id]):
+                yield Finding(f"{name}: {where}", text, image.file_name)
+        counts["images"] += len(file.images)
+        counts["ground_truth"] += sum(not a.ignored for a in file.annotations)
+    yield from _check_takes(dataset, seen.frames)
+    for key, count in counts.items():
+        said = dataset.card.get("counts", {}).get(key)
+        if said is not None and said != count:
+            yield Finding(CARD, f"counts.{key}: is {said}, the annotations hold {count}")
+
+
+class _Seen:
+    """Finds what stands twice across splits."""
+
+    def __init__(self, *, own: bool) -> None:
+        self._own = own  # its one site has recordings in several splits
+        self._sites: dict[str, str] = {}
+        self._images: set[int] = set()
+        self._annotations: set[int] = set()
+        self._files: set[str] = set()
+        self.frames: set[tuple[str | None, str | None, int | None]] = set()
+
+    def twice(self, name: str, split: str, file: AnnotationFile) -> Iterator[Finding]:
+        for image in file.images:
+            where = f"{name}: image {image.id}"
+            if image.id in self._images:
+                yield Finding(where, "id: stands in another split too", image.file_name)
+            if image.file_name in self._files:
+                yield Finding(where, f"file_name: {image.file_name} stands twice", image.file_name)
+            self.frames.add((image.site, image.recording, image.frame_index))
+            if not self._own and image.site and self._sites.setdefault(image.site, split) != split:
+                other = self._sites[image.site]
+                yield Finding(where, f"site: {image.site} stands in split {other} too", image.file_name)
+            self._files.add(image.file_name)
+        self._images.update(image.id for image in file.images)
+        names = {image.id: image.file_name for image in file.images}
+        tracks: set[tuple[int, int]] = set()
+        for annotation in file.annotations:
+            where, image_name = f"{name}: annotation {annotation.id}", names[annotation.image_id]
+            if annotation.id in self._annotations:
+                yield Finding(where, "id: stands in another split too", image_name)
+            if annotation.track_id is not None:
+                track = annotation.image_id, annotation.track_id
+                if track in tracks:
+                    yield Finding(where, f"track_id: {track[1]} stands twice in image {track[0]}", image_name)
+                tracks.add(track)
+        self._annotations.update(annotation.id for annotation in file.annotations)
+
+
+def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
+    """Checksums of all files, and files that nobody names; nothing for datasets that came without a manifest."""
+    if "takes" not in dataset.card:
+        return
+    try:
+        sums = read_manifest(dataset.root)["sha256"]
+    except UserError as error:
+        yield Finding(MANIFEST, f"cannot be read: {error}")
+        return
+    for name, wanted in sums.items():
+        path = dataset.root / name
+        image = name if name.startswith("images/") else None
+        image = _image_of_depth(name, sums) if name.startswith("depth/") else image
+        try:
+            if hashlib.sha256(shards.read(path)).hexdigest() != wanted:
+                yield Finding(name, "sha256: its bytes are not those that were written", image)
+        except UserError as error:
+            yield Finding(name, str(error).removeprefix(f"{path}: "), image)
+    folders = ("images", "depth", "recordings", "annotations", shards.FOLDER)
+    found = (path for folder in folders for path in (dataset.root / folder).rglob("*") if path.is_file())
+    for name in sorted(str(path.relative_to(dataset.root)) for path in found):
+        if name not in sums:
+            yield Finding(name, f"is not in {MANIFEST}", stray=True)
+
+
+def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None, int | None]]) -> Iterator[Finding]:
+    for site, recording, _, frames in dataset.card.get("takes", ()):
+        lost = [frame for frame in range(frames) if (site, recording, frame) not in made]
+        if lost:
+            yield Finding(
+                CARD, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
+            )
+
+
+def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
+    stem = name.removeprefix("depth/").removesuffix(".png")
+    return next((image for suffix in FORMATS.values() if (image := f"images/{stem}{suffix}") in sums), None)
+
+
+def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
+    """What the reader of annotation files works out itself, and others take from the file."""
+    for image, annotations in rows_of(dataset, split):
+        for row in annotations:
+            labelled = sum(v > 0 for v in row["keypoints"][2::3])
+            if row.get("num_keypoints", labelled) != labelled:
+                where = f"{name}: image {image['id']}, annotation {row['id']}"
+                yield Finding(
+                    where, f"num_keypoints: is {row['num_keypoints']}, {labelled} are labelled", image["file_name"]
+                )
+
+
+def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
+    """Velocities against how far a track's vehicle has come from image to image."""
+    images = {image.id: image for image in file.images}
+    tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation]]] = {}
+    for one in file.annotations:
+        image = images[one.image_id]
+        if one.velocity is not None and one.box_3d is not None and one.track_id and image.time_s is not None:
+            key = (image.site, image.recording, one.track_id)
+            tracks.setdefault(key, []).append((image.time_s, image, one))
+    for rows in tracks.values():
+        rows.sort(key=lambda row: row[0])
+        for (start, _, a), (end, image, b) in itertools.pairwise(rows):
+            if end <= start or a.velocity is None or b.velocity is None or a.box_3d is None or b.box_3d is None:
+                continue
+            came = (b.box_3d.center - a.box_3d.center) / (end - start)
+            wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
+            # At most so far apart is the mean of two velocities from the mean velocity between them.
+            if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT:
+                yield Finding(
+                    f"{name}: annotation {b.id}",
+                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far the vehicle has come",
+                    image.file_name,
+                )
+
+
+def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) -> Iterator[tuple[str, str]]:
+    try:
+        dataset.image(image)
+        depth = dataset.depth(image)
+    except UserError as error:
+        yield f"image {image.id}", str(error)
+        return
+    if depth is not None and depth.shape != (image.height, image.width):
+        found, size = f"{depth.shape[1]}x{depth.shape[0]}", f"{image.width}x{image.height}"
+        yield f"image {image.id}", f"depth_file_name: is {found} instead of {size}"
+        depth = None
+    for annotation in annotations:
+        where = f"image {image.id}, annotation {annotation.id}"
+        yield from ((where, text) for text in _check_annotation(image, annotation))
+        if "takes" in dataset.card and annotation.ignored and annotation.ignore_reason is None:
+            yield where, "ignore_reason: missing on an ignored vehicle"
+        yield from ((where, text) for text in _check_mask(image, annotation))
+        yield from ((where, text) for text in _check_box_3d(image.camera, annotation))
+        if image.camera is not None and annotation.keypoints_3d is not None:
+            yield from ((where, text) for text in _check_projection(image.camera, annotation))
+            if depth is not None:
+                yield from ((where, text) for text in _check_visibility(depth, image.camera, annotation))
+
+
+def _check_mask(image: Image, annotation: Annotation) -> Iterator[str]:
+    """The visible pixels against `area` and `bbox_visible`."""
+    rle = annotation.segmentation
+    if not isinstance(rle, dict):
+        return
+    if list(rle.get("size", [])) != [image.height, image.width]:
+        yield f"segmentation.size: is {rle.get('size')}, expected {[image.height, image.width]}"
+        return
+    try:
+        mask = coco_mask.decode({**rle, "counts": str(rle["counts"]).encode()})
+    except Exception as error:  # pycocotools raises what it likes
+        yield f"segmentation.counts: cannot be decoded: {error}"
+        return
+    area = int(mask.sum())
+    if area != round(annotation.area):
+        yield f"segmentation: has {area} pixels, area says {annotation.area:g}"
+    if area and annotation.bbox_visible is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
+        if np.abs(tight - annotation.bbox_visible).max() > BOX_PX:
+            yield f"bbox_visible: is {annotation.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
+        low, size = annotation.bbox[:2], annotation.bbox[2:]
+        if (tight[:2] < low - BOX_PX).any() or (tight[:2] + tight[2:] > low + size + BOX_PX).any():
+            yield "bbox: visible pixels lie outside"
+
+
+def _check_box_3d(camera: Camera | None, annotation: Annotation) -> Iterator[str]:
+    box = annotation.box_3d
+    if box is None:
+        return
+    if (box.size_lwh <= 0).any():
+        yield "box_3d.size_lwh: is not positive"
+    if np.abs(box.R @ box.R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(box.R) < 0:
+        yield "box_3d.R: is no rotation"
+        return
+    turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
+    if abs(np.arctan2(np.sin(turned), np.cos(turned))) > 1e-4:
+        yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
+    if camera is not None and annotation.distance is not None:
+        away = float(np.linalg.norm(camera.to_camera(box.center)))
+        if abs(away - annotation.distance) > DISTANCE_M:
+            yield f"distance: is {annotation.distance:.2f} m, the box's centre is {away:.2f} m away"
+    if annotation.keypoints_3d is not None:
+        own = (annotation.keypoints_3d - box.center) @ box.R
+        if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
+            yield "keypoints_3d: a point lies far outside box_3d"
+
+
+def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
+    boxes = {"bbox": annotation.bbox, "bbox_visible": annotation.bbox_visible}
+    for name, box in boxes.items():
+        if box is not None and ((box[:2] < 0).any() or (box[:2] + box[2:] > [image.width, image.height]).any()):
+            yield f"{name}: reaches out of the image"
+    x, y, v = annotation.keypoints.T
+    if ((v > 0) & ((x < 0) | (y < 0) | (x >= image.width) | (y >= image.height))).any():
+        yield "keypoints: a labelled point lies outside the image"
+    if ((v == 0) & ((x != 0) | (y != 0))).any():
+        yield "keypoints: v = 0 with coordinates"
+    if annotation.area_full is not None and annotation.area > annotation.area_full:
+        yield "area: more visible pixels than the whole silhouette has"
+
+
+def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:
+    assert annotation.keypoints_3d is not None
+    pixels, _, valid = camera.project(annotation.keypoints_3d)
+    labelled = annotation.keypoints[:, 2] > 0
+    error = np.abs(np.nan_to_num(pixels, nan=np.inf) - annotation.keypoints[:, :2]).max(axis=1)
+    for k in np.flatnonzero(labelled & ~(error <= REPROJECTION_PX)):
+        yield f"keypoints: {keypoints.NAMES[k]} is {error[k]:.2f} px from where keypoints_3d projects"
+    edge = np.nan_to_num(pixels, nan=-1e9)
+    well_inside = (edge > 0.1).all(1) & (edge < [camera.width - 0.1, camera.height - 0.1]).all(1)
+    for k in np.flatnonzero(~labelled & valid & well_inside):
+        yield f"keypoints: {keypoints.NAMES[k]} projects into the image but has v = 0"
+
+
+def _gaps(depth: Array, camera: Camera, points: Array) -> Array:
+    """How far points (..., 3) lie behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
+    pixels, _, valid = camera.project(points)
+    seen = valid & camera.inside(pixels)
+    at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)
+    distance = np.linalg.norm(camera.to_camera(points), axis=-1)
+    out = []
+    for down, right in itertools.product((-1, 0, 1), repeat=2):
+        columns = np.clip(at[..., 0] + right, 0, camera.width - 1)
+        rows = np.clip(at[..., 1] + down, 0, camera.height - 1)
+        rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        shown = depth[rows, columns] * np.linalg.norm(rays, axis=-1)
+        out.append(np.where(seen, distance - shown, np.nan))
+    return np.stack(out)
+
+
+def _tested_places(annotation: Annotation) -> Array:
+    """(C, 33, 3) places where each point's visibility may have been tested.
+
+    A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
+    along an axle that may be steered.
+    """
+    assert annotation.keypoints_3d is not None
+    if annotation.box_3d is None:
+        return annotation.keypoints_3d[None]
+    forward, left = annotation.box_3d.R[:, 0], annotation.box_3d.R[:, 1]
+    side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
+    places = []
+    for out, turn in itertools.product((0.09, 0.11, 0.13), (-0.6, -0.3, 0.0, 0.3, 0.6)):
+        points = annotation.keypoints_3d.copy()
+        points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
+        places.append(points)
+    return np.stack(places)
+
+
+def _check_visibility(depth: Array, camera: Camera, annotation: Annotation) -> Iterator[str]:
+    """Flags that no pixel near the point bears out.
+
+    The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the
+    pixels around it stands for that. A point that none of them hides is visible without any allowance.
+    """
+    assert annotation.keypoints_3d is not None
+    gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)
+    least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
+    with np.errstate(invalid="ignore"):
+        doubt = DOUBT + np.minimum(np.nan_to_num(most - least, nan=SLOPE_CAP, posinf=SLOPE_CAP), SLOPE_CAP)
+    v = annotation.keypoints[:, 2]
+    near = np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < DEPTH_LIMIT
+    for k in np.flatnonzero(near & (v == 2) & (least > POINT_TOLERANCE + doubt)):
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
+    for k in np.flatnonzero(near & (v == 1) & (most < POINT_TOLERANCE - DOUBT)):
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"

@@ -1,0 +1,125 @@
+"""The page: summary and card, numbers and plots, and the gallery with its filters."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import Final
+
+from skope.console import Console
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.files import write_text
+from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure
+from skope.gen.inspect.report.plots import Spread, plots, spread_of
+from skope.gen.inspect.report.sample import spread
+from skope.gen.inspect.stats import SplitStats, rows, split_stats
+from skope.gen.output import card_text
+from skope.page import document
+from skope.page.marks import table, tag
+from skope.page.stage import switches
+from skope.schema import Annotation, Image
+
+Labelled = tuple[Image, Sequence[Annotation]]
+
+_FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
+_HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, for what is known of it."
+
+
+def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
+    """Write the page with at most `count` images to `path`, and return that; splits are read one at a time."""
+    if count < 1:
+        raise UserError(f"--images: expected a whole number from 1, got {count}")
+    stats: dict[str, SplitStats] = {}
+    spreads: dict[str, Spread] = {}
+    candidates: list[Labelled] = []
+    for split in console.bar(dataset.splits, unit="split", label="reading"):
+        file = dataset.read(split)
+        stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
+        own = file.by_image()
+        # Files of other tools leave the split to their name.
+        images = [replace(image, split=image.split or split) for image in file.images]
+        candidates += [(images[i], own[images[i].id]) for i in spread(images, count)]
+    if not candidates:
+        raise UserError(f"{dataset.root}: has no images")
+    chosen = [candidates[i] for i in spread([image for image, _ in candidates], count)]
+    figures = [figure(dataset, *pair) for pair in console.bar(chosen, unit="image", label="drawing")]
+    write_text(path, _page(dataset, stats, spreads, chosen, figures))
+    return path
+
+
+def _page(
+    dataset: Dataset,
+    stats: Mapping[str, SplitStats],
+    spreads: Mapping[str, Spread],
+    chosen: Sequence[Labelled],
+    figures: Sequence[str],
+) -> str:
+    total = sum(of.images for of in stats.values())
+    shown = f"{len(chosen)} of {total} images" if len(chosen) < total else f"All {total} images"
+    how = (
+        ", spread evenly over splits, sites and recordings. Numbers and plots are of all."
+        if len(chosen) < total
+        else "."
+    )
+    numbers = [[escape(name.strip()), *map(escape, cells)] for name, cells in rows(stats)]
+    return document(
+        f"skope gen: {dataset.root.resolve().name}",
+        tag("h1", card_text.TITLE),
+        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.summary(dataset.card)}")),
+        tag("section", card_text.html(dataset.card)),
+        tag(
+            "section",
+            tag("h2", "Numbers"),
+            table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
+            tag("div", *plots(spreads, dataset.scheme), class_="grid"),
+        ),
+        tag(
+            "section",
+            tag("h2", "Images"),
+            tag("p", escape(f"{shown}{how} {_HINT}")),
+            tag("div", _controls(chosen), *figures, class_="gallery"),
+        ),
+    )
+
+
+def _controls(chosen: Sequence[Labelled]) -> str:
+    filters = "".join(
+        _select(key, words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1
+    )
+    status = tag("output", f"{len(chosen)} images", class_="count")
+    parts = [switches("Layers", {name: words for name, words in LAYERS.items() if _has(name, chosen)}, SHOWN)]
+    parts.append(tag("fieldset", tag("legend", "Filters"), filters, status, class_="choices filters"))
+    return tag("div", *parts, class_="controls")
+
+
+def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
+    """A choice among what the images are of, with how many are."""
+    options = [tag("option", "all", value="")]
+    options += [tag("option", escape(f"{name} ({count})"), value=name) for name, count in sorted(counts.items())]
+    return tag("label", escape(f"{words} "), tag("select", *options, data_filter=key))
+
+
+def _kinds(key: str, chosen: Sequence[Labelled]) -> Counter[str]:
+    """How many images there are of each value that a filter has."""
+    counts = Counter[str]()
+    for image, vehicles in chosen:
+        if key == "type":
+            counts.update({vehicle.vehicle_type or "unknown" for vehicle in vehicles if not vehicle.ignored})
+        else:
+            counts.update(filter(None, [getattr(image, key)]))
+    return counts
+
+
+def _has(layer: str, chosen: Sequence[Labelled]) -> bool:
+    """Whether any image has something to show on a layer."""
+    every = [vehicle for _, vehicles in chosen for vehicle in vehicles]
+    return {
+        "boxes": True,
+        "points": True,
+        "boxes3d": any(vehicle.box_3d is not None for vehicle in every),
+        "masks": any(isinstance(vehicle.segmentation, Mapping) for vehicle in every),
+        "depth": any(image.depth_file_name for image, _ in chosen),
+        "ignored": any(vehicle.ignored for vehicle in every),
+    }[layer]

@@ -1,0 +1,79 @@
+"""A town's plan as a picture: roads, buildings, trees, and its cameras with what they look at."""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope.gen.scenery.build import scenery
+from skope.gen.towns.layout import HALF_VIEW_DEG, Layout, polygons
+
+Image = NDArray[np.uint8]
+RGB = tuple[int, int, int]
+
+SIZE: Final = 1600
+"""Pixels of the longer side."""
+VIEW: Final = 60.0
+"""How far view cones are drawn, metres."""
+_FRAME: Final = 30.0
+"""Ground that is drawn around the network, metres."""
+_SHIFT: Final = 4
+_GROUND, _WALK, _ROAD, _DECK, _ISLAND = (228, 230, 218), (205, 203, 197), (120, 122, 126), (88, 90, 98), (188, 202, 168)
+_HOUSE, _TREE, _TEXT = (196, 168, 148), (150, 180, 130), (30, 30, 34)
+SPLITS: Final[dict[str, RGB]] = {
+    "train": (40, 110, 200),
+    "easy": (50, 150, 70),
+    "medium": (220, 140, 30),
+    "hard": (205, 50, 45),
+    "extra": (130, 70, 170),
+}
+
+
+def town_map(town: str) -> Image:
+    """(H, W, 3) RGB: north is up."""
+    layout = Layout.of(town)
+    x0, y0, x1, y1 = layout.road.buffer(_FRAME).bounds
+    scale = SIZE / max(x1 - x0, y1 - y0)
+    image = np.full((round((y1 - y0) * scale) + 60, round((x1 - x0) * scale), 3), _GROUND, dtype=np.uint8)
+
+    def pixels(points: ArrayLike) -> NDArray[np.int32]:
+        at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
+        return np.asarray(np.rint(at * 2**_SHIFT), dtype=np.int32)
+
+    def fill(region: Any, color: RGB) -> None:
+        for polygon in polygons(region):
+            outline = [pixels(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
+            cv2.fillPoly(image, outline, color, cv2.LINE_AA, _SHIFT)
+
+    fill(layout.sidewalk, _WALK)
+    built = scenery(town)
+    for footprint in built.buildings:
+        fill(footprint, _HOUSE)
+    for x, y, reach in built.trees:
+        cv2.circle(image, pixels([x, y]).tolist(), round(reach * scale * 2**_SHIFT), _TREE, -1, cv2.LINE_AA, _SHIFT)
+    fill(layout.ground_road, _ROAD)
+    fill(layout.islands, _ISLAND)
+    for deck in layout.decks:
+        fill(deck, _DECK)
+    cones = image.copy()
+    for site in layout.sites:
+        angle = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 24))
+        rim = np.array(site.position[:2]) + VIEW * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLITS[site.split], cv2.LINE_AA, _SHIFT)
+    image = cv2.addWeighted(cones, 0.35, image, 0.65, 0.0)
+    for site in layout.sites:
+        x, y = (pixels(site.position) // 2**_SHIFT).tolist()
+        cv2.circle(image, (x, y), 7, SPLITS[site.split], -1, cv2.LINE_AA)
+        cv2.circle(image, (x, y), 7, (255, 255, 255), 2, cv2.LINE_AA)
+        label = f"{site.name} ({site.split})"
+        width = cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)[0][0]
+        left = x + width + 16 > image.shape[1]
+        at = (x - width - 12 if left else x + 12, y - 8)
+        cv2.rectangle(image, (at[0] - 3, at[1] - 15), (at[0] + width + 3, at[1] + 5), (255, 255, 255), -1)
+        cv2.putText(image, label, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _TEXT, 1, cv2.LINE_AA)
+    cv2.putText(image, f"{town}: {layout.style.title}", (16, 38), cv2.FONT_HERSHEY_SIMPLEX, 0.9, _TEXT, 2, cv2.LINE_AA)
+    bar = round(100 * scale)
+    cv2.line(image, (16, image.shape[0] - 20), (16 + bar, image.shape[0] - 20), _TEXT, 3)
+    cv2.putText(image, "100 m", (22 + bar, image.shape[0] - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _TEXT, 1, cv2.LINE_AA)
+    return np.asarray(image, dtype=np.uint8)

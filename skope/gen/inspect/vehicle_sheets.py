@@ -1,0 +1,120 @@
+"""Contact sheets of vehicle models: the project's own renderer, numbered keypoints, the skeleton."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import draw
+from skope.camera import Camera
+from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.render.choose import make_renderer
+from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.recording import RecordedVehicle, Recording
+from skope.gen.scenery.build import STUDIO
+from skope.gen.vehicles import palette
+from skope.gen.vehicles.model import Vehicle
+
+Array = NDArray[np.float64]
+
+VIEWS: Final = {
+    "three quarters front": (35.0, 18.0),
+    "three quarters rear": (145.0, 18.0),
+    "front": (0.0, 6.0),
+    "side": (90.0, 6.0),
+    "rear": (180.0, 6.0),
+    "top": (90.0, 80.0),
+}
+"""Where the camera stands: degrees from straight ahead towards the vehicle's left, and above the horizon."""
+_FOV: Final = math.radians(20)
+_MARGIN: Final = 1.12
+_CAR_COLOR: Final = "red"
+_CONDITIONS: Final = Conditions(
+    sun_elevation_deg=50.0,
+    sun_azimuth_deg=60.0,
+    clouds=0.2,
+    visibility_m=20000.0,
+    exposure_ev=0.2,
+    noise=0.5,
+    vignetting=0.0,
+    k1=0.0,
+)
+
+
+def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)) -> NDArray[np.uint8]:
+    """All views of a vehicle, plain above and labelled below, with its name and dimensions as caption."""
+    pictures = list(_pictures(vehicle, renderer, size))
+    columns = len(VIEWS) // 2
+    rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
+    cells = [picture for row in rows for which in (0, 1) for picture in (pair[which] for pair in row)]
+    length, width, height = vehicle.size_lwh
+    text = f"{vehicle.model}: {vehicle.vehicle_type}, {length:.2f} x {width:.2f} x {height:.2f} m"
+    return draw.caption(draw.contact_sheet(cells, columns), text)
+
+
+def _pictures(
+    vehicle: Vehicle, renderer: str, size: tuple[int, int]
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    for azimuth, elevation in VIEWS.values():
+        recording = parked(vehicle, _camera(vehicle, math.radians(azimuth), math.radians(elevation), size))
+        view = make_renderer(renderer, recording).render(0)
+        annotations, _ = annotate(recording.moment(0), view, recording.camera, Rules(), image_id=1)
+        yield view.rgb, draw.numbered(view.rgb, annotations)
+
+
+def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int, int]) -> Camera:
+    """A camera that looks at the middle of a vehicle and just holds it."""
+    toward = np.array(
+        [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
+    )
+    middle = np.array([0.0, 0.0, vehicle.shape.height / 2])
+
+    def at(distance: float) -> Camera:
+        place = middle + distance * toward
+        return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_FOV)
+
+    distance = 60.0
+    body, *wheels = vehicle.parts
+    placed = zip(wheels, vehicle.shape.wheel_centers(), strict=True)
+    corners = np.concatenate([body.vertices, *(wheel.vertices + center for wheel, center in placed)])
+    for _ in range(4):
+        camera = at(distance)
+        pixels, _, _ = camera.project(corners)
+        reach = np.abs(pixels - [size[0] / 2, size[1] / 2]).max(axis=0) / [size[0] / 2, size[1] / 2]
+        distance *= float(reach.max()) * _MARGIN
+    return at(distance)
+
+
+def color_of(vehicle: Vehicle) -> str:
+    """A paint that shows a model's shape, or its livery."""
+    own = palette(vehicle)
+    return _CAR_COLOR if _CAR_COLOR in own else own[1]
+
+
+def parked(vehicle: Vehicle, camera: Camera) -> Recording:
+    """One frame of a vehicle that stands at the origin of an empty place, heading east."""
+    wheels = np.tile(np.eye(4), (1, 4, 1, 1))
+    wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
+    return Recording(
+        town=STUDIO,
+        site=STUDIO,
+        name="00",
+        split="extra",
+        camera=camera,
+        weather="clear",
+        time_of_day="noon",
+        conditions=_CONDITIONS,
+        seed=0,
+        versions={},
+        vehicles=(RecordedVehicle(1, vehicle.model, vehicle.shape.to_dict(), color_of(vehicle)),),
+        times_s=np.zeros(1),
+        signals=({},),
+        frame=np.zeros(1, dtype=np.int32),
+        vehicle=np.zeros(1, dtype=np.int32),
+        T_world_chassis=np.eye(4)[None],
+        T_world_wheels=wheels,
+        velocity=np.zeros((1, 3)),
+        lamps=np.zeros(1, dtype=np.uint8),
+    )

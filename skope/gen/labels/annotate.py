@@ -1,0 +1,304 @@
+"""From a rendered view to annotations: projection, hidden points, occlusion rules, boxes and masks. Pure numpy."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pycocotools import mask as coco_mask
+
+from skope import keypoints
+from skope.camera import Camera
+from skope.errors import UserError, one_of
+from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_wheels
+from skope.gen.labels.raycast import RayCaster
+from skope.gen.render.frame import STATIC, RenderedFrame
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment
+from skope.gen.vehicles import PAINTS, build
+from skope.gen.vehicles.model import Vehicle
+from skope.schema import Annotation, Box3D
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OCCLUSION_RULES: Final = ("others", "paper")
+POINT_TOLERANCE: Final = 0.05
+"""A point this far behind the surface shown is still visible, metres."""
+VEHICLE_TOLERANCE: Final = 0.20
+"""The same for the rule that takes whole vehicles out (the paper's figure)."""
+SLOPE_CAP: Final = 5.0
+MIN_PIXELS: Final = 20
+MIN_CONTRAST: Final = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What decides between ground truth and ignored, and how keypoints are localised."""
+
+    occlusion: str = "others"
+    localizer: str = "rigid"
+    min_visible: float = 0.15
+    """Less than this share of the silhouette unhidden and inside the image: `sliver`."""
+    min_box: float = 12.0
+    """A box whose shorter edge is under this many pixels: `small`."""
+
+    def __post_init__(self) -> None:
+        one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
+        one_of("--localizer", self.localizer, LOCALIZERS)
+        if not 0 <= self.min_visible <= 1:
+            raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
+        if not self.min_box >= 0:
+            raise UserError(f"--min-box: expected pixels from 0, got {self.min_box}")
+
+
+@dataclass(frozen=True, eq=False)
+class WorldKeypoints:
+    """The keypoints of a moment's N vehicles in the world."""
+
+    vehicles: tuple[Vehicle, ...]
+    points: Array
+    """(N, 33, 3) keypoints, metres."""
+    tested: Array
+    """(N, 33, 3) where visibility is tested: the keypoints, but for wheels the middle of the outer face."""
+    difference: Array
+    """(N, 33) distance between trilateration's and the rigid transform's answer, metres."""
+
+
+def locate(moment: Moment, localizer: str) -> WorldKeypoints:
+    """Localise the keypoints of all labelled vehicles of a moment at once."""
+    moment = moment.labelled()
+    vehicles = tuple(build(recorded.model, recorded.shape) for recorded in moment.vehicles)
+    if not vehicles:
+        return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
+    wheels = moment.T_world_wheels
+    centers = wheels[:, :, :3, 3]
+    rigid = transform(moment.T_world_chassis, np.stack([vehicle.points for vehicle in vehicles]))
+    sidecars = [vehicle.sidecar for vehicle in vehicles]
+    free = trilaterate(centers, np.stack([s.distances for s in sidecars]), np.stack([s.side for s in sidecars]))
+    points = with_wheels(rigid if localizer == "rigid" else free, centers)
+    faces = np.stack([vehicle.wheel_face_offsets for vehicle in vehicles])
+    outer = centers + np.einsum("nwij,nwj->nwi", wheels[:, :, :3, :3], faces)
+    return WorldKeypoints(vehicles, points, with_wheels(points, outer), np.linalg.norm(rigid - free, axis=-1))
+
+
+@dataclass
+class RuleCounts:
+    """What the rules did to a frame's vehicles, for the dataset's card."""
+
+    vehicles: int = 0
+    """With at least one visible pixel."""
+    occluded_others: int = 0
+    """Vehicles that the rule `others` would take."""
+    occluded_paper: int = 0
+    """Vehicles that the rule `paper` would take."""
+    ignored: dict[str, int] = field(default_factory=dict)
+    apart_m: float = 0.0
+    """Sum over the vehicles of how far, on average over the keypoints, the two localizers are apart."""
+    most_apart_m: float = 0.0
+
+
+def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
+    """How far points (..., 3) lie behind the surfaces that pixels show, metres, and those pixels' ids; (4, ...) each.
+
+    The pixels are the four whose centres are around the point, its own first. Distances are from the camera's centre.
+    A pixel's centre is not the point's own ray: the difference that the surface's slope makes between the two is
+    allowed for, up to `SLOPE_CAP`. NaN and -2 outside the image.
+    """
+    pixels, _, valid = camera.project(points)
+    seen = valid & camera.inside(pixels)
+    at = np.where(seen[..., None], pixels, 0.5)
+    own = np.floor(at)
+    beside = own + np.where(at - own < 0.5, -1, 1)
+    size = np.array([camera.width, camera.height])
+    picks = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    which = np.clip([np.where(pick, beside, own) for pick in picks], 0, size - 1).astype(int)
+    columns, rows = which[..., 0], which[..., 1]
+    depth = view.depth[rows, columns].astype(np.float64)
+    centers = which + 0.5
+    rays, _ = camera.rays(centers)
+    length = np.linalg.norm(rays, axis=-1)
+    # On a plane the inverse depth is linear in the pixel, which carries the slope from the centre to the point's ray.
+    shift = (view.slope[rows, columns].astype(np.float64) * (at - centers)).sum(-1)
+    finite = np.isfinite(depth)
+    z = np.where(finite, depth, 1.0)
+    room = np.abs(z / np.maximum(1 - shift / z, 1e-3) - z)
+    slack = np.minimum(np.where(finite, room, 0.0) * length, SLOPE_CAP)
+    gap = np.linalg.norm(camera.to_camera(points), axis=-1) - depth * length - slack
+    return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
+
+
+def _hidden(moment: Moment, located: WorldKeypoints, camera: Camera, gap: Array, shown: NDArray[np.int32]) -> Mask:
+    """(N, 33) which points something hides.
+
+    The four pixels around a point decide where they show the same and agree. Where an edge passes between them the
+    point's own ray does: the vehicles' shapes are known. What is not a vehicle hides the point if its own pixel shows
+    it.
+    """
+    # A wheel's centre may be inside the image while the middle of its face is not: then nothing says it is hidden.
+    blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
+    hidden: Mask = blocked[0].copy()
+    edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
+    doubtful = edge & ~(blocked[0] & (shown[0] == STATIC))
+    if doubtful.any():
+        points = located.tested[doubtful]
+        away = np.linalg.norm(points - camera.position, axis=-1)
+        hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
+        hidden[doubtful] = away - hits > POINT_TOLERANCE
+    return hidden
+
+
+def annotate(
+    moment: Moment, view: RenderedFrame, camera: Camera, rules: Rules, image_id: int
+) -> tuple[list[Annotation], RuleCounts]:
+    """Annotations of a frame's vehicles, ignored ones included, in track order; their ids count from 1."""
+    located = locate(moment, rules.localizer)
+    pixels, _, valid = camera.project(located.points)
+    inside = valid & camera.inside(pixels)
+    gap, shown = behind(view, camera, located.tested)
+    own = shown[0] == np.arange(1, len(located.vehicles) + 1)[:, None]
+    v = np.where(inside, np.where(_hidden(moment, located, camera, gap, shown), 1, 2), 0)
+    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
+    by_others = occluded_by_others(hidden & ~own, inside)
+    by_paper = hidden.sum(-1) * 2 > keypoints.K
+    tally = RuleCounts()
+    out: list[Annotation] = []
+    order = sorted(range(len(located.vehicles)), key=lambda i: moment.vehicles[i].track_id)
+    for i in order:
+        shape = _measure(view, i, camera)
+        if shape is None:
+            continue
+        tally.vehicles += 1
+        tally.occluded_others += int(by_others[i])
+        tally.occluded_paper += int(by_paper[i])
+        tally.apart_m += float(located.difference[i].mean())
+        tally.most_apart_m = max(tally.most_apart_m, float(located.difference[i].max()))
+        if rules.occlusion == "paper" and by_paper[i]:
+            continue
+        points = np.concatenate([np.where(v[i, :, None] > 0, _within(pixels[i], camera), 0.0), v[i, :, None]], axis=1)
+        occluded = rules.occlusion == "others" and bool(by_others[i])
+        reason = _ignore_reason(shape, occluded, float(view.contrast[i]), rules)
+        if reason:
+            tally.ignored[reason] = tally.ignored.get(reason, 0) + 1
+        out.append(
+            Annotation(
+                id=len(out) + 1,
+                image_id=image_id,
+                keypoints=points,
+                keypoints_3d=located.points[i],
+                iscrowd=int(reason is not None),
+                ignore_reason=reason,
+                contrast=float(view.contrast[i]),
+                **shape.fields(),
+                **_vehicle_fields(moment, i, located.vehicles[i], camera),
+            )
+        )
+    return out, tally
+
+
+def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
+    """Rule `others` (..., 33) -> (...,): something else hides more than half of the points inside the image."""
+    return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
+
+
+def _within(pixels: Array, camera: Camera) -> Array:
+    """Pixels that rounding to 0.01 does not push out of the image."""
+    return np.clip(np.round(np.nan_to_num(pixels), 2), 0, [camera.width - 0.01, camera.height - 0.01])
+
+
+@dataclass(frozen=True, eq=False)
+class _Extent:
+    """A vehicle's pixels in numbers."""
+
+    bbox: Array
+    bbox_visible: Array
+    segmentation: dict[str, Any]
+    visible: int
+    inside: int
+    """Pixels of the whole silhouette inside the image."""
+    whole: int
+    """Pixels of the whole silhouette on the canvas."""
+
+    def fields(self) -> dict[str, Any]:
+        return {
+            "bbox": self.bbox,
+            "bbox_visible": self.bbox_visible,
+            "segmentation": self.segmentation,
+            "area": self.visible,
+            "area_full": self.inside,
+            "occlusion": 1 - self.visible / self.inside,
+            "truncation": 1 - self.inside / self.whole,
+        }
+
+
+def _measure(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
+    """Boxes, masks and counts of the frame's i-th vehicle; None without a visible pixel."""
+    silhouette = view.silhouettes[i]
+    height, width = silhouette.mask.shape
+    x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
+    x1, y1 = min(silhouette.x + width, camera.width), min(silhouette.y + height, camera.height)
+    visible = view.ids[y0:y1, x0:x1] == i + 1
+    if not visible.any():
+        return None
+    whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
+    # Drawn in another window, an edge may round to the pixel beside it; what is visible is part of the vehicle.
+    inside = whole | visible
+    corner = np.array([x0, y0, 0, 0])
+    return _Extent(
+        bbox_of(inside) + corner,
+        bbox_of(visible) + corner,
+        _segmentation(visible, (x0, y0), (camera.width, camera.height)),
+        int(visible.sum()),
+        int(inside.sum()),
+        int(silhouette.mask.sum() + inside.sum() - whole.sum()),
+    )
+
+
+def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
+    """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
+    (x0, y0), (width, height) = corner, size
+    # Runs go down the columns; an empty row at the end keeps them from going on in the next one.
+    columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
+    edges = np.flatnonzero(np.diff(columns, prepend=False))
+    column, row = np.divmod(edges, len(mask) + 1)
+    edges = (x0 + column) * height + y0 + row
+    # In a mask as high as the image a run may end where the next begins.
+    meets = np.flatnonzero(edges[1:] == edges[:-1])
+    edges = np.delete(edges, np.concatenate([meets, meets + 1]))
+    counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()
+    rle = coco_mask.frPyObjects({"size": [height, width], "counts": counts}, height, width)
+    return {"size": [height, width], "counts": rle["counts"].decode()}
+
+
+def bbox_of(mask: Mask) -> Array:
+    """(4,) x, y, width, height of the tight box around a mask's (H, W) pixels."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    x, y = columns[0], rows[0]
+    return np.array([x, y, columns[-1] + 1 - x, rows[-1] + 1 - y], dtype=np.float64)
+
+
+def _ignore_reason(shape: _Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
+    if occluded:
+        return "occluded"
+    if shape.visible < rules.min_visible * shape.whole:
+        return "sliver"
+    if min(shape.bbox[2:]) < rules.min_box or shape.visible < MIN_PIXELS:
+        return "small"
+    return "unseen" if contrast < MIN_CONTRAST else None
+
+
+def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) -> dict[str, Any]:
+    recorded, T = moment.vehicles[i], moment.T_world_chassis[i]
+    center = T[:3, :3] @ [0, 0, vehicle.size_lwh[2] / 2] + T[:3, 3]
+    yaw = math.atan2(T[1, 0], T[0, 0])
+    return {
+        "track_id": recorded.track_id,
+        "model": recorded.model,
+        "vehicle_type": vehicle.vehicle_type,
+        "color": PAINTS[recorded.color].color,
+        "parked": recorded.parked,
+        "box_3d": Box3D(center=center, size_lwh=np.array(vehicle.size_lwh), yaw=yaw, R=T[:3, :3]),
+        "velocity": moment.velocity[i],
+        "distance": float(np.linalg.norm(center - camera.position)),
+    }

@@ -1,0 +1,253 @@
+"""A dataset's card in words: the sections of its README and of its gallery, from what dataset.json says.
+
+Cards of imported datasets say less; what they do not say is left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Final
+
+from skope import keypoints
+from skope.gen.output.licences import ADDRESSES
+from skope.page import marks
+
+Card = Mapping[str, Any]
+
+TITLE: Final = "Roadside images with 33 keypoints per vehicle"
+LIMITS: Final = "Limits"
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line for the shell."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class TextTable:
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    title: str
+    blocks: Sequence[str | list[str] | Command | TextTable]
+    """Paragraphs, lists, commands and tables."""
+
+
+def sections(card: Card) -> list[Section]:
+    """What is to be said of a dataset, in the order of reading."""
+    parts = [
+        Section("What it is for", purposes()),
+        Section("How it was made", [*_command(card), made(card), _sources(card)]),
+        Section("What the labels mean", [list(card.get("label_rules", [])), *_rules_in_numbers(card)]),
+        Section("Balance", _balance(card)),
+        Section(LIMITS, [limits(card)]),
+        Section("People", [people(card)]),
+        Section("Licence", [licence(card)]),
+    ]
+    return [Section(part.title, blocks) for part in parts if (blocks := [block for block in part.blocks if block])]
+
+
+def summary(card: Card) -> str:
+    """A dataset in one sentence."""
+    counts = card.get("counts", {})
+    if "images" not in counts:
+        return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
+    size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
+    ignored = sum(counts.get("ignored", {}).values())
+    besides = f", and {ignored} more that are marked as ignored" if ignored else ""
+    return (
+        f"{counts['images']} images{f' of {size} pixels' if size else ''}"
+        f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{besides}."
+    )
+
+
+def _scheme(card: Card) -> str:
+    """Which keypoints they are, where they are not ours."""
+    scheme = card.get("keypoint_scheme")
+    return f" (scheme {scheme})" if scheme != keypoints.SCHEME else ""
+
+
+def purposes() -> list[str]:
+    """What a dataset is good for."""
+    return [
+        "Training and measuring detectors of vehicle keypoints for fixed roadside cameras, and developing what builds "
+        "on keypoints: position, heading, size and speed of vehicles from one camera. Where there are masks, 3D boxes, "
+        "depth and track numbers, it serves segmentation, monocular 3D detection and tracking too.",
+    ]
+
+
+def _command(card: Card) -> list[Command]:
+    return [Command(card["command"])] if "command" in card else []
+
+
+def _sources(card: Card) -> list[str]:
+    """What a joined dataset was joined from."""
+    return [
+        f"{of['name']} ({of['licence']})" + (f": `{of['command']}`" if of.get("command") else "")
+        for of in card.get("sources", ())
+    ]
+
+
+def made(card: Card) -> list[str]:
+    """How a dataset that `skope gen` made came about."""
+    values, versions = card.get("parameters", {}), card.get("versions", {})
+    if not values:
+        return []
+    own, fleet = values.get("own"), card.get("fleet", {})
+    if own:
+        place = (
+            f"of the site file {own['file']}, {'on a photograph of the empty road' if own['photograph'] else 'drawn'}"
+        )
+    else:
+        place = "of sites in seven invented towns (`skope gen sites` lists them)"
+    return [
+        "Everything is simulated and drawn; nobody labelled anything by hand, and the same command gives the same "
+        f"labels again (seed {card.get('seed')}).",
+        f"Traffic is SUMO's, past cameras {place}; vehicles are bodies with sprung wheels in pybullet, and their "
+        "keypoints come from where those bodies are.",
+        f"Pictures are drawn by the renderer `{card.get('renderer')}`, with weather, light, exposure, noise and lens "
+        "of each recording's own; visibility is told from the depth and instance images of the same frame.",
+        *(
+            [f"Models that only test sites show: {', '.join(fleet['held_out'])}."]
+            if fleet.get("held_out") and not own
+            else []
+        ),
+        f"Versions: {', '.join(f'{name} {version}' for name, version in versions.items())}.",
+    ]
+
+
+def _rules_in_numbers(card: Card) -> list[str]:
+    taken, apart = card.get("occlusion_rules", {}), card.get("localizer_difference_m", {})
+    known = [f"{name} {value:.4f} m" for name, value in apart.items() if value is not None]
+    said = []
+    if taken:
+        said.append(
+            f"Of {taken['vehicles']} vehicles the occlusion rule `others` takes {taken['taken_by_others']}, the rule "
+            f"`paper` {taken['taken_by_paper']}."
+        )
+    if known:
+        said.append(f"Trilateration and the rigid transform are apart by {', '.join(known)} over their keypoints.")
+    return said
+
+
+def _balance(card: Card) -> list[TextTable]:
+    counts = card.get("counts", {})
+    tables = []
+    for key, title in (("split", "Split"), ("weather", "Weather"), ("vehicle_type", "Vehicle type"), ("site", "Site")):
+        groups: Mapping[str, Mapping[str, int]] = counts.get(f"by_{key}", {})
+        if not groups:
+            continue
+        columns = [name for name in ("images", "ground_truth", "ignored") if name in next(iter(groups.values()))]
+        total = sum(group.get("ground_truth", 0) for group in groups.values())
+        names = list(groups)
+        if key in ("weather", "vehicle_type"):
+            names.sort(key=lambda name: -groups[name].get("ground_truth", 0))
+        rows = [
+            [
+                name,
+                *(str(groups[name].get(column, 0)) for column in columns),
+                f"{groups[name].get('ground_truth', 0) / total:.1%}" if total else "-",
+            ]
+            for name in names
+        ]
+        heads = {"ground_truth": "vehicles"}
+        tables.append(
+            TextTable(title, [key.replace("_", " "), *(heads.get(c, c) for c in columns), "of vehicles"], rows)
+        )
+    return tables
+
+
+def limits(card: Card) -> list[str]:
+    """What a user must know before relying on a dataset."""
+    fleet, depth = card.get("fleet", {}), card.get("depth", "")
+    said = [
+        "Not validated for safety or enforcement: neither this dataset nor a detector trained on it has been validated "
+        "for functions on which safety depends, or for measuring and prosecuting offences.",
+    ]
+    if not card.get("parameters"):
+        return said
+    said += [
+        "The pictures are drawn. A detector trained on them alone finds less in photographs: measure it on labelled "
+        "footage of the road where it is to work, and fine-tune it there.",
+        "Only motor vehicles with four or more wheels are labelled. Pedestrians, bicycles and motorcycles may stand "
+        "before them and have no labels; of a truck with a trailer the tractor is labelled.",
+        "Hidden keypoints (v = 1) are exact although nobody could see them: labels by hand of photographs are not.",
+    ]
+    if fleet.get("substituted"):
+        said.append(
+            "A body without a part has its keypoint at the nearest equivalent: "
+            + "; ".join(f"{name} ({len(points)})" for name, points in fleet["substituted"].items())
+            + " (dataset.json names them)."
+        )
+    if depth and depth != "none":
+        said.append("Depth files end at 255.99 m.")
+    return said
+
+
+def people(card: Card) -> str:
+    """What a dataset has of persons."""
+    values = card.get("parameters")
+    if not values:
+        return ""
+    if (values.get("own") or {}).get("photograph"):
+        return (
+            "Vehicles, plates and drivers are invented. The background is the user's photograph of a real place: "
+            "whoever passes the dataset on answers for whom it shows."
+        )
+    return "No person, vehicle, plate or place in the pictures is real."
+
+
+def licence(card: Card) -> str:
+    """What a dataset may be used for, with the address of a known licence."""
+    stated = str(card.get("licence", ""))
+    return f"{stated} ({ADDRESSES[stated]})" if stated in ADDRESSES else stated
+
+
+# ------------------------------------------------------------------------------------------------------------ two forms
+
+
+def markdown(card: Card) -> str:
+    """A card as README.md."""
+    lines = [f"# {TITLE}", "", summary(card), ""]
+    for section in sections(card):
+        lines += [f"## {section.title}", ""]
+        for block in section.blocks:
+            lines += [*_markdown(block), ""]
+    return "\n".join(lines)
+
+
+def _markdown(block: str | list[str] | Command | TextTable) -> list[str]:
+    if isinstance(block, Command):
+        return [f"    {block.text}"]
+    if isinstance(block, list):
+        return [f"- {line}" for line in block]
+    if isinstance(block, TextTable):
+        rows = (block.head, ["---"] * len(block.head), *block.rows)
+        return ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows]
+    return [block]
+
+
+def html(card: Card) -> str:
+    """A card as parts of a page, to be unfolded, without its title and summary."""
+    return "".join(
+        marks.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS)
+        for section in sections(card)
+    )
+
+
+def _html(block: str | list[str] | Command | TextTable) -> str:
+    if isinstance(block, Command):
+        return marks.tag("pre", escape(block.text), tabindex=0)
+    if isinstance(block, list):
+        return marks.tag("ul", *(marks.tag("li", escape(line)) for line in block))
+    if isinstance(block, TextTable):
+        rows = [[escape(cell) for cell in row] for row in block.rows]
+        return marks.table(block.head, rows, caption=block.caption, sortable=True)
+    return marks.tag("p", escape(block))

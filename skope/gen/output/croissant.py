@@ -1,0 +1,195 @@
+"""croissant.json: a dataset described for catalogues and loaders, in MLCommons Croissant 1.0 with its RAI extension.
+
+Source: the format's specification, docs.mlcommons.org/croissant/docs/croissant-spec.html. What only a publisher knows
+(url, creator, datePublished) is left to be added where the dataset is published. No date stands in it: the same dataset
+has the same bytes.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from skope import schema, shards
+from skope.depth_files import DEPTH_SCALE
+from skope.gen.output import card_text
+from skope.gen.output.licences import ADDRESSES
+
+Json = dict[str, Any]
+
+_CONTEXT: Final[Json] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "citeAs": "cr:citeAs",
+    "column": "cr:column",
+    "conformsTo": "dct:conformsTo",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "dct": "http://purl.org/dc/terms/",
+    "equivalentProperty": "cr:equivalentProperty",
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract",
+    "field": "cr:field",
+    "fileProperty": "cr:fileProperty",
+    "fileObject": "cr:fileObject",
+    "fileSet": "cr:fileSet",
+    "format": "cr:format",
+    "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath",
+    "key": "cr:key",
+    "md5": "cr:md5",
+    "parentField": "cr:parentField",
+    "path": "cr:path",
+    "recordSet": "cr:recordSet",
+    "references": "cr:references",
+    "regex": "cr:regex",
+    "repeated": "cr:repeated",
+    "replace": "cr:replace",
+    "samplingRate": "cr:samplingRate",
+    "sc": "https://schema.org/",
+    "separator": "cr:separator",
+    "source": "cr:source",
+    "subField": "cr:subField",
+    "transform": "cr:transform",
+}
+_CITATION: Final = (
+    "Pahadia, Lu, Chakravarthi, Yang: SKoPe3D: A Synthetic Dataset for Vehicle Keypoint Perception in 3D from Traffic "
+    "Monitoring Cameras, 2023 (the method; the images are made by skope)"
+)
+_MIME: Final = {
+    ".jpg": "image/jpeg",
+    ".png": "image/png",
+    ".webp": "image/webp",
+    ".npz": "application/octet-stream",
+}
+_FOLDERS: Final = {
+    "images/*/*": "Camera images.",
+    "depth/*/*": f"Planar depth, metres = value / {DEPTH_SCALE:.0f}, 0 = sky.",
+    "recordings/*": "Poses of every vehicle in every frame.",
+}
+
+_IMAGE_FIELDS: Final = {
+    "id": ("sc:Integer", "Number of the image, unique in the dataset."),
+    "file_name": ("sc:Text", "Path of the image in the dataset."),
+    "width": ("sc:Integer", "Pixels."),
+    "height": ("sc:Integer", "Pixels."),
+    "site": ("sc:Text", "Where the camera hangs."),
+    "recording": ("sc:Text", "One stretch of time at a site."),
+    "frame_index": ("sc:Integer", "Place in the recording."),
+    "split": ("sc:Text", "train, or a test split."),
+    "weather": ("sc:Text", f"One of {', '.join(schema.WEATHERS)}."),
+}
+_VEHICLE_FIELDS: Final = {
+    "id": ("sc:Integer", "Number of the annotation, unique in the dataset."),
+    "image_id": ("sc:Integer", "Its image."),
+    "bbox": ("cr:BoundingBox", "x, y, width, height in pixels: the whole vehicle as if nothing stood before it."),
+    "keypoints": ("sc:Float", "33 times x, y, v; v = 2 visible, 1 hidden, 0 outside the image."),
+    "iscrowd": ("sc:Integer", "1: ignored, neither ground truth nor background."),
+    "track_id": ("sc:Integer", "The same vehicle at the same site."),
+    "vehicle_type": ("sc:Text", f"One of {', '.join(schema.VEHICLE_TYPES)}."),
+}
+
+_RECORDS: Final = {
+    "images": ("images", "Images of all splits; COCO keypoints, a file a split.", _IMAGE_FIELDS),
+    "vehicles": ("annotations", "Annotated vehicles of all splits; COCO keypoints, a file a split.", _VEHICLE_FIELDS),
+}
+
+
+def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
+    """The document for a card and the dataset's checksums (SHA-256 by path, as the manifest has them)."""
+    licence = str(card["licence"])
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": ["http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0"],
+        "name": "skope-vehicle-keypoints",
+        "description": f"{card_text.TITLE}. {card_text.summary(card)}",
+        "license": ADDRESSES.get(licence, licence),
+        "version": f"{schema.VERSION}.0.0",
+        "citeAs": _CITATION,
+        "keywords": ["keypoints", "vehicles", "roadside camera", "synthetic data", "3D boxes", "depth"],
+        "rai:dataCollection": " ".join(card_text.made(card)),
+        "rai:dataCollectionType": ["Simulations"],
+        "rai:dataUseCases": card_text.purposes(),
+        "rai:dataLimitations": card_text.limits(card),
+        "rai:dataAnnotationProtocol": list(card["label_rules"]),
+        "rai:personalSensitiveInformation": [card_text.people(card)],
+        **(_shards(sums) if card.get("format") == "shards" else _folder(sums)),
+    }
+
+
+def _folder(sums: Mapping[str, str]) -> Json:
+    files = [_file(path, sums, "application/json") for path in sums if path.startswith("annotations/")]
+    # Readers take one list of rows from a set of files, so that the same files are two sets.
+    files += [
+        _set(f"files-of-{name}", "annotations/*.json", "application/json", description)
+        for name, (_, description, _) in _RECORDS.items()
+    ]
+    for pattern, description in _FOLDERS.items():
+        folder = pattern.split("/")[0]
+        for suffix in sorted({Path(path).suffix for path in sums if path.startswith(f"{folder}/")}):
+            files.append(_set(f"{folder}-files", pattern + suffix, _MIME[suffix], description))
+    return {"distribution": files, "recordSet": [_record_set(name, *of) for name, of in _RECORDS.items()]}
+
+
+def _shards(sums: Mapping[str, str]) -> Json:
+    """Archives, whose members (WebDataset) no record of the format describes."""
+    description = "Where in its shard each member lies: offset and size in bytes."
+    return {
+        "distribution": [
+            *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
+            _set("shard-indices", f"{shards.FOLDER}/*.json", "application/json", description),
+            _set("recordings-files", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
+        ]
+    }
+
+
+def _file(path: str, sums: Mapping[str, str], kind: str) -> Json:
+    name = path.replace("/", "-")
+    return {
+        "@type": "cr:FileObject",
+        "@id": name,
+        "name": name,
+        "contentUrl": path,
+        "encodingFormat": kind,
+        "sha256": sums[path],
+    }
+
+
+def _set(name: str, includes: str, kind: str, description: str) -> Json:
+    return {
+        "@type": "cr:FileSet",
+        "@id": name,
+        "name": name,
+        "description": description,
+        "encodingFormat": kind,
+        "includes": includes,
+    }
+
+
+def _record_set(name: str, rows: str, description: str, fields: Mapping[str, tuple[str, str]]) -> Json:
+    """The list `rows` of the annotation files.
+
+    An annotation's image is not given as a reference: readers would join the two lists' rows one by one.
+    """
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": description,
+        "key": {"@id": f"{name}/id"},
+        "field": [
+            {
+                "@type": "cr:Field",
+                "@id": f"{name}/{field}",
+                "name": field,
+                "description": text,
+                "dataType": kind,
+                **({"repeated": True} if field == "keypoints" else {}),
+                "source": {"fileSet": {"@id": f"files-of-{name}"}, "extract": {"jsonPath": f"$.{rows}[*].{field}"}},
+            }
+            for field, (kind, text) in fields.items()
+        ],
+    }

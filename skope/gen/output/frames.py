@@ -1,0 +1,105 @@
+"""A finished frame: the bytes of its files, and its labels."""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco
+from skope.depth_files import depth_png
+from skope.errors import UserError, one_of
+from skope.files import json_bytes
+from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.output.counts import kind_of
+from skope.gen.output.writers import Labels
+from skope.gen.render.frame import Renderer
+from skope.gen.scene.recording import Recording
+from skope.schema import Image
+
+FORMATS: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
+"""Suffixes of images by `--image-format`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoding:
+    """How pictures are written."""
+
+    image: str = "jpeg"
+    quality: int = 95
+    """Of JPEG and WebP, 1 to 100."""
+    depth: bool = True
+    """Whether depth files are written."""
+
+    def __post_init__(self) -> None:
+        one_of("--image-format", self.image, tuple(FORMATS))
+        if not 1 <= self.quality <= 100:
+            raise UserError(f"--quality: expected a whole number from 1 to 100, got {self.quality}")
+
+    def encoded(self, rgb: NDArray[np.uint8]) -> bytes:
+        """An image file's content."""
+        options = {
+            "jpeg": [cv2.IMWRITE_JPEG_QUALITY, self.quality],
+            "png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
+            "webp": [cv2.IMWRITE_WEBP_QUALITY, self.quality],
+        }[self.image]
+        ok, data = cv2.imencode(FORMATS[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
+        assert ok
+        return data.tobytes()
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    files: dict[str, bytes]
+    """Contents by path in the dataset."""
+    labels: Labels
+
+
+def frames_of(
+    recording: Recording, renderer: Renderer, rules: Rules, encoding: Encoding, frames: Iterable[int]
+) -> Iterator[FrameFiles]:
+    """Render, annotate and encode frames of a recording."""
+    for frame in frames:
+        view = renderer.render(frame)
+        annotations, tally = annotate(recording.moment(frame), view, recording.camera, rules, image_id=0)
+        name = recording.take.frame_name(frame)
+        files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
+        depth_name = f"depth/{name}.png" if encoding.depth else None
+        if depth_name:
+            files[depth_name] = depth_png(view.depth)
+        image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
+        labels = Labels(
+            name=name,
+            image=coco.image_to_dict(image),
+            rows=[json_bytes(coco.annotation_to_dict(annotation)) for annotation in annotations],
+            kinds=[kind_of(annotation.iscrowd, annotation.vehicle_type) for annotation in annotations],
+            sha256={path: checksum(data) for path, data in files.items()},
+            tally=vars(tally),
+        )
+        yield FrameFiles(files, labels)
+
+
+def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:
+    """What an annotation file says of a frame of a recording."""
+    return Image(
+        id=image_id,
+        file_name=file_name,
+        width=recording.camera.width,
+        height=recording.camera.height,
+        town=recording.town,
+        site=recording.site,
+        recording=recording.name,
+        frame_index=frame,
+        time_s=float(recording.times_s[frame]),
+        split=recording.split,
+        weather=recording.weather,
+        sun_elevation_deg=recording.conditions.sun_elevation_deg,
+        camera=recording.camera,
+    )
+
+
+def checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,156 @@
+"""A Ray cluster's workers. They share no disk with this machine: recordings go out to them, frames come back."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from skope.errors import UserError
+from skope.gen.output.frames import FrameFiles, frames_of
+from skope.gen.pipeline.store import Store
+from skope.gen.pipeline.workers import Backlog, Crew, RenderJob, RenderJobSpec
+from skope.gen.render.choose import choose_renderer, make_renderer
+from skope.gen.render.frame import Renderer
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording, RecordingPlan, Take
+from skope.gen.simulation.simulate import simulate, versions
+
+_LOST: Final = 20
+"""So many workers may be lost before the run is given up."""
+_START_S: Final = 60.0
+"""A cluster that cannot start a worker in this time is too small, seconds."""
+
+
+class Worker:
+    """What runs in the cluster: one process, which keeps the recording that it works on open."""
+
+    def __init__(self, same: Mapping[str, str]) -> None:
+        from skope.gen.pipeline.workers import one_thread
+
+        one_thread()
+        self._take: Take | None = None
+        self._opened: tuple[Recording, Renderer] | None = None
+        here = versions()
+        for name, version in same.items():
+            if here.get(name) != version:
+                raise UserError(f"has {name} {here.get(name, 'not at all')}, this run is made with {version}")
+
+    def simulate(self, plan: RecordingPlan) -> bytes:
+        return recordings.packed(simulate(plan))
+
+    def render(self, data: bytes, style: RenderJobSpec, job: RenderJob) -> list[FrameFiles]:
+        if self._take != job.take or self._opened is None:
+            _, driver, _ = choose_renderer(style.renderer)
+            if driver != style.driver:
+                raise UserError(f"draws with {driver}, this run is drawn with {style.driver}")
+            source = recordings.unpacked(data, Path(f"{job.take.site}_{job.take.name}.npz"))
+            self._opened, self._take = (source, make_renderer(style.renderer, source)), job.take
+        source, renderer = self._opened
+        return list(frames_of(source, renderer, style.rules, style.encoding, job.frames))
+
+
+class Cluster:
+    """Keeps every worker of a Ray cluster busy with one job at a time; a lost worker's job is done by another."""
+
+    def __init__(self, ray: Any, count: int) -> None:
+        self._ray, self._lost = ray, 0
+        self._actor = ray.remote(num_cpus=1)(Worker)
+        self._workers = [self._hired() for _ in range(count)]
+
+    def _hired(self) -> Any:
+        return self._actor.remote(versions())
+
+    def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
+        left = deque(plans)
+        for plan, data in self._spread(
+            left, lambda _: left.popleft(), left.appendleft, lambda worker, plan: worker.simulate.remote(plan)
+        ):
+            store.keep_recording(plan.take, data)
+            yield 1
+
+    def render(self, store: Store, missing: Mapping[Take, list[int]], style: RenderJobSpec) -> Iterator[int]:
+        backlog, held, sent = Backlog(missing), dict[Any, Take](), dict[Take, Any]()
+
+        def next_for(worker: Any) -> RenderJob:
+            job = backlog.next_for(held.get(worker))
+            held[worker] = job.take
+            return job
+
+        def begin(worker: Any, job: RenderJob) -> Any:
+            if job.take not in sent:
+                # Recordings that no worker has in hand any more may leave the cluster's memory.
+                for take in sent.keys() - set(held.values()):
+                    del sent[take]
+                sent[job.take] = self._ray.put(store.recording_path(job.take).read_bytes())
+            return worker.render.remote(sent[job.take], style, job)
+
+        for _, frames in self._spread(backlog, next_for, backlog.put_back, begin):
+            for frame in frames:
+                store.keep(frame)
+            yield len(frames)
+
+    def _spread(
+        self,
+        left: Any,
+        next_for: Callable[[Any], Any],
+        put_back: Callable[[Any], None],
+        begin: Callable[[Any, Any], Any],
+    ) -> Iterator[tuple[Any, Any]]:
+        idle, busy = list(self._workers), dict[Any, tuple[Any, Any]]()
+        while left or busy:
+            while left and idle:
+                worker = idle.pop(0)
+                task = next_for(worker)
+                busy[begin(worker, task)] = worker, task
+            done, _ = self._ray.wait(list(busy), num_returns=1)
+            worker, task = busy.pop(done[0])
+            try:
+                result = self._ray.get(done[0])
+            except self._ray.exceptions.RayActorError as error:
+                put_back(task)
+                idle.append(self._replaced(worker, error))
+                continue
+            except self._ray.exceptions.RayTaskError as error:
+                if isinstance(error.cause, UserError):
+                    raise UserError(f"a worker of the cluster {error.cause}") from None
+                raise
+            idle.append(worker)
+            yield task, result
+
+    def _replaced(self, worker: Any, error: Exception) -> Any:
+        if "UserError" in str(error):  # it refused to start
+            text = next(line for line in reversed(str(error).splitlines()) if "UserError" in line)
+            raise UserError(f"a worker of the cluster {text.split('UserError: ')[-1]}") from None
+        self._lost += 1
+        if self._lost > _LOST:
+            raise UserError(
+                f"{self._lost} workers of the cluster were lost, perhaps for want of memory; "
+                "the same command goes on from here"
+            ) from None
+        self._workers[self._workers.index(worker)] = hired = self._hired()
+        return hired
+
+
+@contextmanager
+def cluster(count: int | None, address: str | None) -> Iterator[Crew]:
+    """So many workers, by default one per core, of the cluster at `address`, of one that is found, or of a new one."""
+    try:
+        import ray
+    except ImportError:
+        raise UserError("--engine ray: Ray is not installed; pip install skope[ray]") from None
+    own = not ray.is_initialized()
+    if own:
+        quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False, "include_dashboard": False}
+        try:
+            ray.init(address=address, **quiet)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise UserError(f"--address {address}: no Ray cluster there: {str(error).splitlines()[0]}") from None
+    try:
+        cores = int(ray.cluster_resources().get("CPU", 0))  # type: ignore[no-untyped-call]
+        if not 0 < (count or cores) <= cores:
+            raise UserError(f"--workers {count or cores}: the Ray cluster has {cores} cores")
+        yield Cluster(ray, count or cores)
+    finally:
+        if own:
+            ray.shutdown()

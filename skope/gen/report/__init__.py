@@ -1,5 +1,0 @@
-"""A page to look at a dataset: its card, its numbers, and images with their labels as layers to switch."""
-
-from skope.gen.report.page import write_report
-
-__all__ = ["write_report"]

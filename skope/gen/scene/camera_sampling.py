@@ -1,0 +1,108 @@
+"""Cameras that differ from recording to recording, as they hang along real roads: height, pose and field of view."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera, Distortion
+from skope.errors import UserError
+from skope.gen.scene.conditions import Range
+from skope.gen.towns import Site
+from skope.gen.towns.layout import Layout
+
+Array = NDArray[np.float64]
+
+LIMITS: Final[Mapping[str, Range]] = {
+    "fov_deg": (5.0, 150.0),
+    "height_m": (2.0, 60.0),
+    "pitch_deg": (-5.0, 85.0),
+    "zoom_by": (0.2, 5.0),
+    "height_by_m": (-10.0, 10.0),
+    "pitch_by_deg": (-45.0, 45.0),
+    "yaw_by_deg": (-180.0, 180.0),
+    "roll_by_deg": (-45.0, 45.0),
+}
+"""What a camera can be drawn by: in place of the site's (height over the road), or added to the site's (`zoom_by` is a
+factor on the focal length)."""
+_TRIES: Final = 500
+_CAR: Final = 1.5
+"""Height of a car, metres."""
+_LARGE: Final = 24.0
+"""A lane is seen where a car is so high in an image of 1080 rows, pixels."""
+_BRIDGE: Final = 12.0
+"""A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
+_ROAD: Final = 40.0
+"""So many metres of lanes a camera sees at least; or half of what the site's own sees, if that is less."""
+
+
+def check_ranges(spans: Mapping[str, Range]) -> None:
+    """UserError when a range is not one of `LIMITS`, or beyond it."""
+    for name, (low, high) in spans.items():
+        least, most = LIMITS[name]
+        if not least <= low <= high <= most:
+            raise UserError(f"camera.{name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
+
+
+def drawn(
+    site: Site,
+    size: tuple[int, int],
+    fov_deg: float,
+    distortion: Distortion | None,
+    spans: Mapping[str, Range],
+    rng: np.random.Generator,
+) -> Camera:
+    """A camera on the site's mast, drawn evenly from `spans` (see `LIMITS`) among those that see enough road.
+
+    Raises UserError when hardly any of them does.
+    """
+    own = site.camera(size, fov_deg, distortion)
+    if not spans:
+        return own
+    layout = Layout.of(site.town)
+    lanes, level = np.concatenate(list(layout.lane_points.values())), _level(layout, site)
+    lowest = _lowest(layout, site)
+    enough = min(_ROAD, _seen(own, lanes) / 2)
+    for _ in range(_TRIES):
+        values = {name: float(rng.uniform(*spans[name])) for name in LIMITS if name in spans}
+        camera = _moved(site.camera(size, values.get("fov_deg", fov_deg), distortion), values, level)
+        if camera.position[2] >= lowest and _seen(camera, lanes) >= enough:
+            return camera
+    raise UserError(f"{site.name}: of {_TRIES} cameras drawn none sees {enough:.0f} m of lanes")
+
+
+def _moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
+    x, y, z = camera.position.tolist()
+    yaw, pitch_down, roll = camera.angles
+    pitch = values.get("pitch_deg", math.degrees(pitch_down)) + values.get("pitch_by_deg", 0.0)
+    pose = Camera.looking(
+        (x, y, (level + values["height_m"] if "height_m" in values else z) + values.get("height_by_m", 0.0)),
+        yaw=yaw + math.radians(values.get("yaw_by_deg", 0.0)),
+        pitch_down=math.radians(pitch),
+        roll=roll + math.radians(values.get("roll_by_deg", 0.0)),
+    )
+    zoom = values.get("zoom_by", 1.0)
+    return replace(camera, K=camera.K * [[zoom, zoom, 1], [1, zoom, 1], [1, 1, 1]], T_camera_world=pose.T_camera_world)
+
+
+def _level(layout: Layout, site: Site) -> float:
+    """Height of the road that the site looks at, metres."""
+    return layout.road_level(site.position[:2]) if site.place else layout.road_below(site)
+
+
+def _lowest(layout: Layout, site: Site) -> float:
+    """Height that a camera on a bridge keeps to: that of its parapet; elsewhere it may hang at any, metres."""
+    decks = [layout.lane_points[str(edge.getID())] for edge in layout.edges_of("bridge")]
+    x, y, z = site.position
+    under = [points for points in decks if (np.hypot(points[:, 0] - x, points[:, 1] - y) < _BRIDGE).any()]
+    return z if under else -math.inf
+
+
+def _seen(camera: Camera, lanes: Array) -> float:
+    """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
+    pixels, depth, valid = camera.project(lanes)
+    high = camera.K[1, 1] * _CAR >= _LARGE * camera.height / 1080 * depth
+    return float((valid & camera.inside(pixels) & high).sum())

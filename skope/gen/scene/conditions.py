@@ -1,0 +1,241 @@
+"""Light, air and camera of a recording: one dataclass of numbers, and the ranges that they are drawn from."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Final, Self
+
+import numpy as np
+
+from skope.camera import Distortion
+from skope.errors import UserError, one_of
+from skope.gen.scene.sun import sun_position
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What a recording was made in and with; what has a default is a dry street and a plain camera."""
+
+    sun_elevation_deg: float
+    """Above the horizon."""
+    sun_azimuth_deg: float
+    """Counter-clockwise from east."""
+    latitude_deg: float = 45.0
+    """North of the equator."""
+    day: float = 172.0
+    """Of the year, 1 is the first of January."""
+    hour: float = 12.0
+    """Local solar time when the recording begins."""
+    clouds: float
+    """Share of the sky that they cover, 0 to 1."""
+    visibility_m: float
+    """Meteorological optical range: the distance at which contrast has fallen to 5%."""
+    rain_mm_h: float = 0.0
+    """Rain that falls."""
+    wetness: float = 0.0
+    """Of the ground, from dry to a closed film of water."""
+    puddles: float = 0.0
+    """Share of wet ground that water stands on."""
+    street_lighting: float = 1.0
+    """Brightness of the street lights, which burn when it is dark; 0 where they are off."""
+    street_light_k: float = 3000.0
+    """Colour temperature of the street lights."""
+    lit_windows: float = 0.3
+    """Share of rooms that are lit when it is dark."""
+    exposure_ev: float
+    """Stops over what an automatic exposure takes."""
+    white_balance_k: float = 6500.0
+    """Colour temperature of the light that the camera shows white."""
+    shutter_s: float = 0.001
+    """Time that a frame is exposed; the image is of its middle."""
+    gain_db: float = 0.0
+    """Amplification of the sensor's signal, and of its noise."""
+    noise: float
+    """Standard deviation of the sensor's noise without gain, of 255."""
+    infrared: float = 0.0
+    """1 for a grey picture by the camera's own infrared lamp, when it is dark."""
+    vignetting: float
+    """Share of the light that is lost 45 degrees off the optical axis."""
+    k1: float
+    """First radial coefficient of the lens' distortion (OpenCV's models): negative for a barrel, 0 for none."""
+    fisheye: float = 0.0
+    """1 for a fisheye lens, equidistant but for k1; 0 for one of the brown model."""
+    screen_text: float = 0.0
+    """1 for the site's name, date and time burned into the picture."""
+    rescale: float = 1.0
+    """Resolution of the stream, as a share of the image's."""
+    compression_quality: float = 100.0
+    """JPEG quality that the stream was compressed with; 100 for none."""
+
+    @classmethod
+    def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
+        """Even draws from a range for each field, rounded so that they can be written down and set again.
+
+        Without ranges for the sun it stands where latitude, day and hour put it.
+        """
+        names = [f.name for f in fields(cls) if f.name in ranges]
+        values = {name: _rounded(name, rng.uniform(*ranges[name])) for name in names}
+        if not values.keys() >= set(_SUN):
+            position = sun_position(*(values[name] for name in _CLOCK))
+            values |= {name: float(f"{angle:.5g}") for name, angle in zip(_SUN, position, strict=True)}
+        return cls(**values)
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """Of the lens; None without any."""
+        if self.fisheye:
+            return Distortion("fisheye", (self.k1, 0.0, 0.0, 0.0))
+        return Distortion("brown", (self.k1, 0.0, 0.0, 0.0)) if self.k1 else None
+
+    def to_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+def _rounded(name: str, value: float) -> float:
+    return float(round(value)) if name in _WHOLE else float(f"{value:.5g}")
+
+
+OVERCAST: Final = 0.9
+"""With more clouds than this nothing throws a shadow."""
+DARK_DEG: Final = 1.0
+"""With the sun lower than this street lights burn and windows are lit."""
+LIMITS: Final[Mapping[str, Range]] = {
+    "sun_elevation_deg": (-90.0, 90.0),
+    "sun_azimuth_deg": (0.0, 360.0),
+    "latitude_deg": (-90.0, 90.0),
+    "day": (1.0, 366.0),
+    "hour": (0.0, 24.0),
+    "clouds": (0.0, 1.0),
+    "visibility_m": (20.0, 1e5),
+    "rain_mm_h": (0.0, 100.0),
+    "wetness": (0.0, 1.0),
+    "puddles": (0.0, 1.0),
+    "street_lighting": (0.0, 4.0),
+    "street_light_k": (1800.0, 10000.0),
+    "lit_windows": (0.0, 1.0),
+    "exposure_ev": (-5.0, 5.0),
+    "white_balance_k": (2000.0, 15000.0),
+    "shutter_s": (0.0, 0.1),
+    "gain_db": (0.0, 48.0),
+    "noise": (0.0, 50.0),
+    "infrared": (0.0, 1.0),
+    "vignetting": (0.0, 0.5),
+    "k1": (-1.0, 1.0),
+    "fisheye": (0.0, 1.0),
+    "screen_text": (0.0, 1.0),
+    "rescale": (0.1, 1.0),
+    "compression_quality": (1.0, 100.0),
+}
+"""What can be set at all."""
+_SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
+_CLOCK: Final = ("latitude_deg", "day", "hour")
+_WHOLE: Final = ("day", "infrared", "screen_text", "fisheye")
+_PLACE: Final[Mapping[str, Range]] = {
+    "latitude_deg": (35.0, 55.0),
+    "day": (1.0, 365.0),
+    "street_lighting": (0.8, 1.25),
+    "street_light_k": (2200.0, 4200.0),
+    "lit_windows": (0.15, 0.5),
+}
+_CAMERA: Final[Mapping[str, Range]] = {
+    "exposure_ev": (-0.25, 0.25),
+    "noise": (1.0, 2.5),
+    "infrared": (0.0, 0.0),
+    "vignetting": (0.04, 0.14),
+    "k1": (0.0, 0.0),
+    "fisheye": (0.0, 0.0),
+    "screen_text": (0.0, 0.0),
+    "rescale": (1.0, 1.0),
+    "compression_quality": (100.0, 100.0),
+}
+_DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
+_WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
+    "clear": {**_DRY, "clouds": (0.0, 0.3), "visibility_m": (6e3, 2e4)},
+    "cloudy": {**_DRY, "clouds": (0.4, 0.8), "visibility_m": (5e3, 1.5e4)},
+    "overcast": {**_DRY, "clouds": (1.0, 1.0), "visibility_m": (3e3, 1e4)},
+    "rain": {
+        "clouds": (1.0, 1.0),
+        "visibility_m": (700.0, 3e3),
+        "rain_mm_h": (2.0, 25.0),
+        "wetness": (0.85, 1.0),
+        "puddles": (0.1, 0.45),
+    },
+    "after_rain": {
+        "clouds": (0.2, 1.0),
+        "visibility_m": (3e3, 1.5e4),
+        "rain_mm_h": (0.0, 0.0),
+        "wetness": (0.5, 0.95),
+        "puddles": (0.1, 0.4),
+    },
+    "fog": {**_DRY, "wetness": (0.0, 0.4), "clouds": (1.0, 1.0), "visibility_m": (120.0, 500.0)},
+}
+_DAY: Final[Mapping[str, Range]] = {
+    "white_balance_k": (6000.0, 7000.0),
+    "shutter_s": (0.0005, 0.002),
+    "gain_db": (0.0, 3.0),
+}
+_TWILIGHT: Final[Mapping[str, Range]] = {
+    "white_balance_k": (5200.0, 7200.0),
+    "shutter_s": (0.004, 0.01),
+    "gain_db": (6.0, 15.0),
+}
+_HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
+    "noon": {**_DAY, "hour": (11.0, 13.0), "sun_elevation_deg": (45.0, 62.0), "sun_azimuth_deg": (225.0, 315.0)},
+    "low_sun": {**_DAY, "hour": (15.5, 17.0), "sun_elevation_deg": (8.0, 20.0), "sun_azimuth_deg": (150.0, 350.0)},
+    "dawn": {**_TWILIGHT, "hour": (5.0, 7.0), "sun_elevation_deg": (-4.0, 3.0), "sun_azimuth_deg": (0.0, 40.0)},
+    "dusk": {**_TWILIGHT, "hour": (18.0, 20.0), "sun_elevation_deg": (-4.5, 1.0), "sun_azimuth_deg": (150.0, 215.0)},
+    "night": {
+        "hour": (21.0, 24.0),
+        "sun_elevation_deg": (-40.0, -14.0),
+        "sun_azimuth_deg": (30.0, 150.0),
+        "white_balance_k": (3600.0, 5000.0),
+        "shutter_s": (0.008, 0.02),
+        "gain_db": (12.0, 24.0),
+    },
+}
+
+
+def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None = None) -> dict[str, Range]:
+    """The range of every field in a weather at an hour, with some set otherwise.
+
+    Whoever sets latitude, day or hour, and not the sun, gets none for the sun: it stands where these put it.
+    """
+    own = overrides or {}
+    spans = {
+        **_PLACE,
+        **_CAMERA,
+        **_WEATHER[one_of("weather", weather, tuple(_WEATHER))],
+        **_HOUR[one_of("time_of_day", time_of_day, tuple(_HOUR))],
+        **own,
+    }
+    follows = own.keys() & set(_CLOCK) and not own.keys() & set(_SUN)
+    return {name: span for name, span in spans.items() if not (follows and name in _SUN)}
+
+
+_SETTING: Final = re.compile(r"(\w+)=(.+?)(?:\.\.(.+))?")
+
+
+def parse_settings(settings: list[str]) -> dict[str, Range]:
+    """Ranges from flags like "noise=2" or "exposure_ev=-1..1"; a wrong one is a UserError that names it."""
+    out = {}
+    for setting in settings:
+        match = _SETTING.fullmatch(setting)
+        try:
+            name, low, high = match.groups() if match else ("", "", "")
+            values = float(low), float(high if high is not None else low)
+        except ValueError:
+            raise UserError(f"--set {setting}: expected NAME=VALUE or NAME=LOW..HIGH with numbers") from None
+        out[name] = values
+    return check_settings(out)
+
+
+def check_settings(settings: Mapping[str, Range]) -> dict[str, Range]:
+    """The settings, when each is a known field's and within what that can be."""
+    for name, (low, high) in settings.items():
+        least, most = LIMITS[one_of("--set", name, tuple(LIMITS))]
+        if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most):
+            raise UserError(f"--set {name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
+    return dict(settings)

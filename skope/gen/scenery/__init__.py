@@ -1,0 +1,1 @@
+"""Houses, trees, signs, ground and markings, grown from a town's roads."""

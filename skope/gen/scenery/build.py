@@ -1,0 +1,204 @@
+"""Scenery grown from a SUMO network, the same for the same network: roads, houses, trees, street furniture, signals."""
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, Final, Self
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.ops import unary_union
+
+from skope.gen.cache import cached, digest_of
+from skope.gen.mesh import Mesh, flat, lathe, merged, tube
+from skope.gen.scenery.backdrop import backdrop
+from skope.gen.scenery.furniture import furniture, lamp_positions
+from skope.gen.scenery.gardens import gardens
+from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
+from skope.gen.scenery.horizon import horizon
+from skope.gen.scenery.houses import car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
+from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.structures import structures
+from skope.gen.scenery.trees import plant, tree_meshes
+from skope.gen.towns.layout import Layout, driven, right_of
+from skope.gen.towns.parking import Bay, lot_bays
+from skope.gen.towns.place import known
+
+Array = NDArray[np.float64]
+
+STUDIO: Final = "studio"
+"""An empty place, to look at vehicles."""
+STUDIO_RADIUS: Final = 200.0
+ARM_CLEARANCE: Final = 16.0
+"""Nearer than that to a camera no signal hangs over the road, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A traffic light's head; it shows the state of one link of a junction's program."""
+
+    program: str
+    link: int
+    lamps: Array
+    """(3, 3) world positions of red, yellow and green lamp."""
+    facing: Array
+    """(3,) the direction into which they shine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    mesh: Mesh
+    signals: tuple[Signal, ...]
+    buildings: tuple[Polygon, ...] = ()
+    """Their footprints."""
+    trees: tuple[tuple[float, float, float], ...] = ()
+    """x, y and reach of their crowns."""
+    bays: tuple[Bay, ...] = ()
+    """Where vehicles may be parked."""
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) where street lights shine down from."""
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """For a file."""
+        signals = self.signals
+        return {
+            **self.mesh.to_arrays("mesh"),
+            "signal_programs": np.array([signal.program for signal in signals], dtype=str),
+            "signal_links": np.array([signal.link for signal in signals], dtype=np.int64),
+            "signal_lamps": np.array([signal.lamps for signal in signals]).reshape(-1, 3, 3),
+            "signal_facing": np.array([signal.facing for signal in signals]).reshape(-1, 3),
+            "buildings": np.frombuffer(shapely.to_wkb(shapely.MultiPolygon(self.buildings)), dtype=np.uint8),
+            "trees": np.array(self.trees).reshape(-1, 3),
+            "bays": np.array([(*bay.place, bay.heading) for bay in self.bays]).reshape(-1, 3),
+            "lamps": self.lamps,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """The scenery that `to_arrays` wrote."""
+        programs, links = arrays["signal_programs"].tolist(), arrays["signal_links"].tolist()
+        signals = zip(programs, links, arrays["signal_lamps"], arrays["signal_facing"], strict=True)
+        return cls(
+            Mesh.from_arrays(arrays, "mesh"),
+            tuple(Signal(*values) for values in signals),
+            tuple(shapely.from_wkb(arrays["buildings"].tobytes()).geoms),
+            tuple((x, y, reach) for x, y, reach in arrays["trees"].tolist()),
+            tuple(Bay((x, y), heading) for x, y, heading in arrays["bays"].tolist()),
+            arrays["lamps"],
+        )
+
+
+@cache
+def scenery(town: str) -> Scenery:
+    """Everything of a town that does not move; of `STUDIO` a floor."""
+    if town == STUDIO:
+        r = STUDIO_RADIUS
+        return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
+    own = known(town)
+    if own and own.photograph:
+        return Scenery(backdrop(Layout.of(town), own), ())
+    return Scenery.from_arrays(cached("town", digest_of(town), lambda: _grown(town).to_arrays()))
+
+
+def _grown(town: str) -> Scenery:
+    layout = Layout.of(town)
+    # A generator of its own for each part, so that a change of one leaves the others as they are.
+    rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.encode())).spawn(len(_PARTS)), strict=True))
+    houses = plots(layout, rng["plots"])
+    built = covered(houses)
+    walks, drives = paths(houses)
+    lots, ways = car_parks(houses)
+    paved = unary_union([drives, lots, ways])
+    trees = plant(layout, unary_union([built, paved]), rng["trees"])
+    signals, poles = _signals(layout)
+    pits = unary_union([tree.pit for tree in trees if tree.street])
+    footings = built.buffer(0.35, join_style="mitre")
+    beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, footings, pits)
+    furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
+    meshes = [
+        *ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])),
+        *house_meshes(houses, rng["houses"]),
+        *gardens(layout, houses, pits, rng["gardens"]),
+        *tree_meshes(layout, trees, rng["crowns"]),
+        *furnished,
+        *structures(layout),
+        *horizon(layout, rng["horizon"]),
+        *poles,
+    ]
+    crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
+    bays = (*lot_bays(lots), *drive_bays(houses))
+    footprints = tuple(house.footprint for house in houses)
+    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamp_positions(furnished))
+    return _out_of_mirror(grown) if layout.mirrored else grown
+
+
+def _out_of_mirror(seen: Scenery) -> Scenery:
+    """Scenery as the world has it, of scenery that was grown in the mirror of left-hand traffic."""
+    flip = np.array([1.0, -1.0, 1.0])
+    return Scenery(
+        seen.mesh.mirrored(),
+        tuple(replace(signal, lamps=signal.lamps * flip, facing=signal.facing * flip) for signal in seen.signals),
+        tuple(shapely.affinity.scale(footprint, 1.0, -1.0, origin=(0, 0)) for footprint in seen.buildings),
+        tuple((x, -y, reach) for x, y, reach in seen.trees),
+        tuple(Bay((bay.place[0], -bay.place[1]), -bay.heading) for bay in seen.bays),
+        seen.lamps * flip,
+    )
+
+
+_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")
+
+
+def _head() -> Mesh:
+    """Housing, back plate and visors of a signal that faces -x; its lowest point is at 2.55 m."""
+    out = Solid()
+    out.box("trim", (-0.12, -0.17, 2.6), (0.1, 0.17, 3.6))
+    out.box("trim", (0.1, -0.26, 2.55), (0.12, 0.26, 3.65))
+    for z in (3.42, 3.1, 2.78):
+        for y in (-0.13, 0.12):
+            out.box("trim", (-0.3, y, z), (-0.12, y + 0.01, z + 0.12), without="+x")
+        out.box("trim", (-0.34, -0.13, z + 0.12), (-0.12, 0.13, z + 0.135), without="+x")
+    return out.mesh()
+
+
+def _arm(reach: float) -> Mesh:
+    """A taller pole with an arm that carries a head `reach` metres to the left, above 5 m."""
+    pole = lathe([(3.0, 0.09), (5.7, 0.08), (6.0, 0.07), (6.01, 0.0)], ["pole"] * 3, 8, "z").moved([0.2, 0, 0])
+    arm = tube([(0.2, 0.0, 5.75), (0.2, reach / 2, 5.85), (0.2, reach + 0.3, 5.85)], (0.06, 0.05, 0.04), "pole", 7)
+    return merged([pole, arm])
+
+
+def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
+    """A pole with a head for every edge that leads to a signalled junction, at its stop line.
+
+    Of more than one lane, a second head hangs over the road, unless it would hang before a camera.
+    """
+    signals, poles = [], []
+    for program in layout.net.getTrafficLights():
+        links = {lane.getEdge().getID(): (lane.getEdge(), link) for lane, _, link in reversed(program.getConnections())}
+        for edge, link in links.values():
+            if edge not in layout.edges:
+                continue
+            lanes = driven(edge)
+            shape = np.array(lanes[0].getShape())
+            heading = float(np.arctan2(*(shape[-1] - shape[-2])[::-1]))
+            foot = shape[-1] + right_of(heading) * (lanes[0].getWidth() / 2 + 0.7)
+            facing = np.array([-np.cos(heading), -np.sin(heading), 0.0])
+            parts = [_head(), lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0])]
+            heads = [np.zeros(3)]
+            if len(lanes) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
+                reach = 0.7 + lanes[0].getWidth()
+                for k in range(1 if len(lanes) < 4 else 2):
+                    heads.append(np.array([0.0, reach + 2 * k * lanes[0].getWidth(), 2.65]))
+                    parts.append(_head().moved(heads[-1]))
+                parts.append(_arm(float(heads[-1][1])))
+            base = layout.height(foot)
+            poles.append(merged(parts).moved([*foot, base], heading))
+            for at in heads:
+                place = foot - right_of(heading) * at[1]
+                heights = np.array([3.42, 3.1, 2.78]) + at[2] + base
+                lamps = np.column_stack([np.tile(place, (3, 1)), heights]) + 0.13 * facing
+                signals.append(Signal(program.getID(), link, lamps, facing))
+    return tuple(signals), poles

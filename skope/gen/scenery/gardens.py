@@ -1,0 +1,199 @@
+"""What encloses the plots of houses: low walls, picket fences, railings and hedges in front, timber fences behind."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString
+from shapely.ops import unary_union
+
+from skope.gen.mesh import Mesh
+from skope.gen.scenery.houses import House, car_parks, covered, forecourts, paths
+from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.trees import bush, hedge
+from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, polygons, rectangle, right_of
+
+Array = NDArray[np.float64]
+
+SHRUBS: Final = 18
+"""Groups of shrubs that are tried on open ground before each camera."""
+OPEN_GROUND: Final = 46.0
+"""Open ground is enclosed as far as that from a camera, metres."""
+
+
+def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Boundaries and bushes of all plots that have a garden."""
+    built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
+    paved = [layout.sidewalk.buffer(layout.style.plaza + 0.05), layout.beside_lanes("shoulder").buffer(0.3)]
+    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), *paved])
+    taken = unary_union([covered(houses).buffer(0.25), street])
+    for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
+        yield layout.draped(part)
+    for part in _scattered(layout, unary_union([built.buffer(0.8), street.buffer(0.9), pits]), rng):
+        yield layout.draped(part)
+    seen = unary_union([taken, layout.around_cameras])
+    shapely.prepare(taken)
+    shapely.prepare(seen)
+    for house in houses:
+        for part in _garden(layout, house, taken, seen, rng):
+            yield layout.draped(part)
+
+
+def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    if house.terraced or house.setback == 0.0 or not house.kind.garden:
+        return
+    x, y = house.size[0] / 2, house.size[1] / 2
+    front, kind = y + house.setback - 0.25, _fence(layout, rng)
+    for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
+        if _fits(taken, house, (a, front), (b, front)):
+            middle = house.to_world(np.array([(a + b) / 2, front]))
+            yield _boundary(kind, b - a, house.near, rng).moved([*middle, 0.0], house.heading)
+    for side in (-x - 1.3, x + 3.0):
+        low, high = -y - 11.0, -y + 2.0
+        if house.kind.drive and _fits(seen, house, (side, low), (side, high)):
+            middle = house.to_world(np.array([side, (low + high) / 2]))
+            yield _panels(high - low, house.near).mesh().moved([*middle, 0.0], house.heading + np.pi / 2)
+    for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
+        if abs(at) > 1.6:
+            place = house.to_world(np.array([at, y + 1.6]))
+            yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, 0.0])
+
+
+def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Enclosures and shrubs where no house stands at the street; all lower than 1 m or so."""
+    shapely.prepare(taken)
+    edges = [edge for edge in layout.edges_of("ground") if not layout.kind(edge).guard_rails]
+    kinds = {edge.getID(): _fence(layout, rng) for edge in edges}
+    length = 5.6
+    for edge, place, heading in along(edges, length + 0.15, 0.0):
+        place = place + right_of(heading) * _margin(layout, edge, 0.6)
+        run = rectangle(place, heading, length, 0.5)
+        if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
+            near = layout.camera_distance(place) < 25.0
+            yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
+    for edge, place, heading in along(edges, 2.6, 0.0):
+        at = place + right_of(heading) * _margin(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
+        likely = rng.random()
+        if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
+            yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
+
+
+def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
+    shapely.prepare(taken)
+    for site in layout.sites:
+        for _ in range(SHRUBS):
+            angle = np.radians(site.yaw_deg + rng.uniform(-60.0, 60.0))
+            at = site.position[:2] + rng.uniform(9.0, OPEN_GROUND) * np.array([np.cos(angle), np.sin(angle)])
+            group = int(rng.integers(1, 7))
+            places = at + rng.normal(0.0, 0.5 + 0.16 * group, (group, 2)) * [1.4, 1.0]
+            for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
+                if free(taken, place, 0.4):
+                    yield bush(float(size), rng).moved([*place, 0.0])
+    for island in polygons(layout.islands.buffer(-1.3)):
+        if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * OPEN_GROUND:
+            ring = island.exterior
+            for s in np.arange(1.5, ring.length, 4.5):
+                if rng.random() < layout.style.median_trees:
+                    yield bush(float(rng.uniform(0.3, 0.5)), rng).moved([*ring.interpolate(s).coords[0], 0.0])
+
+
+def _margin(layout: Layout, edge: Any, beyond: float) -> float:
+    """From the kerb to what encloses the land beside a road, metres."""
+    kind = layout.kind(edge)
+    sidewalk = kind.sidewalk + layout.style.plaza
+    return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
+
+
+def _fence(layout: Layout, rng: np.random.Generator) -> str:
+    names, shares = list(layout.style.fences), np.array(list(layout.style.fences.values()))
+    return names[rng.choice(len(names), p=shares / shares.sum())]
+
+
+def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return not taken.intersects(LineString(house.to_world(np.array([a, b]))))
+
+
+def _boundary(kind: str, length: float, near: bool, rng: np.random.Generator) -> Mesh:
+    """One of several enclosures of about 0.9 m, along x around the origin."""
+    if kind == "hedge":
+        return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
+    if kind == "pickets":
+        return _pickets(length, near).mesh()
+    if kind == "railing":
+        return _railing(length, near).mesh()
+    if kind == "wire":
+        return _wire(length).mesh()
+    if kind == "rails":
+        return _rails(length).mesh()
+    return _low_wall(length, kind).mesh()
+
+
+def _wire(length: float) -> Solid:
+    """Timber posts with wires, as around pastures."""
+    half = length / 2
+    out = Solid()
+    for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.8)), endpoint=False):
+        out.box("timber", (x - 0.05, -0.05, -0.2), (x + 0.05, 0.05, 1.1), without="-z")
+    for z in (0.4, 0.7, 1.0):
+        out.box("zinc", (-half, -0.008, z), (half, 0.008, z + 0.016))
+    return out
+
+
+def _rails(length: float) -> Solid:
+    """Posts with two boards, as around paddocks."""
+    half = length / 2
+    out = Solid()
+    for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.4)), endpoint=False):
+        out.box("frame", (x - 0.07, -0.07, -0.2), (x + 0.07, 0.07, 1.05), without="-z")
+    for z in (0.35, 0.75):
+        out.box("frame", (-half, 0.05, z), (half, 0.09, z + 0.16))
+    return out
+
+
+def _low_wall(length: float, material: str) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box(material, (-half, -0.12, 0.0), (half, 0.12, 0.62), without="-z +z")
+    out.box("dressing", (-half - 0.03, -0.16, 0.62), (half + 0.03, 0.16, 0.7))
+    for x in (-half + 0.2, half - 0.2):
+        out.box(material, (x - 0.2, -0.2, 0.0), (x + 0.2, 0.2, 0.86), without="-z")
+        out.box("dressing", (x - 0.24, -0.24, 0.86), (x + 0.24, 0.24, 0.94))
+    return out
+
+
+def _pickets(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    for z in (0.25, 0.68):
+        out.box("frame", (-half, -0.05, z), (half, -0.01, z + 0.07))
+    if not near:
+        out.box("frame", (-half, 0.0, 0.08), (half, 0.02, 0.88))
+        return out
+    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / 0.19))):
+        out.box("frame", (x - 0.045, 0.0, 0.08), (x + 0.045, 0.02, 0.85), without="-z +z")
+        out.face("frame", (x + 0.045, 0.02, 0.85), (x - 0.045, 0.02, 0.85), (x, 0.02, 0.92))
+    return out
+
+
+def _railing(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box("dressing", (-half, -0.1, 0.0), (half, 0.1, 0.22), without="-z")
+    for z in (0.3, 0.9):
+        out.box("iron", (-half, -0.015, z), (half, 0.015, z + 0.04))
+    step = 0.2 if near else 0.8
+    for x in np.linspace(-half + 0.05, half - 0.05, max(3, int(length / step))):
+        out.box("iron", (x - 0.012, -0.012, 0.22), (x + 0.012, 0.012, 1.0), without="-z +z")
+    return out
+
+
+def _panels(length: float, near: bool) -> Solid:
+    half = length / 2
+    out = Solid()
+    out.box("timber", (-half, -0.02, 0.05), (half, 0.02, 1.7), without="-z")
+    for x in np.linspace(-half, half, max(2, round(length / 2.6) + 1)) if near else ():
+        out.box("concrete", (x - 0.05, -0.05, 0.0), (x + 0.05, 0.05, 1.78), without="-z")
+    return out

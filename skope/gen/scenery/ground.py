@@ -1,0 +1,211 @@
+"""The ground as polygons in the plane, each part cut out of those below it, then raised to the ground's heights.
+
+No two surfaces share a place, and neighbours share their corners.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.ops import unary_union
+
+from skope.gen.mesh import Mesh, from_triangles
+from skope.gen.scenery.markings import crossings, markings
+from skope.gen.scenery.walls import kerbs
+from skope.gen.scenery.wear import covers, repairs, sidewalk_covers, tracks
+from skope.gen.towns.layout import GRID, KERB_WIDTH, Layout, polygons, rectangle
+from skope.gen.towns.parking import bay_lines
+from skope.gen.towns.terrain import COARSEST
+
+Array = NDArray[np.float64]
+
+MARGIN: Final = 320.0
+"""How far the ground goes beyond the network, metres."""
+GUTTER: Final = 0.32
+
+
+@dataclass(frozen=True)
+class Part:
+    """One material's share of the ground."""
+
+    material: str
+    region: Any
+    carriageway: bool
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is laid out beside the carriageway by those who build there."""
+
+    forecourts: Any
+    walks: Any
+    drives: Any
+    parking: Any
+    footings: Any
+    """Bare soil at walls' feet."""
+    pits: Any
+    """Bare soil around trees in the sidewalk."""
+
+
+def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) -> list[Part]:
+    """All of the ground; what is beside the carriageway lies a kerb's height above it."""
+    road = shapely.set_precision(layout.ground_road, GRID)
+    kerbed = layout.style.kerb > 0
+    x0, y0, x1, y1 = road.bounds
+    everywhere = shapely.box(x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
+    patches, old, seals = repairs(layout, rng)
+    street = _cut(
+        road,
+        [
+            ("cover", unary_union(list(covers(layout, rng)))),
+            ("marking", unary_union([*markings(layout), *crossings(layout)])),
+            ("bitumen", seals),
+            ("asphalt_patch", patches),
+            ("asphalt_old", old),
+            ("gutter", road.difference(road.buffer(-GUTTER)) if kerbed else Polygon()),
+            ("asphalt_polished", tracks(layout, 0.3)),
+            ("asphalt_worn", tracks(layout, 0.62)),
+            ("asphalt", road),
+        ],
+        carriageway=True,
+    )
+    kerb = road.difference(layout.walled_road).buffer(KERB_WIDTH, join_style="mitre") if kerbed else Polygon()
+    sidewalk, islands = layout.sidewalk, layout.islands
+    flush = _flush_decks(layout)
+    beyond = _cut(
+        everywhere.difference(road).difference(flush),
+        [
+            ("kerb", kerb),
+            ("cover", unary_union(list(sidewalk_covers(layout, rng))).intersection(sidewalk)),
+            ("tactile", _tactile(layout, road).intersection(sidewalk)),
+            ("soil", beside_road.pits.intersection(sidewalk)),
+            (layout.style.median, islands.buffer(0.01)),
+            ("asphalt_old", layout.beside_lanes("shoulder")),
+            ("sidewalk", sidewalk.union(beside_road.forecourts)),
+            ("paving", unary_union([beside_road.walks, layout.walled_road.buffer(4.5), *layout.under_decks])),
+            ("marking", bay_lines(beside_road.parking)),
+            ("asphalt_old", beside_road.parking),
+            ("gravel", beside_road.drives),
+            ("soil", beside_road.footings),
+            ("paving", sidewalk.buffer(layout.style.plaza) if layout.style.plaza else Polygon()),
+            *_fields(layout, everywhere.difference(beside_road.footings.buffer(9.0)), rng),
+            ("grass", everywhere),
+        ],
+        carriageway=False,
+    )
+    return [*street, *beyond]
+
+
+def _cut(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
+    """Share a region out: each layer gets what the ones before it left."""
+    out, left = [], shapely.set_precision(whole, GRID)
+    for material, region in layers:
+        if region.is_empty:
+            continue
+        region = _areas(shapely.set_precision(region, GRID))
+        out.append(Part(material, _areas(shapely.intersection(left, region, grid_size=GRID)), carriageway))
+        left = _areas(shapely.difference(left, region, grid_size=GRID))
+    return out
+
+
+def _areas(shape: Any) -> Any:
+    """A shape without the points and lines that overlays leave."""
+    return shapely.MultiPolygon(polygons(shape))
+
+
+def _flush_decks(layout: Layout) -> Any:
+    """Decks, sidewalks included, that continue the ground beside the carriageway that they lead over."""
+    out = []
+    for deck in layout.decks:
+        own = deck.buffer(layout.deck_edge, join_style="mitre").difference(layout.ground_road.buffer(0.01))
+        corners = np.array(deck.exterior.coords)
+        above, _ = layout.deck_lanes.near(corners, 10.0)
+        if np.abs(above - layout.ground.beside(corners)).max() < 0.3:
+            out.append(own)
+    return unary_union(out)
+
+
+def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterator[tuple[str, Any]]:
+    """Open ground in strips and squares of several kinds, away from the roads."""
+    kinds = layout.style.open_ground
+    if len(kinds) < 2:
+        return
+    away = everywhere.difference(layout.road.buffer(layout.style.fields_from))
+    x0, y0, x1, y1 = everywhere.bounds
+    shares: dict[str, list[Any]] = {kind: [] for kind in kinds}
+    turn = rng.uniform(-0.3, 0.3)
+    for x in np.arange(x0 - 200.0, x1 + 200.0, 118.0):
+        for y in np.arange(y0 - 200.0, y1 + 200.0, 86.0):
+            size = (rng.uniform(90.0, 112.0), rng.uniform(62.0, 80.0))
+            kind = kinds[rng.integers(len(kinds))]
+            shares[kind].append(rectangle(np.array([x, y]), 0.0, *size))
+    for kind, shapes in shares.items():
+        if shapes:
+            yield kind, shapely.affinity.rotate(unary_union(shapes), turn, (0, 0), True).intersection(away)
+
+
+# ------------------------------------------------------------------------------------------------------------- surfaces
+
+
+def ground_meshes(layout: Layout, parts: Sequence[Part]) -> Iterator[Mesh]:
+    """The parts as meshes at the ground's heights, and the kerbs between them."""
+    kerb, ground = layout.style.kerb, layout.ground
+    x0, y0, x1, y1 = layout.ground_road.bounds
+    bounds = (x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
+    cells = None if ground.flat else ground.cells(bounds, layout.ground_road)
+    heights: dict[bool, Callable[[Array], Array]] = {
+        True: ground.road,
+        False: lambda places: ground.beside(places) + kerb,
+    }
+    for carriageway, height in heights.items():
+        yield from surfaces([part for part in parts if part.carriageway is carriageway], height, cells)
+    yield from kerbs(layout)
+
+
+def surfaces(
+    parts: Sequence[Part], height: Callable[[Array], Array], cells: NDArray[np.object_] | None
+) -> Iterator[Mesh]:
+    """Parts of the plane, raised to a height at each corner: cut into cells where they are not level."""
+    shapes, owners = [], []
+    for number, part in enumerate(parts):
+        pieces = polygons(part.region) if cells is None else _in_cells(polygons(part.region), cells)
+        shapes += pieces
+        owners += [number] * len(pieces)
+    triangles, shape = shapely.get_parts(shapely.constrained_delaunay_triangles(shapes), return_index=True)
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+    clockwise = ~shapely.is_ccw(shapely.get_exterior_ring(triangles))
+    corners[clockwise] = corners[clockwise, ::-1]
+    points, index = np.unique(corners.reshape(-1, 2).round(4), axis=0, return_inverse=True)
+    whole = from_triangles(np.column_stack([points, height(points)]), index.reshape(-1, 3), "")
+    names = tuple(dict.fromkeys(part.material for part in parts))
+    material = np.array([names.index(part.material) for part in parts])[np.array(owners)[shape]]
+    yield Mesh(whole.vertices, whole.normals, whole.triangles, names, material)
+
+
+def _in_cells(shapes: Sequence[Polygon], cells: NDArray[np.object_]) -> list[Polygon]:
+    """Pieces of polygons, one cell each; first cut by large squares, so that no large polygon is cut often."""
+    low, high = np.floor(shapely.total_bounds(cells)[:2] / COARSEST), shapely.total_bounds(cells)[2:] / COARSEST
+    x, y = np.meshgrid(*(COARSEST * np.arange(a, b) for a, b in zip(low, high, strict=True)))
+    squares = shapely.box(x, y, x + COARSEST, y + COARSEST).ravel()
+    return _cut_by(_cut_by(shapes, squares, GRID), cells, None)
+
+
+def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: float | None) -> list[Polygon]:
+    whole = np.array(shapes, dtype=object)
+    shapely.prepare(whole)
+    number, cell = shapely.STRtree(cells).query(whole, predicate="intersects")
+    inside = shapely.covers(whole[number], cells[cell])
+    cut = shapely.intersection(whole[number[~inside]], cells[cell[~inside]], grid_size=precision)
+    return [*cells[cell[inside]], *(polygon for piece in cut for polygon in polygons(piece))]
+
+
+def _tactile(layout: Layout, road: Any) -> Any:
+    """Ribbed paving on the sidewalk at both ends of crossings."""
+    stripes = unary_union(list(crossings(layout)))
+    spans = polygons(stripes.buffer(0.6, join_style="mitre"))
+    ends = unary_union([span.minimum_rotated_rectangle.buffer(0.8, join_style="mitre") for span in spans])
+    return ends.intersection(road.buffer(KERB_WIDTH + 0.8))

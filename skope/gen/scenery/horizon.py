@@ -1,0 +1,80 @@
+"""What stands where the ground ends: wooded hills, or a city's skyline before them."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.mesh import Mesh, grid
+from skope.gen.scenery.ground import MARGIN
+from skope.gen.scenery.solid import Solid
+from skope.gen.towns.layout import Layout
+
+Array = NDArray[np.float64]
+
+_WALLS: Final = ("concrete", "plaster_grey", "brick_buff", "stone", "plaster_white", "brick_brown", "cladding_grey")
+
+
+def horizon(layout: Layout, rng: np.random.Generator) -> Iterator[Mesh]:
+    yield _hills(layout, rng)
+    if layout.style.horizon == "skyline":
+        yield _skyline(layout, rng)
+
+
+def _ring(layout: Layout, count: int) -> tuple[Array, Array, Array]:
+    """Middle and half sizes of the ground, and (count, 2) directions all around, clockwise."""
+    x0, y0, x1, y1 = layout.road.bounds
+    centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
+    angle = np.linspace(0, 2 * np.pi, count)[::-1]
+    return centre, half, np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
+    """Wooded hills all around."""
+    count = 540
+    centre, half, ring = _ring(layout, count + 1)
+    angle = np.linspace(0, 2 * np.pi, count + 1)[::-1]
+    swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
+    size = layout.style.hill_height
+    rows = []
+    for share, height in (
+        (0.70, -1.5),
+        (0.71, 4.5),
+        (0.76, 7.0),
+        (0.88, 14.0 * size),
+        (0.89, 17.0 * size),
+        (1.0, 22.0 * size),
+    ):
+        crowns = np.resize(rng.uniform(-1.8, 1.2, count), count + 1)
+        places = centre + share * half * ring
+        foot = layout.ground.natural(places)
+        rows.append(np.column_stack([places, foot + height * np.clip(swell, 0.3, 2) + crowns]))
+    return grid(np.array(rows), [["woods"] * count] * 5)
+
+
+def _skyline(layout: Layout, rng: np.random.Generator) -> Mesh:
+    """Blocks of several heights, with bands of windows, all around and far away."""
+    centre, half, ring = _ring(layout, 150)
+    out = Solid()
+    for k, direction in enumerate(ring[:-1]):
+        x, y = centre + direction * half * rng.uniform(0.66, 0.86)
+        width, depth = rng.uniform(10, 24, 2)
+        storeys = int(rng.integers(4, 9) if rng.random() < 0.7 else rng.integers(9, 21))
+        wall = _WALLS[rng.integers(len(_WALLS))]
+        top = 3.2 * storeys + 1.0
+        out.box(wall, (x - width / 2, y - depth / 2, -0.5), (x + width / 2, y + depth / 2, top), without="-z")
+        out.box("felt", (x - width / 4, y - depth / 4, top), (x + width / 5, y + depth / 5, top + 3.0), without="-z")
+        for storey in range(storeys):
+            z = 3.2 * storey + 1.2
+            low, high = (
+                (x - width / 2 - 0.15, y - depth / 2 - 0.15, z),
+                (x + width / 2 + 0.15, y + depth / 2 + 0.15, z + 1.5),
+            )
+            out.box("window", low, high, without="-z +z")
+        for share in np.linspace(-0.5, 0.5, 5 + k % 3):
+            at = x + share * width
+            out.box(wall, (at - 0.4, y - depth / 2 - 0.3, 0.0), (at + 0.4, y + depth / 2 + 0.3, top), without="-z +z")
+            at = y + share * depth
+            out.box(wall, (x - width / 2 - 0.3, at - 0.4, 0.0), (x + width / 2 + 0.3, at + 0.4, top), without="-z +z")
+    return out.mesh()

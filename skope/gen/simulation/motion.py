@@ -1,0 +1,176 @@
+"""Ways that vehicles can drive, along where SUMO has them.
+
+SUMO puts vehicles on the middle of lanes: it turns them at the corners of polylines, shifts them sideways within a
+step and decides speeds in jumps. Here the place of each is smoothed over time, and a bicycle model follows it: the rear
+axle moves along the heading only, and the heading turns as far as the steering lock allows (R. Rajamani, Vehicle
+Dynamics and Control, 2nd ed., 2.2).
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.traffic.sumo import Snapshot, SumoVehicle
+
+SPREADS_S: Final = (0.2, 0.5)
+"""Standard deviations of the bells over which places are averaged, seconds: of slow vehicles, and of fast ones,"""
+SLOW, FAST = 8.0, 16.0
+"""which drive slower and faster than this, m/s; those between are between."""
+REACH_S: Final = 1.25
+"""How far to either side the bells are cut off, seconds."""
+LOCK: Final = 0.65
+"""The front wheels' largest angle, radians: a sedan turns within 11 m from kerb to kerb, a bus within 21 m."""
+_CHUNK: Final = 200
+"""Steps that are smoothed at once."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """One vehicle at one step."""
+
+    position: tuple[float, float, float]
+    """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
+    yaw: float
+    """Heading, counter-clockwise from east, radians."""
+    pitch: float
+    """Slope of the road from axle to axle, uphill positive, radians."""
+    speed: float
+    """Of the rear axle, forwards, m/s."""
+    lamps: int
+
+
+@dataclass
+class _Bicycle:
+    """A vehicle's rear axle and heading, as the last step left them."""
+
+    x: float
+    y: float
+    yaw: float
+
+    @classmethod
+    def behind(cls, x: float, y: float, yaw: float, length: float) -> "_Bicycle":
+        """One whose rear axle is so many metres behind a point."""
+        return cls(x - length * math.cos(yaw), y - length * math.sin(yaw), yaw)
+
+    def follow(self, x: float, y: float, length: float, sharpest: float) -> float:
+        """Drive on until the point `length` metres ahead of the rear axle is as near to (x, y) as it can be.
+
+        `sharpest` is the largest curvature, 1/m. Returns the metres that the rear axle has moved; vehicles stand
+        rather than move backwards.
+        """
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        travel = max((x - self.x) * cos + (y - self.y) * sin - length, 0.0)
+        bearing = math.atan2(y - self.y - travel * sin, x - self.x - travel * cos)
+        turn = math.remainder(bearing - self.yaw, 2 * math.pi)
+        turn = min(max(turn, -travel * sharpest), travel * sharpest)
+        middle = self.yaw + turn / 2
+        self.x += travel * math.cos(middle)
+        self.y += travel * math.sin(middle)
+        self.yaw += turn
+        return travel
+
+
+class _Way:
+    """What is known of one vehicle's way: where SUMO had it at each step since `first`, and its bicycle."""
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+        self.placed: list[SumoVehicle] = []
+        self.bicycle: _Bicycle | None = None
+
+    def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
+        """The steps from `start` until before `stop` at which SUMO had it, and how it drives there."""
+        start, stop = max(start, self.first), min(stop, self.first + len(self.placed))
+        if start >= stop:
+            return
+        rows = self._smoothed(start, stop, weights, dt).tolist()
+        for k, (x, y, height, pitch) in enumerate(rows, start=start):
+            placed = self.placed[k - self.first]
+            chassis, level = placed.chassis, math.cos(pitch)
+            if self.bicycle is None:
+                self.bicycle = _Bicycle.behind(x, y, placed.yaw, chassis.guide * level)
+                travel = placed.speed * dt
+            else:
+                travel = self.bicycle.follow(x, y, chassis.guide * level, math.tan(LOCK) / chassis.wheelbase)
+            one, middle = self.bicycle, chassis.middle * level
+            place = (one.x + middle * math.cos(one.yaw), one.y + middle * math.sin(one.yaw), height)
+            yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps)
+
+    def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+        """(stop - start, 4) x and y of the guide, height, slope; outside of what is known it goes on evenly.
+
+        Places are averaged over time; height and slope are those of the road where the vehicle then is.
+        """
+        half = len(weights) // 2
+        rows = np.array([(*one.guide, one.driven, one.speed, one.height, one.pitch) for one in self.placed])
+        begin, end = start - half - self.first, stop + half - self.first
+        inside = rows[max(begin, 0) : end]
+        before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * _rate(self.placed[0]))
+        after = rows[-1] + np.arange(1, max(end - len(rows), 0) + 1)[:, None] * (dt * _rate(self.placed[-1]))
+        known = np.concatenate([before, inside, after])
+        # Summed tap by tap: the same numbers however many steps are smoothed at once.
+        averages = np.zeros((2, stop - start, 4))
+        for k, pair in enumerate(weights):
+            averages += pair[:, None, None] * known[k : k + stop - start, :4]
+        slow, fast = averages
+        share = np.clip((fast[:, 3:] - SLOW) / (FAST - SLOW), 0.0, 1.0)
+        mean = slow + share * (fast - slow)
+        road = [np.interp(mean[:, 2], known[:, 2], column) for column in known.T[4:]]
+        return np.column_stack([mean[:, :2], *road])
+
+    def forget(self, before: int) -> None:
+        """Drop what lies before a step."""
+        count = min(max(before - self.first, 0), len(self.placed))
+        del self.placed[:count]
+        self.first += count
+
+
+def _rate(placed: SumoVehicle) -> NDArray[np.float64]:
+    """(6,) What changes a second: the guide's place, the way driven, the speed, the height, the slope."""
+    speed, level = placed.speed, placed.speed * math.cos(placed.pitch)
+    ahead = level * math.cos(placed.yaw), level * math.sin(placed.yaw)
+    return np.array([*ahead, speed, 0.0, speed * math.sin(placed.pitch), 0.0])
+
+
+def reach(step: float) -> int:
+    """How many steps ahead of what is driven SUMO has to be."""
+    return round(REACH_S / step)
+
+
+def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snapshot, dict[str, Driven]]]:
+    """Each snapshot but the first and last `reach(step)`, with its vehicles as they drive.
+
+    What is said of a step depends on nothing later than `reach(step)` steps after it.
+    """
+    half = reach(step)
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1)[:, None] * step / SPREADS_S) ** 2)
+    weights /= weights.sum(axis=0)
+    ways: dict[str, _Way] = {}
+    waiting: deque[Snapshot] = deque()
+    read, done = 0, half
+    coming = iter(snapshots)
+    while batch := list(islice(coming, _CHUNK)):
+        for k, snapshot in enumerate(batch, start=read):
+            for name, placed in snapshot.vehicles.items():
+                ways.setdefault(name, _Way(k)).placed.append(placed)
+        read += len(batch)
+        waiting.extend(batch)
+        if read - half <= done:
+            continue
+        driven: list[dict[str, Driven]] = [{} for _ in range(done, read - half)]
+        for name, way in ways.items():
+            for k, state in way.driven(done, read - half, weights, step):
+                driven[k - done][name] = state
+            way.forget(read - 2 * half)
+        ways = {name: way for name, way in ways.items() if way.placed}
+        while len(waiting) > len(driven) + half:
+            waiting.popleft()
+        for states in driven:
+            yield waiting.popleft(), states
+        done = read - half

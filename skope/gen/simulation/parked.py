@@ -1,0 +1,62 @@
+"""Vehicles that are parked within a camera's view for as long as a recording takes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from shapely import Polygon
+
+from skope.gen.simulation.motion import Driven
+from skope.gen.towns.layout import Layout, rectangle
+from skope.gen.towns.parking import BAY, Bay
+from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.model import Vehicle
+
+OCCUPIED: Final = 0.5
+"""Share of the bays that are taken."""
+MOST: Final = 14
+"""Vehicles parked in view; in larger car parks fewer bays are taken."""
+
+
+@dataclass(frozen=True)
+class Parked:
+    """A vehicle in a bay."""
+
+    name: str
+    model: str
+    color: str
+    state: Driven
+
+    def footprint(self, vehicle: Vehicle) -> Polygon:
+        """What it stands on, world, metres."""
+        length, width, _ = vehicle.size_lwh
+        return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
+
+
+def parked(town: str, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:
+    """Vehicles that fit, in some of the bays, nose or tail first."""
+    if not bays:
+        return []
+    layout = Layout.of(town)
+    fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.size_lwh[0] < BAY[0] + 0.2}
+    names, shares = list(fitting), np.array(list(fitting.values()))
+    share, out = min(OCCUPIED, MOST / len(bays)), []
+    for i, bay in enumerate(bays):
+        if rng.random() > share:
+            continue
+        model = names[rng.choice(len(names), p=shares / shares.sum())]
+        color = draw_paint(models[model].vehicle, rng)
+        yaw = bay.heading + (math.pi if rng.random() < 0.4 else 0.0) + rng.normal(0, 0.02)
+        place = np.array(bay.place) + rng.normal(0, 0.08, 2)
+        out.append(Parked(f"b{i:04d}", model, color, _standing(layout, place, float(yaw))))
+    return out
+
+
+def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
+    """A vehicle that stands on the ground beside the road, level across."""
+    ahead = 1.3 * np.array([math.cos(yaw), math.sin(yaw)])
+    front, rear = (layout.height(layout.world(at)) for at in (place + ahead, place - ahead))
+    position = (float(place[0]), float(place[1]), (front + rear) / 2)
+    return Driven(position, yaw, math.atan2(front - rear, 2.6), 0.0, 0)

@@ -1,0 +1,159 @@
+"""Those on the road who are not labelled: riders, as SUMO moves them, and people who walk on the sidewalks."""
+
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString, Polygon
+from shapely.ops import unary_union
+
+from skope.gen.bystanders import Bystander, Look, build
+from skope.gen.bystanders.people import lowered
+from skope.gen.traffic.sumo import SumoRider
+
+Array = NDArray[np.float64]
+
+_GRAVITY: Final = 9.81
+_PER_HUNDRED_METRES: Final = 2.2
+"""People on a sidewalk."""
+_STANDING: Final = 0.15
+"""Share of those who wait or look at something."""
+_ELBOW_ROOM: Final = 0.4
+"""From the middle of somebody who passes a parked vehicle to its side, metres."""
+_ASIDE: Final = 0.45
+"""Standard deviation of how far people walk beside the middle of the sidewalk, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """A bystander at a moment."""
+
+    body: Bystander
+    T_world_body: Array
+    """(4, 4)"""
+    velocity: Array
+    """(3,) m/s."""
+    travelled: float
+    """Metres since it came."""
+
+    @property
+    def part_poses(self) -> Array:
+        """(4, 4, 4) of its moving parts in the world."""
+        return self.T_world_body @ self.body.pose(self.travelled)
+
+
+class Riders:
+    """Follows SUMO's riders: how far each has come, and how it leans in curves."""
+
+    def __init__(self, kinds: Mapping[str, str], seed: Sequence[int]) -> None:
+        """The kind of each rider by name; `seed` decides how they look."""
+        self._kinds, self._seed = kinds, seed
+        self._bodies: dict[str, Bystander] = {}
+        self._travelled: dict[str, float] = {}
+        self._yaw: dict[str, float] = {}
+        self._lean: dict[str, float] = {}
+
+    def follow(self, ridden: Mapping[str, SumoRider], dt: float) -> dict[str, Present]:
+        """Riders as they are `dt` seconds after the last call."""
+        return {name: self._present(name, state, dt) for name, state in sorted(ridden.items())}
+
+    def _present(self, name: str, state: SumoRider, dt: float) -> Present:
+        if name not in self._bodies:
+            look = Look.drawn(np.random.default_rng([*self._seed, zlib.crc32(name.encode())]))
+            self._bodies[name] = build(self._kinds[name], look.to_dict())
+            self._travelled[name], self._yaw[name], self._lean[name] = 0.0, state.yaw, 0.0
+        turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt
+        self._yaw[name] = state.yaw
+        self._travelled[name] += state.speed * dt
+        lean = math.atan(float(np.clip(turn * state.speed / _GRAVITY, -0.7, 0.7)))
+        self._lean[name] += (lean - self._lean[name]) * dt / (0.3 + dt)
+        T = _frame(state.position, state.yaw, state.pitch, -self._lean[name])
+        return Present(self._bodies[name], T, state.speed * T[:3, 0], self._travelled[name])
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    body: Bystander
+    path: Array
+    """(N, 3) of the middle of a sidewalk."""
+    start: float
+    speed: float
+    """Metres a second along the path; negative backwards."""
+    aside: float
+    facing: float
+    """Where somebody who stands looks, radians from the path."""
+
+    def meets(self, obstacles: shapely.Geometry) -> bool:
+        """Whether somebody who walks there and back comes upon what stands there."""
+        if obstacles.is_empty:
+            return False
+        line = LineString(self.path[:, :2])
+        return any(line.offset_curve(side * self.aside).intersects(obstacles) for side in (-1, 1))
+
+
+class Walkers:
+    """People who walk to and fro on sidewalks; where they are depends on the time alone."""
+
+    def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
+        """Middles of sidewalks (N, 3), and what vehicles stand on beside or on them, metres."""
+        self._walks: list[_Walk] = []
+        standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
+        for path in paths:
+            length = _length(path)
+            for _ in range(rng.poisson(length / 100 * _PER_HUNDRED_METRES)):
+                look = Look.drawn(rng)
+                speed = float(rng.normal(1.35, 0.2)) * (1 if look.height > 1.5 else 0.85) * rng.choice([-1, 1])
+                stands = rng.random() < _STANDING
+                walk = _Walk(
+                    build("pedestrian", look.to_dict()),
+                    path,
+                    float(rng.uniform(0, length)),
+                    0.0 if stands else speed,
+                    float(rng.normal(0, _ASIDE)),
+                    float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
+                )
+                # Whoever would walk into a parked vehicle keeps to the middle, or stays at home.
+                free = [way for way in (walk, replace(walk, aside=0.0)) if not way.meets(standing)]
+                self._walks += free[:1]
+
+    def at(self, time: float) -> dict[str, Present]:
+        """Everyone at a time, seconds."""
+        return {f"p{i:04d}": _walked(walk, time) for i, walk in enumerate(self._walks)}
+
+
+def _walked(walk: _Walk, time: float) -> Present:
+    length, travelled = _length(walk.path), abs(walk.speed) * time
+    # Whoever comes to an end turns round.
+    lap = (walk.start + walk.speed * time) % (2 * length)
+    s, way = (lap, 1.0) if lap < length else (2 * length - lap, -1.0)
+    way *= math.copysign(1.0, walk.speed)
+    marks = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(walk.path, axis=0), axis=1))])
+    here, ahead = (np.array([np.interp(t, marks, c) for c in walk.path.T]) for t in (s, s + 0.4 * way))
+    before = np.array([np.interp(s - 0.4 * way, marks, c) for c in walk.path.T])
+    along = ahead - before
+    yaw = math.atan2(along[1], along[0])
+    # To the right of the path's own direction, whichever way somebody walks.
+    right = np.array([along[1], -along[0], 0.0]) * way / max(float(np.hypot(along[0], along[1])), 1e-9)
+    place = here + walk.aside * right
+    place[2] -= lowered(walk.body.look, travelled)
+    T = _frame((float(place[0]), float(place[1]), float(place[2])), yaw + walk.facing, 0.0, 0.0)
+    return Present(walk.body, T, abs(walk.speed) * np.array([math.cos(yaw), math.sin(yaw), 0.0]), travelled)
+
+
+def _length(path: Array) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def _frame(position: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> Array:
+    """(4, 4) pose: uphill pitch and a lean to the left are positive and negative roll about x."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, -pitch, roll))
+    R = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    T = np.eye(4)
+    T[:3, :3] = R @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    T[:3, 3] = position
+    return T

@@ -1,0 +1,286 @@
+"""The pybullet world: each vehicle a multibody with a sprung chassis and four wheels that roll and steer.
+
+SUMO says where a vehicle drives. Its carrier (the multibody's base) follows that path on the road; chassis and wheels
+hang on it by joints, and the engine integrates them: heave, pitch and roll on springs and dampers under the inertial
+loads of accelerating, braking and cornering, wheels driven to roll without slip. What is recorded is read back from
+the engine.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.simulation.motion import Driven
+from skope.gen.simulation.pybullet_engine import engine
+from skope.gen.vehicles.model import Vehicle
+
+Array = NDArray[np.float64]
+
+SUBSTEPS: Final = 3
+"""Physics steps per SUMO step: 120 Hz."""
+
+_HEAVE, _PITCH, _CHASSIS = 0, 1, 2
+_STEER: Final = (3, 5)
+_WHEELS: Final = (4, 6, 7, 8)
+"""Links of the wheels front right, front left, rear right, rear left; a front wheel hangs on its steering link."""
+
+_GRAVITY: Final = 9.81
+_CENTER_OF_MASS: Final = 0.36
+"""Height of the centre of mass as a share of the vehicle's height."""
+_ROLL_CENTER: Final = 0.12
+"""Height of the axes of pitch and roll over the road, metres."""
+_DAMPING: Final = 0.35
+"""Share of critical damping, as passenger cars have it."""
+_GRIP: Final = 8.0
+"""What tyres hold on dry asphalt, m/s^2."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """What the engine says of one vehicle."""
+
+    T_world_chassis: Array
+    """(4, 4) pose of the vehicle frame."""
+    T_world_wheels: Array
+    """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
+    velocity: Array
+    """(3,) of the carrier in the world, m/s."""
+
+
+def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
+    """A vehicle that SUMO places, on springs at rest and with wheels straight, as the engine would have it."""
+    forward = np.array([math.cos(driven.yaw) * math.cos(driven.pitch), math.sin(driven.yaw) * math.cos(driven.pitch)])
+    x = np.array([*forward, math.sin(driven.pitch)])
+    y = np.array([-math.sin(driven.yaw), math.cos(driven.yaw), 0.0])
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
+    T[:3, 3] = driven.position
+    wheels = np.tile(T, (4, 1, 1))
+    wheels[:, :3, 3] += vehicle.shape.wheel_centers() @ T[:3, :3].T
+    return Pose(T, wheels, driven.speed * x)
+
+
+@dataclass
+class _Suspension:
+    """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and the lever of the inertial loads (m)."""
+
+    stiffness: tuple[float, float, float]
+    damping: tuple[float, float, float]
+    mass: float
+    lever: float
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> "_Suspension":
+        length, width, height = vehicle.size_lwh
+        lever = _CENTER_OF_MASS * height - _ROLL_CENTER
+        inertia = (
+            vehicle.mass,
+            vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
+            vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
+        )
+        # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
+        per_g = vehicle.mass * _GRAVITY * lever
+        heave, pitch, roll = vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)
+        damping = [2 * _DAMPING * math.sqrt(k * i) for k, i in zip((heave, pitch, roll), inertia, strict=True)]
+        return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
+
+    def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
+        """What presses the chassis up (N), its nose down and its right side down (N m).
+
+        `joints` are position and speed of heave, pitch and roll; the body is sped up by `ahead` and `aside`, m/s^2. The
+        inertial force acts on the centre of mass, a lever above the axes: braking turns the nose down, which is
+        positive about y; a left turn leans the body to the right, positive about x.
+        """
+        thrust = self.mass * self.lever
+        loads = (0.0, -thrust * ahead, thrust * aside)
+        rows = zip(loads, self.stiffness, self.damping, joints, strict=True)
+        return [load - k * joint[0] - c * joint[1] for load, k, c, joint in rows]
+
+
+class _Body:
+    """One vehicle's multibody, with the carrier's motion of the last step."""
+
+    def __init__(self, engine: Any, client: int, vehicle: Vehicle, start: Driven) -> None:
+        self.engine, self.client, self.vehicle = engine, client, vehicle
+        self.suspension = _Suspension.of(vehicle)
+        wheels = vehicle.shape.wheel_centers()
+        self.wheels = [(float(x) - vehicle.shape.rear_axle_x, float(y)) for x, y, _ in wheels]
+        self.state = start
+        self.load = (0.0, 0.0)
+        self.velocity = at_rest(vehicle, start).velocity
+        self.id = self._create()
+        self._place(start.position, start.yaw, start.pitch)
+
+    def _create(self) -> int:
+        e, wheels = self.engine, self.vehicle.shape.wheel_centers().tolist()
+        x, y, z, here = [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.0, 0.0, 0.0]
+        heave, turn, light, wheel = e.JOINT_PRISMATIC, e.JOINT_REVOLUTE, 1.0, 20.0
+        # mass, position on the parent, parent (0 is the carrier, i + 1 is link i), joint, axis
+        links: list[tuple[float, list[float], int, int, list[int]]] = [
+            (light, [0, 0, _ROLL_CENTER], 0, heave, z),
+            (light, here, 1, turn, y),
+            (self.vehicle.mass, here, 2, turn, x),
+            (light, wheels[0], 0, turn, z),
+            (wheel, here, 4, turn, y),
+            (light, wheels[1], 0, turn, z),
+            (wheel, here, 6, turn, y),
+            (wheel, wheels[2], 0, turn, y),
+            (wheel, wheels[3], 0, turn, y),
+        ]
+        count = len(links)
+        upright = [[0, 0, 0, 1]] * count
+        body = e.createMultiBody(
+            baseMass=0,
+            linkMasses=[link[0] for link in links],
+            linkCollisionShapeIndices=self._shapes(count),
+            linkVisualShapeIndices=[-1] * count,
+            linkPositions=[link[1] for link in links],
+            linkOrientations=upright,
+            linkInertialFramePositions=[
+                [0.0, 0.0, self.suspension.lever if link == _CHASSIS else 0.0] for link in range(count)
+            ],
+            linkInertialFrameOrientations=upright,
+            linkParentIndices=[link[2] for link in links],
+            linkJointTypes=[link[3] for link in links],
+            linkJointAxis=[link[4] for link in links],
+            physicsClientId=self.client,
+        )
+        for link in range(count):
+            e.setCollisionFilterGroupMask(body, link, 0, 0, physicsClientId=self.client)
+            e.changeDynamics(
+                *(body, link), linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self.client
+            )
+            # Joints come with a velocity motor that holds them; these are free.
+            e.setJointMotorControl2(body, link, e.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
+        return int(body)
+
+    def _shapes(self, count: int) -> list[int]:
+        """A collision shape per link, from which the engine takes its inertia; nothing collides."""
+        e, s = self.engine, self.vehicle.shape
+        half = [side / 2 for side in self.vehicle.size_lwh]
+        hub = e.createCollisionShape(e.GEOM_SPHERE, radius=0.1, physicsClientId=self.client)
+        box = e.createCollisionShape(e.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        wheel = e.createCollisionShape(e.GEOM_SPHERE, radius=s.wheel_radius, physicsClientId=self.client)
+        return [box if link == _CHASSIS else wheel if link in _WHEELS else hub for link in range(count)]
+
+    def _place(self, position: Any, yaw: float, pitch: float) -> None:
+        orientation = self.engine.getQuaternionFromEuler([0, -pitch, yaw])
+        self.engine.resetBasePositionAndOrientation(self.id, position, orientation, physicsClientId=self.client)
+
+    def aim(self, target: Driven, dt: float) -> None:
+        """Take up the carrier's motion of the coming step: loads on the springs, speed and angle of the wheels."""
+        before = self.state
+        turn = _angle(target.yaw - before.yaw) / dt
+        slope = _GRAVITY * math.sin(target.pitch)
+        loads = ((target.speed - before.speed) / dt + slope, target.speed * turn)
+        # Drivers in SUMO may brake and turn harder than tyres hold, and decide speeds anew at each step: 0.1 s is what
+        # tyres take to build up a force.
+        share = dt / (0.1 + dt)
+        ahead, aside = (old + (_within(new, _GRIP) - old) * share for old, new in zip(self.load, loads, strict=True))
+        self.load = ahead, aside
+        if target is not before:  # as it is for one that has just come
+            self.velocity = (np.array(target.position) - before.position) / dt
+        e, radius = self.engine, self.vehicle.shape.wheel_radius
+        # Each wheel rolls what its own place on the vehicle travels.
+        rolling = [math.hypot(target.speed - turn * y, turn * x) / radius for x, y in self.wheels]
+        e.setJointMotorControlArray(
+            self.id,
+            _WHEELS,
+            e.VELOCITY_CONTROL,
+            targetVelocities=rolling,
+            forces=[2e4] * 4,
+            physicsClientId=self.client,
+        )
+        e.setJointMotorControlArray(
+            *(self.id, _STEER, e.POSITION_CONTROL),
+            targetPositions=self._steering(turn, target.speed),
+            forces=[2e3] * 2,
+            positionGains=[0.2] * 2,
+            physicsClientId=self.client,
+        )
+
+    def _steering(self, turn: float, speed: float) -> list[float]:
+        """Ackermann angles of the front wheels (right, left) for a rate of turn."""
+        s = self.vehicle.shape
+        curvature = _within(turn / speed, 0.2) if speed > 0.5 else 0.0
+        return [
+            _within(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), 0.7) for side in (-1, 1)
+        ]
+
+    def substep(self, target: Driven, share: float) -> None:
+        """Move the carrier to `share` of the way and press the springs."""
+        before = self.state
+        position = [a + (b - a) * share for a, b in zip(before.position, target.position, strict=True)]
+        yaw = before.yaw + _angle(target.yaw - before.yaw) * share
+        self._place(position, yaw, before.pitch + (target.pitch - before.pitch) * share)
+        e = self.engine
+        joints = e.getJointStates(self.id, (_HEAVE, _PITCH, _CHASSIS), physicsClientId=self.client)
+        e.setJointMotorControlArray(
+            *(self.id, (_HEAVE, _PITCH, _CHASSIS), e.TORQUE_CONTROL),
+            forces=self.suspension.forces([joint[:2] for joint in joints], *self.load),
+            physicsClientId=self.client,
+        )
+
+    def pose(self) -> Pose:
+        links = self.engine.getLinkStates(
+            self.id, (_CHASSIS, *_WHEELS), computeForwardKinematics=1, physicsClientId=self.client
+        )
+        frames = np.tile(np.eye(4), (5, 1, 1))
+        for frame, link in zip(frames, links, strict=True):
+            frame[:3, :3] = np.array(self.engine.getMatrixFromQuaternion(link[5])).reshape(3, 3)
+            frame[:3, 3] = link[4]
+        chassis = frames[0].copy()
+        chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, _ROLL_CENTER]
+        return Pose(chassis, frames[1:], self.velocity.copy())
+
+
+class World:
+    """All vehicles near a camera. Use as a context manager."""
+
+    def __init__(self, dt: float) -> None:
+        """`dt` is the time between two calls of `advance`, seconds."""
+        self._dt = dt
+        self._bodies: dict[str, _Body] = {}
+
+    def __enter__(self) -> "World":
+        self._engine = engine()
+        self._client = self._engine.connect(self._engine.DIRECT)
+        self._engine.setPhysicsEngineParameter(
+            fixedTimeStep=self._dt / SUBSTEPS, deterministicOverlappingPairs=1, physicsClientId=self._client
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._engine.disconnect(self._client)
+
+    def advance(self, driven: dict[str, tuple[Vehicle, Driven]]) -> None:
+        """Drive to where `driven` says; newcomers start there at rest on their springs, absent ones are removed."""
+        for name in self._bodies.keys() - driven.keys():
+            self._engine.removeBody(self._bodies.pop(name).id, physicsClientId=self._client)
+        for name, (vehicle, state) in driven.items():
+            if name not in self._bodies:
+                self._bodies[name] = _Body(self._engine, self._client, vehicle, state)
+            self._bodies[name].aim(state, self._dt)
+        for k in range(SUBSTEPS):
+            for name, body in self._bodies.items():
+                body.substep(driven[name][1], (k + 1) / SUBSTEPS)
+            self._engine.stepSimulation(physicsClientId=self._client)
+        for name, body in self._bodies.items():
+            body.state = driven[name][1]
+
+    def poses(self) -> dict[str, Pose]:
+        """Poses of all vehicles as the engine has them now."""
+        return {name: body.pose() for name, body in self._bodies.items()}
+
+
+def _angle(value: float) -> float:
+    """An angle brought into -pi to pi."""
+    return math.remainder(value, 2 * math.pi)
+
+
+def _within(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

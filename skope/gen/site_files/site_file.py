@@ -1,0 +1,323 @@
+"""A site file: `skope gen --site FILE.toml`. All that can be wrong with it is said before anything is written."""
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final, Self
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+from shapely import Polygon
+
+from skope.camera import Camera
+from skope.errors import UserError
+from skope.files import read_bytes
+from skope.gen.render.lens import pinhole_of
+from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
+from skope.gen.scene.sun import sun_direction, time_of_day
+from skope.gen.site_files.camera import read_camera
+from skope.gen.site_files.toml_table import TomlTable
+from skope.gen.towns import Site, network, site_of
+from skope.gen.towns.layout import REACH, Layout
+from skope.gen.towns.netconvert import from_map
+from skope.gen.towns.place import Occluder, Outline, Place, know
+from skope.gen.towns.style import style
+from skope.gen.traffic import route_files
+from skope.gen.traffic.demand import ways
+
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
+_SEEN: Final = 150.0
+"""A camera looks at a road when lanes nearer than this are in its image, metres."""
+_LEVEL: Final = 5.0
+"""World heights are counted from about the road: farther from 0 it may not lie, metres."""
+_PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
+"""What a photograph has of its own is not added to it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OwnSite:
+    """What a site file asks for."""
+
+    path: Path
+    site: Site
+    splits: tuple[str, ...]
+    """Of its recordings, in their order; empty where the file leaves that to the preset."""
+    digests: Mapping[str, str]
+    """Of the file itself ("site") and of those that it names, by their keys."""
+    said: tuple[str, ...]
+    """Worth telling the user."""
+
+    @property
+    def place(self) -> Place:
+        assert self.site.place is not None
+        return self.site.place
+
+    def with_recordings(self, count: int) -> Self:
+        """With so many recordings, one of them to test on and at least one to train on, unless it names its own."""
+        return replace(self, splits=self.splits or ("train",) * max(1, count - 1) + ("test",))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a dataset's card holds it; not where the file lies, which may change."""
+        return {
+            "file": self.path.name,
+            "digests": dict(self.digests),
+            "town": self.place.name,
+            "photograph": bool(self.place.photograph),
+            "splits": list(self.splits),
+        }
+
+
+def read_site(path: Path) -> OwnSite:
+    """Read and check a site file; UserErrors name the file and the key."""
+    table = TomlTable.read(path)
+    name = table.text("name", path.stem)
+    if not _NAME.fullmatch(name):
+        raise table.wrong("name", f"expected up to 40 letters, digits and _, got {name!r}")
+    background = table.file("background")
+    picture = _picture_size(table, background)
+    own = read_camera(table.table("camera"), picture)
+    camera = own.camera
+    if picture and abs(picture[0] * camera.height / (picture[1] * camera.width) - 1) > 0.01:
+        raise table.wrong(
+            "background", f"is {picture[0]}x{picture[1]}, but the camera {camera.width}x{camera.height}: other shapes"
+        )
+    styled = table.file("style")
+    place = Place(
+        title=name,
+        network=_network(table),
+        style=read_bytes(styled).decode() if styled else "",
+        camera=camera,
+        photograph=read_bytes(background) if background else b"",
+    )
+    layout = _layout(table, place)
+    level = layout.road_level(camera.position[:2])
+    occluders = tuple(_occluder(row, camera, level) for row in table.tables("occluders"))
+    shades = tuple(_shade(row, camera) for row in table.tables("shades"))
+    if occluders or shades:
+        if not background:
+            raise table.wrong("occluders" if occluders else "shades", "are for a photograph: background is missing")
+        place = replace(place, occluders=occluders, shades=shades)
+        know(place)
+    light = table.table("light")
+    weather, hour, sun = _light(light)
+    conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
+    vehicles, text = _traffic(table, place, layout)
+    splits = _splits(table)
+    table.done()
+    site = site_of(
+        place,
+        split=splits[0] if splits else "train",
+        vehicles_per_hour=vehicles,
+        weather=weather,
+        time_of_day=hour,
+        conditions=conditions,
+        flows=text,
+    )
+    files = {"site": path, **table.files}
+    digests = {key: hashlib.sha256(read_bytes(file)).hexdigest()[:24] for key, file in files.items()}
+    said = (f"{path.name}: camera: {own.said}",) if own.said else ()
+    return OwnSite(path=path, site=site, splits=splits, digests=digests, said=said)
+
+
+# -------------------------------------------------------------------------------------------------------------- pieces
+
+
+def _picture_size(table: TomlTable, path: Path | None) -> tuple[int, int] | None:
+    if path is None:
+        return None
+    image = cv2.imdecode(np.frombuffer(read_bytes(path), dtype=np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise table.wrong("background", f"{path}: not a readable image")
+    height, width = image.shape[:2]
+    if min(width, height) < 16 or max(width, height) > 8192:
+        raise table.wrong("background", f"{path}: is {width}x{height}, expected 16 to 8192 pixels")
+    return width, height
+
+
+def _network(table: TomlTable) -> bytes:
+    path = table.file("network")
+    if path is None:
+        raise table.wrong("network", "missing")
+    lefthand, height = table.flag("lefthand"), table.number("ground_height", 0.0)
+    if path.name.endswith(".net.xml"):
+        data = read_bytes(path)
+        if lefthand or height:
+            raise table.wrong("lefthand" if lefthand else "ground_height", "is for maps that are converted")
+        return data
+    suffixes = "".join(path.suffixes).lower()
+    kind = "osm" if ".osm" in suffixes else "opendrive" if suffixes.endswith(".xodr") else ""
+    if not kind:
+        raise table.wrong("network", f"{path}: expected .net.xml (SUMO), .osm or .osm.xml (OpenStreetMap), .xodr")
+    origin = _origin(table, path) if kind == "osm" else None
+    try:
+        return from_map(path, kind, origin, lefthand=lefthand, height=height).encode()
+    except UserError as error:
+        raise table.wrong("network", f"{path}: {error}") from None
+
+
+def _origin(table: TomlTable, path: Path) -> tuple[float, float]:
+    """Latitude and longitude of the world's origin; the middle of the map's nodes unless given."""
+    if "origin" in table:
+        latitude, longitude = table.numbers("origin", 2)
+        return latitude, longitude
+    try:
+        nodes = [(float(n.attrib["lat"]), float(n.attrib["lon"])) for n in ElementTree.parse(path).iter("node")]
+    except (ElementTree.ParseError, KeyError, ValueError):
+        nodes = []
+    if not nodes:
+        raise table.wrong("network", f"{path}: not an OpenStreetMap file with nodes")
+    low, high = np.min(nodes, axis=0), np.max(nodes, axis=0)
+    latitude, longitude = ((low + high) / 2).round(7).tolist()
+    return latitude, longitude
+
+
+def _occluder(table: TomlTable, camera: Camera, level: float) -> Occluder:
+    polygon = _outline(table)
+    if "distance" in table:
+        distance = table.number("distance", low=0.5, high=2000)
+    else:
+        rays, valid = camera.rays(table.numbers("foot", 2))
+        down = float(rays @ camera.T_camera_world[:3, 2])
+        distance = (level - camera.position[2]) / down if valid and down < 0 else math.inf
+        if not distance < 2000:
+            raise table.wrong("foot", "is no pixel of the ground")
+    table.done()
+    return Occluder(polygon, round(distance, 3))
+
+
+def _shade(table: TomlTable, camera: Camera) -> Outline:
+    """The outline of a shadow, all of it on the ground."""
+    outline = _outline(table)
+    table.done()
+    rays, valid = camera.rays(outline)
+    if not (valid & (rays @ camera.T_camera_world[:3, 2] < -1e-3)).all():
+        raise table.wrong("polygon", "reaches over the horizon")
+    return outline
+
+
+def _outline(table: TomlTable) -> Outline:
+    points = table.value("polygon")
+    if not isinstance(points, list) or len(points) < 3:
+        raise table.wrong("polygon", "expected three or more [column, row]")
+    outline = tuple((x, y) for x, y in table.matrix("polygon", len(points), 2))
+    if not Polygon(outline).is_valid:
+        raise table.wrong("polygon", "its sides cross each other")
+    return outline
+
+
+def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
+    """Weather, hour, and where the sun stands if that is known."""
+    weather, sun = table.text("weather", "clear"), {}
+    if "when" in table:
+        when = table.value("when")
+        if not isinstance(when, datetime) or when.tzinfo is None:
+            raise table.wrong("when", "expected a time with its zone, like 2026-06-21T14:30:00+02:00")
+        latitude, longitude = table.number("latitude", low=-90, high=90), table.number("longitude", low=-180, high=180)
+        elevation, azimuth = sun_direction(when, latitude, longitude)
+        low, high = LIMITS["sun_elevation_deg"]
+        if not low <= elevation <= high:
+            raise table.wrong("when", f"the sun stands {elevation:.1f} degrees high; {low:g} to {high:g} can be drawn")
+        if "time_of_day" in table:
+            raise table.wrong("time_of_day", "is known from when")
+        hour = time_of_day(elevation, azimuth)
+        sun = {"sun_elevation_deg": (elevation, elevation), "sun_azimuth_deg": (azimuth, azimuth)}
+    else:
+        hour = table.text("time_of_day", "noon")
+    table.done()
+    try:
+        ranges(weather, hour)
+    except UserError as error:
+        raise table.wrong("", str(error)) from None
+    return weather, hour, sun
+
+
+def _conditions(table: TomlTable) -> dict[str, Range]:
+    out = {}
+    for name in LIMITS:
+        if name in table:
+            pair = isinstance(table.value(name), list)
+            low, high = table.numbers(name, 2) if pair else (table.number(name),) * 2
+            out[name] = low, high
+    table.done()
+    try:
+        return check_settings(out)
+    except UserError as error:
+        raise table.wrong("", str(error).removeprefix("--set ")) from None
+
+
+def _traffic(table: TomlTable, place: Place, layout: Layout) -> tuple[float, str]:
+    """Vehicles per hour, or a route file's text."""
+    path = table.file("flows")
+    if path is None:
+        seen = layout.seen_by(place.camera, _SEEN)
+        if all(seen.isdisjoint(edges) for edges, _ in ways(network(place.name))):
+            raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
+        return table.number("vehicles_per_hour", low=1, high=1e5), ""
+    if "vehicles_per_hour" in table:
+        raise table.wrong("vehicles_per_hour", "flows says it already")
+    text = read_bytes(path).decode(errors="replace")
+    try:
+        route_files.streams(text, network(place.name))
+    except UserError as error:
+        raise table.wrong("flows", f"{path}: {error}") from None
+    return 0.0, text
+
+
+def _splits(table: TomlTable) -> tuple[str, ...]:
+    if "splits" not in table:
+        return ()
+    names = table.value("splits")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) and _NAME.fullmatch(n) for n in names):
+        raise table.wrong("splits", 'expected a list of names like ["train", "train", "test"]')
+    return tuple(names)
+
+
+# -------------------------------------------------------------------------------------------------------------- checks
+
+
+def _layout(table: TomlTable, place: Place) -> Layout:
+    """The place's layout. Raises UserError when no picture could come of it."""
+    know(place)
+    camera = place.camera
+    if camera.distortion.model != "none":
+        try:
+            pinhole_of(camera)
+        except UserError as error:
+            raise table.wrong("", str(error)) from None
+    try:
+        style(place.name)
+    except (TypeError, KeyError, ValueError) as error:
+        raise table.wrong("style", str(error)) from None
+    try:
+        layout = Layout.of(place.name)
+    except Exception as error:  # whatever parsers say of a file that is no network
+        raise table.wrong("network", f"not a SUMO network: {error}") from None
+    if not layout.edges:
+        x, y, _ = camera.position
+        raise table.wrong(
+            "network", f"no lane for cars lies within {REACH:g} m of the camera at x {x:.0f}, y {y:.0f}{_span(layout)}"
+        )
+    level = layout.road_level(camera.position[:2])
+    if abs(level) > _LEVEL:
+        raise table.wrong(
+            "network",
+            f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "
+            f"--offset.z {-level:.0f}, and count the camera's height from there",
+        )
+    if camera.position[2] < level + 0.5:
+        raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
+    if not layout.seen_by(camera, _SEEN):
+        raise table.wrong("camera", f"no lane of the network nearer than {_SEEN:g} m is in its image")
+    return layout
+
+
+def _span(layout: Layout) -> str:
+    x0, y0, x1, y1 = layout.net.getBoundary()
+    if layout.mirrored:
+        y0, y1 = -y1, -y0
+    return f"; the network spans x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f}"

@@ -1,0 +1,149 @@
+"""Who drives through a town: types of vehicles and drivers, ways through the network, and when each sets out."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+
+from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.model import Vehicle
+
+HEAVY: Final = 3500.0
+"""Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
+_HEAVY_SPEED: Final = 25.0
+"""What their speed limiters allow, m/s."""
+RIDERS: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
+"""Road users on two wheels, by SUMO's vehicle class."""
+_RIDER_SHARE: Final = {"cyclist": 0.03, "motorcyclist": 0.02}
+"""How many there are for each vehicle."""
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A road user that will enter the network."""
+
+    name: str
+    model: str
+    """Of the fleet, or one of `RIDERS`."""
+    driver: str
+    color: str
+    depart: float
+    """Seconds."""
+    edges: tuple[str, ...]
+
+    @property
+    def type_id(self) -> str:
+        return f"{self.model}.{self.driver}"
+
+
+@cache
+def _tables() -> Mapping[str, Any]:
+    text = resources.files("skope.gen.traffic").joinpath("traffic.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry]:
+    """The models with their shares in a town's traffic; as the fleet has them where the town's are not known."""
+    shares: Mapping[str, float] = _tables()["types"].get(town, {})
+    if not shares:
+        return dict(models)
+    of_type: dict[str, float] = {}
+    for entry in models.values():
+        kind = entry.vehicle.vehicle_type
+        of_type[kind] = of_type.get(kind, 0.0) + entry.share
+    return {
+        name: replace(entry, share=shares.get(entry.vehicle.vehicle_type, 0.0) * entry.share / of_type[kind])
+        for name, entry in models.items()
+        for kind in [entry.vehicle.vehicle_type]
+    }
+
+
+def write_types(path: Path, models: Mapping[str, FleetEntry]) -> None:
+    """Write SUMO's vehicle types: each model with each kind of driver, and riders."""
+    root = ElementTree.Element("additional")
+    for driver, row in _tables()["drivers"].items():
+        manner = {key: str(value) for key, value in row.items() if key != "share"}
+        for name, entry in models.items():
+            attributes = manner | _attributes(entry.vehicle)
+            ElementTree.SubElement(root, "vType", {"id": f"{name}.{driver}", **attributes})
+        for rider, vehicle_class in RIDERS.items():
+            ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **manner, "vClass": vehicle_class})
+    ElementTree.ElementTree(root).write(path, encoding="utf-8")
+
+
+def _attributes(vehicle: Vehicle) -> dict[str, str]:
+    length, width, height = vehicle.size_lwh
+    heavy = vehicle.mass > HEAVY
+    limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
+    return {
+        **{"length": f"{length:.3f}", "width": f"{width:.3f}", "height": f"{height:.3f}"},
+        **{"carFollowModel": "IDM", "minGapLat": "0.5"},
+        **{"accel": "1.2" if heavy else "2.0", "decel": "3.0" if heavy else "3.5", **limited},
+    }
+
+
+def trips(
+    network: Path,
+    models: Mapping[str, FleetEntry],
+    *,
+    vehicles_per_hour: float,
+    duration: float,
+    rng: np.random.Generator,
+    passing: frozenset[str] = frozenset(),
+) -> Iterator[Trip]:
+    """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back.
+
+    With `passing`, all on ways over one of these edges.
+    """
+    routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
+    weights = np.array([weight for _, weight in routes])
+    riders = sum(_RIDER_SHARE.values()) * sum(entry.share for entry in models.values())
+    users = {name: entry.share for name, entry in models.items()}
+    users |= {name: riders * share / sum(_RIDER_SHARE.values()) for name, share in _RIDER_SHARE.items()}
+    drivers = driver_shares()
+    time = 0.0
+    for i in range(1_000_000):
+        time += rng.exponential(3600 / vehicles_per_hour)
+        if time > duration:
+            return
+        edges = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
+        model, driver = drawn(users, rng), drawn(drivers, rng)
+        color = draw_paint(models[model].vehicle, rng) if model in models else "black"
+        yield Trip(f"v{i:05d}", model, driver, color, time, edges)
+
+
+def driver_shares() -> dict[str, float]:
+    """How often drivers of each kind are at the wheel."""
+    return {name: row["share"] for name, row in _tables()["drivers"].items()}
+
+
+def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+    """One of the names, by their shares."""
+    p = np.array(list(shares.values()))
+    return list(shares)[rng.choice(len(p), p=p / p.sum())]
+
+
+@cache
+def ways(network: Path) -> list[tuple[tuple[str, ...], float]]:
+    """Every route from the network's rim to its rim, weighted by the lanes it starts and ends with."""
+    import sumolib
+
+    net = sumolib.net.readNet(str(network))
+    edges = [edge for edge in net.getEdges() if edge.allows("passenger")]
+    # Where a road ends, turning back may be allowed.
+    ways_in = [e for e in edges if all(other.getFromNode() is e.getToNode() for other in e.getIncoming())]
+    ways_out = [e for e in edges if all(other.getToNode() is e.getFromNode() for other in e.getOutgoing())]
+    out = []
+    for start in ways_in:
+        for end in ways_out:
+            path, _ = net.getShortestPath(start, end, vClass="passenger")
+            if path is not None and start.getFromNode() is not end.getToNode():
+                ids = tuple(edge.getID() for edge in path)
+                out.append((ids, float(start.getLaneNumber() ** 2 * end.getLaneNumber())))
+    return out

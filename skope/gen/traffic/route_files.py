@@ -1,0 +1,201 @@
+"""Traffic from a SUMO route file (.rou.xml): who sets out when on which way; what drives there is the fleet.
+
+Read are <route>, <vType> (its vClass), <vehicle>, <trip> and <flow> with begin, end and one of number, period (a number
+or exp(rate)), vehsPerHour and probability; ways are given by edges, by the name of a route, or by from, to and via.
+"""
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+
+from skope.errors import UserError
+from skope.gen.traffic.demand import RIDERS, Trip, drawn, driver_shares
+from skope.gen.vehicles import FleetEntry, draw_paint
+
+_LIGHT: Final = ("sedan", "hatchback", "city_car", "coupe", "wagon", "suv", "minivan", "pickup")
+_OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
+    "passenger": _LIGHT,
+    "private": _LIGHT,
+    "taxi": ("sedan", "minivan", "wagon"),
+    "delivery": ("van", "box_truck"),
+    "truck": ("truck", "box_truck"),
+    "trailer": ("truck",),
+    "bus": ("bus",),
+    "coach": ("bus",),
+}
+"""Types of the fleet that drive as one of SUMO's vehicle classes; all types as any other."""
+_RIDERS: Final = {vehicle_class: name for name, vehicle_class in RIDERS.items()} | {"moped": "motorcyclist"}
+_EXPONENTIAL: Final = re.compile(r"exp\(([^)]+)\)")
+_HOUR: Final = 3600.0
+_MOST: Final = 1e5
+"""Vehicles an hour that a flow may ask for; no road takes more."""
+
+
+@dataclass(frozen=True)
+class _Flow:
+    """Road users on one way: at one time, at even distances of time, or at random."""
+
+    vehicle_class: str
+    """Empty where the file leaves it to us."""
+    edges: tuple[str, ...]
+    begin: float
+    end: float
+    period: float
+    """Mean seconds from one to the next; inf for a single one, at `begin`."""
+    random: bool = False
+
+    def departures(self, start: float, stop: float, rng: np.random.Generator) -> list[float]:
+        """Within a window of time, seconds."""
+        low, high = max(start, self.begin), min(stop, self.end)
+        if self.period == math.inf:
+            return [self.begin] if start <= self.begin < stop else []
+        if high <= low:
+            return []
+        if self.random:
+            return sorted(rng.uniform(low, high, rng.poisson((high - low) / self.period)).tolist())
+        first, last = (math.ceil((at - self.begin) / self.period - 1e-9) for at in (low, high))
+        return [self.begin + k * self.period for k in range(first, last)]
+
+
+def scheduled(
+    text: str, network: Path, models: Mapping[str, FleetEntry], *, duration: float, rng: np.random.Generator
+) -> Iterator[Trip]:
+    """The trips of `duration` seconds from somewhere in a route file's time, which then is second 0.
+
+    Each vehicle's model is drawn by the fleet's shares among those of its class. Raises UserError as `streams` does.
+    """
+    flows = streams(text, network)
+    first, last = min(one.begin for one in flows), max(max(one.begin, one.end) for one in flows)
+    start = first + float(rng.uniform(0, max(last - first - duration, 0.0)))
+    planned = sorted((time, k) for k, one in enumerate(flows) for time in one.departures(start, start + duration, rng))
+    for i, (time, k) in enumerate(planned):
+        model = _model(flows[k].vehicle_class, models, rng)
+        color = draw_paint(models[model].vehicle, rng) if model in models else "black"
+        yield Trip(f"v{i:05d}", model, drawn(driver_shares(), rng), color, time - start, flows[k].edges)
+
+
+def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.Generator) -> str:
+    if vehicle_class in _RIDERS:
+        return _RIDERS[vehicle_class]
+    types = _OF_CLASS.get(vehicle_class, ())
+    fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.vehicle_type in types}
+    return drawn(fitting or {name: entry.share for name, entry in models.items()}, rng)
+
+
+@cache
+def streams(text: str, network: Path) -> tuple[_Flow, ...]:
+    """What a route file asks for. Raises UserError naming the element that is wrong, without the file's name."""
+    if "<!DOCTYPE" in text:
+        raise UserError("has a DOCTYPE, which a route file needs not and whose entities are not read")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise UserError(f"not XML: {error}") from None
+    ways = _Ways(root, network)
+    classes = {one.get("id"): one.get("vClass", "passenger") for one in root.iter("vType")}
+    out = []
+    for element in root:
+        if element.tag in ("vehicle", "trip", "flow"):
+            try:
+                begin, end, period, random = _times(element)
+                if period < _HOUR / _MOST:
+                    raise ValueError(f"more than {_MOST:.0f} vehicles an hour")
+            except ValueError as error:
+                raise UserError(f"{_name(element)}: {error}") from None
+            kind = classes.get(element.get("type"), "")
+            out.append(_Flow(kind, ways.of(element), begin, end, period, random))
+    if not out:
+        raise UserError("no vehicle, trip or flow")
+    return tuple(out)
+
+
+def _name(element: ElementTree.Element) -> str:
+    return f"{element.tag} {element.get('id', '?')!r}"
+
+
+def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
+    """Begin, end, mean period, and whether at random."""
+    if element.tag != "flow":
+        at = _number(element, "depart", "0")
+        return at, at, math.inf, False
+    begin, end = _number(element, "begin", "0"), _number(element, "end", "86400")
+    if end <= begin:
+        raise ValueError("end: not after begin")
+    if "number" in element.attrib:
+        return begin, end, (end - begin) / max(_number(element, "number"), 1e-9), False
+    if "vehsPerHour" in element.attrib:
+        return begin, end, _HOUR / _number(element, "vehsPerHour"), False
+    if "probability" in element.attrib:
+        return begin, end, 1 / _number(element, "probability"), True
+    if element.get("period", "").startswith("exp("):
+        return begin, end, 1 / _rate(element.get("period", "")), True
+    return begin, end, _number(element, "period"), False
+
+
+def _rate(period: str) -> float:
+    """Vehicles a second of `exp(rate)`."""
+    match = _EXPONENTIAL.fullmatch(period)
+    try:
+        rate = float(match[1]) if match else math.nan
+    except ValueError:
+        rate = math.nan
+    if not 0 < rate < math.inf:
+        raise ValueError(f"period: expected exp(vehicles a second, a positive number), got {period!r}")
+    return rate
+
+
+def _number(element: ElementTree.Element, name: str, default: str = "") -> float:
+    try:
+        value = float(element.get(name, default))
+    except ValueError:
+        raise ValueError(f"{name}: expected a number") from None
+    if not math.isfinite(value) or value < 0 or (value == 0 and not default):
+        raise ValueError(f"{name}: expected a positive number")
+    return value
+
+
+class _Ways:
+    """Ways through a network as the elements of a route file give them."""
+
+    def __init__(self, root: ElementTree.Element, network: Path) -> None:
+        import sumolib
+
+        self._net: Any = sumolib.net.readNet(str(network))
+        self._routes = {route.get("id"): route for route in root.iterfind("route")}
+
+    def of(self, element: ElementTree.Element) -> tuple[str, ...]:
+        route = element.find("route")
+        route = self._routes.get(element.get("route")) if route is None else route
+        if route is not None:
+            return self._connected(element, self._checked(element, route.get("edges", "").split()))
+        ends = [element.get("from", ""), *element.get("via", "").split(), element.get("to", "")]
+        if not all(ends):
+            raise UserError(f"{_name(element)}: expected a route that the file has, or from and to")
+        self._checked(element, ends)
+        out = ends[:1]
+        for a, b in itertools.pairwise(ends):
+            path, _ = self._net.getShortestPath(self._net.getEdge(a), self._net.getEdge(b), vClass="passenger")
+            if path is None:
+                raise UserError(f"{_name(element)}: no way leads from {a} to {b}")
+            out += [edge.getID() for edge in path[1:]]
+        return tuple(out)
+
+    def _connected(self, element: ElementTree.Element, edges: tuple[str, ...]) -> tuple[str, ...]:
+        for a, b in itertools.pairwise(edges):
+            if self._net.getEdge(b) not in self._net.getEdge(a).getOutgoing():
+                raise UserError(f"{_name(element)}: no connection leads from {a} to {b}")
+        return edges
+
+    def _checked(self, element: ElementTree.Element, edges: list[str]) -> tuple[str, ...]:
+        unknown = [edge for edge in edges if not self._net.hasEdge(edge)]
+        if unknown or not edges:
+            raise UserError(f"{_name(element)}: the network has no edge {unknown[0] if unknown else 'in its route'}")
+        return tuple(edges)

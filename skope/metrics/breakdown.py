@@ -1,0 +1,142 @@
+"""The same figures for parts of the vehicles: by distance, size, type, weather and so on, and keypoint by keypoint.
+
+A false detection belongs to no distance or type, so that the parts have recall and PCK and no precision.
+"""
+
+import itertools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from skope import keypoints
+from skope.metrics.counts import Judged, Mask, Options, judge, ratio
+from skope.metrics.match import Matches
+from skope.schema import Annotation, Image
+
+DISTANCES_M: Final = (20.0, 40.0, 60.0)
+HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)
+OCCLUSIONS: Final = (0.1, 0.4)
+TRUNCATIONS: Final = (0.1, 0.4)
+
+# The paper's own cell: vehicles that nothing hides, within 40 m.
+_UNOCCLUDED: Final = 0.01
+_NEAR_M: Final = 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """What a dataset's card says of its models; empty where there is no card."""
+
+    held_out: Collection[str] | None = None
+    """Models that no training image shows."""
+    substituted: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Model -> names of the keypoints that stand for a part that its body lacks."""
+
+
+def breakdown(images: Sequence[Image], matches: Matches, options: Options, fleet: Fleet) -> dict[str, Any]:
+    """The entry `by` of a split: quantity -> part -> IoU threshold -> counts and ratios."""
+    judged = {t: judge(matches, t, options) for t in options.iou}
+    parts = _parts(images, matches, fleet)
+    out: dict[str, Any] = {
+        quantity: {
+            name: {f"{t:g}": _figures(judged[t], mask, options.alpha) for t in judged} for name, mask in of.items()
+        }
+        for quantity, of in parts.items()
+    }
+    out["keypoint"] = {
+        options.scheme.names[k]: {f"{t:g}": _of_points(judged[t], _column(matches, k), options.alpha) for t in judged}
+        for k in options.points
+    }
+    stand_ins = _stand_ins(matches.vehicles, fleet)
+    if stand_ins.any():
+        out["keypoint_kind"] = {
+            name: {f"{t:g}": _of_points(judged[t], mask, options.alpha) for t in judged}
+            for name, mask in (("own", ~stand_ins), ("substituted", stand_ins))
+        }
+    return out
+
+
+def _parts(images: Sequence[Image], matches: Matches, fleet: Fleet) -> dict[str, dict[str, Mask]]:
+    vehicles = matches.vehicles
+    weather = [images[i].weather for i in matches.gt_image]
+    parts = {
+        "distance": _banded([v.distance for v in vehicles], DISTANCES_M),
+        "height": _banded((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
+        "occlusion": _banded([v.occlusion for v in vehicles], OCCLUSIONS, last="1"),
+        "truncation": _banded([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
+        "unoccluded_within_40_m": _sorted_out(vehicles, _paper_cell, {True: "yes", False: "no"}),
+        "vehicle_type": _named([v.vehicle_type for v in vehicles]),
+        "weather": _named(weather),
+        "parked": _sorted_out(vehicles, lambda v: v.parked, {True: "parked", False: "driving"}),
+        "model": _sorted_out(vehicles, lambda v: _unseen(v, fleet), {True: "unseen", False: "seen"}),
+    }
+    return {quantity: of for quantity, of in parts.items() if of}
+
+
+def _paper_cell(vehicle: Annotation) -> bool | None:
+    if vehicle.occlusion is None or vehicle.distance is None:
+        return None
+    return vehicle.occlusion < _UNOCCLUDED and vehicle.distance < _NEAR_M
+
+
+def _unseen(vehicle: Annotation, fleet: Fleet) -> bool | None:
+    return None if fleet.held_out is None or vehicle.model is None else vehicle.model in fleet.held_out
+
+
+def _banded(values: Sequence[float | None], edges: Sequence[float], last: str | None = None) -> dict[str, Mask]:
+    """Masks of [0, e0), [e0, e1), ... and from the last edge on; those without a vehicle are left out."""
+    numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    bounds = (0.0, *edges, np.inf)
+    out = {}
+    for low, high in itertools.pairwise(bounds):
+        name = f"{low:g}-{high:g}" if np.isfinite(high) else (f"{low:g}-{last}" if last else f"{low:g}+")
+        out[name] = (numbers >= low) & (numbers < high)
+    return {name: mask for name, mask in out.items() if mask.any()}
+
+
+def _named(values: Sequence[str | None]) -> dict[str, Mask]:
+    names = np.array([value or "" for value in values], dtype=object)
+    return {str(name): names == name for name in sorted(set(names.tolist()) - {""})}
+
+
+def _sorted_out(
+    vehicles: Sequence[Annotation], which: Callable[[Annotation], bool | None], names: Mapping[bool, str]
+) -> dict[str, Mask]:
+    values = [which(vehicle) for vehicle in vehicles]
+    return _named([None if value is None else names[value] for value in values])
+
+
+def _figures(judged: Judged, part: Mask, alpha: float) -> dict[str, Any]:
+    points = _of_points(judged, part[:, None], alpha)
+    truth, matched = int(part.sum()), int((part & judged.found).sum())
+    return {"ground_truth": truth, "matched": matched, "box_recall": ratio(matched, truth), **points}
+
+
+def _of_points(judged: Judged, part: Mask, alpha: float) -> dict[str, Any]:
+    """Of the keypoints in `part`, a mask that broadcasts to (G, 33)."""
+    labelled_all = int((judged.labelled & part).sum())
+    labelled = int((judged.labelled & part)[judged.found].sum())
+    correct = int((judged.correct(alpha) & part).sum())
+    return {
+        "labelled": labelled,
+        "labelled_all": labelled_all,
+        "correct": correct,
+        "pck": ratio(correct, labelled),
+        "keypoint_recall": ratio(correct, labelled_all),
+    }
+
+
+def _column(matches: Matches, k: int) -> Mask:
+    mask = np.zeros((len(matches.gt_image), keypoints.K), dtype=bool)
+    mask[:, k] = True
+    return mask
+
+
+def _stand_ins(vehicles: Sequence[Annotation], fleet: Fleet) -> Mask:
+    """(G, 33) keypoints that stand for a part that the vehicle's body lacks."""
+    mask = np.zeros((len(vehicles), keypoints.K), dtype=bool)
+    for i, vehicle in enumerate(vehicles):
+        mask[i, [keypoints.INDEX[name] for name in fleet.substituted.get(vehicle.model or "", ())]] = True
+    return mask

@@ -1,0 +1,89 @@
+"""What goes wrong, by kind: vehicles missed and false, and keypoints on the wrong side, at the wrong end or just off.
+
+The kinds follow Ronchi and Perona ("Benchmarking and Error Diagnosis in Multi-Instance Pose Estimation", 2017), with a
+vehicle's two symmetries in the place of a person's one.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from skope import keypoints
+from skope.metrics.counts import Floats, Integers, Judged, Options, lengths
+from skope.metrics.match import Matches
+
+KINDS: Final = ("left_right", "front_rear", "jitter")
+"""Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
+anywhere else."""
+RIGHT: Final = -1
+LEFT_RIGHT, FRONT_REAR, JITTER = range(len(KINDS))
+
+_ENDS: Final = (
+    ("roof_front", "roof_rear"),
+    ("windscreen_base", "rear_window_base"),
+    ("headlight_outer", "taillight_outer"),
+    ("headlight_inner", "taillight_inner"),
+    ("wheel_front", "wheel_rear"),
+    ("bumper_front", "bumper_rear"),
+    ("hood_front", "trunk_rear"),
+)
+
+
+def _other_end(name: str) -> str:
+    for pair in _ENDS:
+        for here, there in (pair, pair[::-1]):
+            if name.startswith(here):
+                return there + name.removeprefix(here)
+    return name
+
+
+OTHER_SIDE: Final = keypoints.FLIP
+OTHER_END: Final = tuple(keypoints.INDEX[_other_end(name)] for name in keypoints.NAMES)
+"""The counterpart of each keypoint at the vehicle's other end; itself where there is none."""
+
+
+def wrong_points(matches: Matches, judged: Judged, options: Options) -> Integers:
+    """(G, 33) index in `KINDS` of each wrong keypoint, -1 for what is right, unlabelled, not predicted or not found.
+
+    A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
+    alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
+    """
+    kinds = np.full(judged.labelled.shape, RIGHT, dtype=np.int64)
+    wrong = judged.labelled & judged.predicted & ~judged.correct(options.alpha)
+    kinds[wrong] = JITTER
+    if options.scheme is not keypoints.SKOPE33:  # nobody knows its counterparts
+        return kinds
+    side = _apart(matches, judged, OTHER_SIDE)
+    ends = np.minimum(_apart(matches, judged, OTHER_END), _apart(matches, judged, [OTHER_SIDE[k] for k in OTHER_END]))
+    reach = options.alpha * judged.length[:, None]
+    kinds[wrong & (side <= reach)] = LEFT_RIGHT
+    kinds[wrong & (ends <= reach) & (ends < side)] = FRONT_REAR
+    return kinds
+
+
+def _apart(matches: Matches, judged: Judged, counterpart: Any) -> Floats:
+    """(G, 33) pixels from each prediction to its counterpart's place, infinite where there is none."""
+    counterpart = np.asarray(counterpart)
+    truth = matches.gt_keypoints[:, counterpart]
+    out = np.full(judged.labelled.shape, np.inf)
+    found = judged.found
+    out[found] = lengths(matches.det_keypoints[judged.detection[found], :, :2] - truth[found, :, :2])
+    known = (truth[..., 2] > 0) & (counterpart != np.arange(keypoints.K))
+    return np.where(known, out, np.inf)
+
+
+def counts(matches: Matches, judged: Judged, options: Options) -> dict[str, int]:
+    """Vehicles missed and false, and wrong keypoints by kind, as `metrics.json` has them."""
+    kinds = wrong_points(matches, judged, options)
+    return {
+        "missed": int((~judged.found).sum()),
+        "false": int(false_detections(matches, judged).sum()),
+        **{name: int((kinds == i).sum()) for i, name in enumerate(KINDS)},
+    }
+
+
+def false_detections(matches: Matches, judged: Judged) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(D,) detections that took no vehicle and lie on no ignored one."""
+    false = ~matches.det_on_ignored
+    false[judged.detection[judged.found]] = False
+    return false

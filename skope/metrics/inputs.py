@@ -1,0 +1,136 @@
+"""What is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from skope import coco, dataset, keypoints
+from skope.errors import UserError, one_of
+from skope.keypoints import Scheme
+from skope.metrics.breakdown import Fleet
+from skope.metrics.match import box_of
+from skope.schema import AnnotationFile, Result
+
+SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
+"""Keypoint schemes of results that can be held against ours."""
+TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Ground truth: splits in the order in which they are reported, and where their images lie."""
+
+    splits: tuple[AnnotationFile, ...]
+    root: Path
+    """The folder that file names are relative to."""
+    fleet: Fleet
+    sources: tuple[Path, ...]
+    """The files that say what is true; those that name the checksums of all others where there are such."""
+
+    @property
+    def scheme(self) -> Scheme:
+        """What the keypoints are; of a dataset all splits have the same."""
+        return self.splits[0].scheme
+
+
+def read_dataset(root: Path, names: Sequence[str]) -> Truth:
+    """The named splits of a dataset folder; without names, all test splits that it has."""
+    data = dataset.open_dataset(root)
+    wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
+    if not wanted:
+        there = ", ".join(data.splits) or "none"
+        raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
+    splits = tuple(data.read(name) for name in wanted)
+    manifest = root / dataset.MANIFEST
+    sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
+    return Truth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
+
+
+def _fleet(root: Path, card: dict[str, Any]) -> Fleet:
+    """What a dataset's card says of its models; datasets of elsewhere say nothing."""
+    told = card.get("fleet")
+    if told is None:
+        return Fleet()
+    try:
+        substituted = {str(model): tuple(names) for model, names in told["substituted"].items()}
+        unknown = {name for names in substituted.values() for name in names} - set(keypoints.NAMES)
+        if unknown:
+            raise UserError(f"{root / dataset.CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
+        return Fleet(held_out=frozenset(told["held_out"]), substituted=substituted)
+    except (KeyError, TypeError, AttributeError):
+        raise UserError(f"{root / dataset.CARD}: fleet: expected held_out and substituted") from None
+
+
+def read_annotations(path: Path) -> Truth:
+    """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
+    return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet(), sources=(path,))
+
+
+def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
+    """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
+    one_of("--scheme", scheme, SCHEMES if truth is keypoints.SKOPE33 else (truth.name,))
+    if scheme == truth.name:
+        return tuple(range(keypoints.K))
+    return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
+
+
+def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
+    """Results of a detector of `scheme`, by default that of `file`, for its images.
+
+    A UserError names a result that is for none of them.
+    """
+    return tuple(_for_file(path, file, scheme))
+
+
+@dataclass(frozen=True)
+class ResultsFile:
+    """Results that lie in the order of the images of `file`, read again each time: an hour of footage has a million."""
+
+    path: Path
+    file: AnnotationFile
+
+    def __iter__(self) -> Iterator[Result]:
+        return _for_file(self.path, self.file, None)
+
+
+def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
+    """What `read_results` reads, all checked, in memory only where they do not lie in the order of the images."""
+    place = {image.id: i for i, image in enumerate(file.images)}
+    places = (place[result.image_id] for result in _for_file(path, file, None))
+    if all(a <= b for a, b in itertools.pairwise(places)):
+        return ResultsFile(path, file)
+    return read_results(path, file)
+
+
+def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[Result]:
+    images = {image.id for image in file.images}
+    categories = {a.category_id for a in file.annotations}
+    for i, result in enumerate(coco.iter_results(path, None if scheme == file.scheme.name else scheme)):
+        if result.image_id not in images:
+            raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
+        if categories and result.category_id not in categories:
+            known = ", ".join(map(str, sorted(categories)))
+            raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {known}")
+        yield result
+
+
+def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
+    """`file`, or the images of it that `--max-images` leaves."""
+    return file if max_images is None else dataset.take(file, max_images)
+
+
+def check_boxes(file: AnnotationFile, kind: str) -> None:
+    """Raise a UserError if a vehicle of `file` lacks its box of `kind`, before hours are spent on predicting."""
+    for annotation in file.annotations:
+        try:
+            box_of(annotation, kind)
+        except UserError as error:
+            raise UserError(f"{file.name}: {error}") from None
+
+
+def for_images(results: Sequence[Result], file: AnnotationFile) -> tuple[Result, ...]:
+    """The results that belong to the images of `file`."""
+    images = {image.id for image in file.images}
+    return tuple(result for result in results if result.image_id in images)

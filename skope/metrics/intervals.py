@@ -1,0 +1,138 @@
+"""95% intervals for every figure, from how much it differs between the recordings or sites that it was measured on.
+
+Frames half a second apart show the same vehicles in nearly the same places, and all frames of a recording share its
+weather, its light and its camera: none of them is evidence of its own. What counts as one piece of evidence is a site
+where a split has three or more, else a recording, else ten seconds of the only recording. A figure's standard error is
+that of the jackknife that leaves out one of them at a time, and Student's t with one degree of freedom less than there
+are pieces makes up for their small number (MacKinnon, Nielsen and Webb, 2023, on few clusters).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any, Final
+
+import numpy as np
+
+from skope.metrics.counts import Floats, Integers, Name, Quotients, nested, ratio
+from skope.schema import Image
+
+BLOCK_S: Final = 10.0
+ENOUGH_SITES: Final = 3
+LEVEL: Final = 0.95
+
+Interval = tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blocks:
+    """Which images of a split are one piece of evidence together."""
+
+    unit: str
+    """What a block is: "site", "recording", "10 s" or "image"."""
+    number: Integers
+    """(N,) block of each image, counted from 0."""
+    sites: int | None
+    """Sites of the split, None where the file does not name them."""
+
+    @property
+    def count(self) -> int:
+        return int(self.number.max(initial=-1)) + 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the intervals come from, as `metrics.json` says it."""
+        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": LEVEL}
+
+
+def blocks_of(images: Sequence[Image]) -> Blocks:
+    """Sites where there are three or more, else recordings, else 10 s of the only one, else single images."""
+    known = [image.site for image in images if image.site is not None]
+    sites = len(set(known)) if images and len(known) == len(images) else None
+    recordings = {(image.site, image.recording) for image in images if image.recording is not None}
+    keys: list[Any]
+    if sites is not None and sites >= ENOUGH_SITES:
+        unit, keys = "site", known
+    elif len(recordings) > 1:
+        unit, keys = "recording", [(image.site, image.recording) for image in images]
+    elif images and all(image.time_s is not None for image in images):
+        unit = f"{BLOCK_S:g} s"
+        keys = [(image.site, int((image.time_s or 0.0) // BLOCK_S)) for image in images]
+    else:
+        unit, keys = "image", list(range(len(images)))
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return Blocks(unit=unit, number=np.array([number[key] for key in keys], dtype=np.int64), sites=sites)
+
+
+def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
+    """(B,) each figure without each of the B blocks; NaN where one says nothing of it, and where nothing is left."""
+    out = {}
+    for name, columns in values.items():
+        tops, bottoms = (np.bincount(blocks.number, weights=column, minlength=blocks.count) for column in columns)
+        rest = np.where(bottoms > 0, bottoms.sum() - bottoms, 0.0)
+        out[name] = np.divide(tops.sum() - tops, rest, out=np.full(len(rest), np.nan), where=rest > 1e-9)
+    return out
+
+
+def error_of(without: Floats) -> tuple[float, int]:
+    """A figure's standard error by (B,) its values with one block left out each, and the degrees of freedom."""
+    known = without[~np.isnan(without)]
+    count = len(known)
+    spread = float(((known - known.mean()) ** 2).sum()) if count else 0.0
+    return math.sqrt(max(count - 1, 0) / max(count, 1) * spread), count - 1
+
+
+def share_interval(value: float | None, without: Floats) -> Interval:
+    """Where a share may lie by (B,) its values with one block left out each, worked out in log odds.
+
+    None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
+    not say how seldom it is.
+    """
+    error, freedom = error_of(without)
+    if value is None or freedom < 1 or not 0 < value < 1:
+        return None
+    reach = student(freedom) * error / (value * (1 - value))
+    odds = math.log(value / (1 - value)) + np.array([-reach, reach])
+    low, high = 1 / (1 + np.exp(-np.clip(odds, -500, 500)))
+    return float(low), float(high)
+
+
+def student(freedom: int) -> float:
+    """What LEVEL of Student's t with so many degrees of freedom lie within, to 0.2% (G. W. Hill, 1970)."""
+    outside, n = 1 - LEVEL, float(freedom)
+    if freedom == 1:
+        return math.tan(math.pi / 2 * LEVEL)
+    if freedom == 2:
+        return math.sqrt(2 / (outside * (2 - outside)) - 2)
+    # Hill's expansion about the normal distribution (Cornish and Fisher's series in 1/n).
+    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
+    terms = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / n**k for k, term in enumerate(terms, start=1))
+
+
+def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
+    """Each figure's [low, high], or None, laid out as the figures are in `metrics.json`."""
+    without = left_out(values, blocks)
+    found = {name: share_interval(_whole(columns), without[name]) for name, columns in values.items()}
+    return nested({name: None if pair is None else list(pair) for name, pair in found.items()})
+
+
+def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interval:
+    """Interval of b - a, paired: the same block is left out of both."""
+    ours, theirs = _whole(a[name]), _whole(b[name])
+    gaps = left_out({name: b[name]}, blocks)[name] - left_out({name: a[name]}, blocks)[name]
+    error, freedom = error_of(gaps)
+    if ours is None or theirs is None or freedom < 1:
+        return None
+    gap, reach = theirs - ours, student(freedom) * error
+    return gap - reach, gap + reach
+
+
+def _whole(columns: tuple[Floats, Floats]) -> float | None:
+    """The figure of all images."""
+    return ratio(*(float(column.sum()) for column in columns))

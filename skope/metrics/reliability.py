@@ -1,0 +1,109 @@
+"""Can keypoint scores be trusted: reliability, visible against hidden, precision against recall.
+
+A keypoint's score claims the probability that it is visible and within alpha L. It is held against what is so for
+matched detections; that a whole vehicle is there is what the vehicle's own score claims.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from skope.metrics.counts import Floats, Integers, Judged, Mask, Options, predicted, ratio
+from skope.metrics.match import Matches
+
+BINS: Final = 10
+CURVE_POINTS: Final = 101
+
+
+def confidence(matches: Matches, judged: Judged, options: Options) -> dict[str, Any]:
+    """The entry `confidence` of a split: all at the IoU threshold of `judged`, with counts.
+
+    Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
+    """
+    found = judged.found
+    points = np.array(options.points)
+    score = matches.det_keypoints[judged.detection[found]][:, points, 2]
+    v = matches.gt_keypoints[found][:, points, 2]
+    offset, reach = judged.offset[found][:, points], options.alpha * judged.length[found, None]
+    right = (v == 2) & (offset <= reach)
+    probabilities = bool(((score >= 0) & (score <= 1)).all())
+    table = reliability(score.ravel(), right.ravel()) if probabilities else []
+    return {
+        "points": int(score.size),
+        "right": int(right.sum()),
+        "reliability": table,
+        "calibration_error": calibration_error(table),
+        "auc_visible": auc(score[v == 2], score[v == 1]),
+        "visible": int((v == 2).sum()),
+        "hidden": int((v == 1).sum()),
+        **_average_precision(matches, judged, options),
+    }
+
+
+def reliability(score: Floats, right: Mask) -> list[dict[str, Any]]:
+    """Per tenth of scores that occur: from, to, count, mean score and the share that is right."""
+    place = np.minimum((score * BINS).astype(np.int64), BINS - 1)
+    rows = []
+    for i in np.unique(place):
+        inside = place == i
+        rows.append(
+            {
+                "from": i / BINS,
+                "to": (i + 1) / BINS,
+                "count": int(inside.sum()),
+                "score": float(score[inside].mean()),
+                "right": float(right[inside].mean()),
+            }
+        )
+    return rows
+
+
+def calibration_error(table: list[dict[str, Any]]) -> float | None:
+    """Mean distance between claim and truth, weighted by count (expected calibration error)."""
+    total = sum(row["count"] for row in table)
+    return ratio(sum(row["count"] * abs(row["score"] - row["right"]) for row in table), total)
+
+
+def auc(positive: Floats, negative: Floats) -> float | None:
+    """Probability that a positive outscores a negative, ties counting half (Mann and Whitney); None without either."""
+    if not positive.size or not negative.size:
+        return None
+    ordered = np.sort(negative)
+    below = np.searchsorted(ordered, positive, side="left") + np.searchsorted(ordered, positive, side="right")
+    return float(below.mean() / 2 / negative.size)
+
+
+def _average_precision(matches: Matches, judged: Judged, options: Options) -> dict[str, Any]:
+    """Precision over recall of keypoints by falling score, false vehicles' keypoints being wrong ones.
+
+    Recall is of all labelled keypoints, of missed vehicles too; keypoints that are not labelled are wrong, as in
+    pooled keypoint precision.
+    """
+    right = np.zeros((len(matches.det_image), matches.gt_keypoints.shape[1]), dtype=bool)
+    right[judged.detection[judged.found]] = judged.correct(options.alpha)[judged.found]
+    taken = np.zeros(len(right), dtype=bool)
+    taken[judged.detection[judged.found]] = True
+    counted = predicted(matches, options) & (taken | ~matches.det_on_ignored)[:, None]
+    recall, precision = curve(matches.det_keypoints[..., 2][counted], right[counted], int(judged.labelled.sum()))
+    return {
+        "average_precision": float(precision.mean()) if recall.size else None,
+        "precision_at_recall": precision.tolist(),
+    }
+
+
+def curve(score: Floats, right: Mask, total: int) -> tuple[Floats, Floats]:
+    """(101,) recalls 0, 0.01 ... 1 and the best precision at that recall or a higher one, as COCO has it.
+
+    `total` is what could be recalled; both are empty where that is nothing. Equal scores stand or fall together.
+    """
+    if not total:
+        return np.zeros(0), np.zeros(0)
+    recalls = np.linspace(0, 1, CURVE_POINTS)
+    order = np.argsort(-score, kind="stable")
+    hits = np.cumsum(right[order])
+    last: Integers = (
+        np.flatnonzero(np.append(np.diff(score[order]) != 0, True)) if len(order) else np.zeros(0, np.int64)
+    )
+    precision = np.maximum.accumulate((hits[last] / (last + 1))[::-1])[::-1]
+    place = np.searchsorted(hits[last] / total, recalls, side="left")
+    return recalls, np.append(precision, 0.0)[np.minimum(place, len(precision))]

@@ -1,0 +1,110 @@
+"""From flags to the configuration of a run, new or resumed, and what to say around it."""
+
+import os
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from skope import detector
+from skope.errors import UserError
+from skope.train import init_weights
+from skope.train import recipe as recipes
+from skope.train.run_folder import RunConfig, resumable
+
+_MOST_WORKERS = 8
+_RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "val_fraction")
+"""Flags that have a recipe's value of their name."""
+
+
+def multiplies_bfloat16() -> bool:
+    """Whether this CPU has instructions for bfloat16 and is faster with them, measured on one of the network's layers.
+
+    Without the instructions it would be many times slower than float32.
+    """
+    if not detector.has_bfloat16(torch.device("cpu")):
+        return False
+    return 1.2 * _layer_s(torch.bfloat16) < _layer_s(torch.float32)
+
+
+def _layer_s(dtype: torch.dtype) -> float:
+    """Shortest time of a few passes through a layer of the keypoint head."""
+    images, weights = torch.zeros(4, 512, 14, 14, dtype=dtype), torch.zeros(512, 512, 3, 3, dtype=dtype)
+    times = []
+    with torch.inference_mode():
+        for _ in range(4):
+            since = time.perf_counter()
+            torch.nn.functional.conv2d(images, weights, padding=1)
+            times.append(time.perf_counter() - since)
+    return min(times)
+
+
+def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool) -> RunConfig:
+    """Configuration of a new run; a flag that is None or empty leaves the recipe's value."""
+    recipe = recipes.choose(flags["recipe"] or "auto", gpu=gpu, bfloat16=bfloat16)
+    given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
+    try:
+        recipe = replace(recipe, **given)
+    except UserError as error:
+        raise UserError(f"--{str(error).replace('_', '-', 1)}") from None
+    if flags["min_size"] is not None:
+        recipe = recipe.with_min_size(flags["min_size"])
+    recipe = recipes.adjusted(recipe, flags["set"] or ())
+    init_weights.check(recipe.init)
+    mix = flags["mix"]
+    if mix is not None and len(data) < 2:
+        raise UserError("--mix: is the first dataset's share, which needs two or more --data")
+    if mix is not None and not 0 < mix < 1:
+        raise UserError(f"--mix: expected a share between 0 and 1, got {mix}")
+    folders = tuple(str(path) for path in data)
+    return RunConfig(recipe=recipe, seed=flags["seed"] or 0, data=folders, mix=mix, max_images=flags["max_images"])
+
+
+def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
+    """Configuration of the run in `out`, to go on with; only its length, and the datasets' places, may change."""
+    if not out.is_dir():
+        raise UserError(f"--resume: {out}: no such run folder")
+    recorded = RunConfig.read(out)
+    known = {**recorded.recipe.to_dict(), **recorded.to_dict(), "recipe": recorded.recipe.name}
+    for name, value in flags.items():
+        if name in ("epochs", "set") or value is None or value == ():
+            continue
+        value = Path(value).stem if name == "recipe" else list(value) if isinstance(value, tuple) else value
+        if value != known[name]:
+            raise UserError(f"--{name.replace('_', '-')} {value}: the run in {out} has {known[name]}; leave it out")
+    recipe = recorded.recipe
+    if recipes.adjusted(recipe, flags["set"] or ()) != recipe:
+        raise UserError(f"--set {' '.join(flags['set'])}: the run in {out} has other values; leave it out")
+    if flags["epochs"] is not None:
+        recipe = replace(recipe, epochs=flags["epochs"])
+    if data and len(data) != len(recorded.data):
+        raise UserError(f"--data: the run in {out} has {len(recorded.data)} datasets, got {len(data)}")
+    return replace(recorded, recipe=recipe, data=tuple(str(path) for path in data) or recorded.data)
+
+
+def loading_workers(*, gpu: bool) -> int:
+    """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # of torchrun, which share this machine
+    return min(_MOST_WORKERS, max(1, usable // processes)) if gpu else 0
+
+
+def how_to_go_on(out: Path) -> str:
+    """What to do after an interruption."""
+    if resumable(out):
+        return "the same command with --resume goes on from here"
+    return "nothing was saved yet, so the same command begins again"
+
+
+def next_command(out: Path, data: Path, default_out: Path, default_data: Path) -> str:
+    """The command that evaluates a run, with the flags that differ from the defaults."""
+    parts = ["skope eval --split hard"]
+    if data != default_data:
+        parts.append(f"--data {shlex.quote(str(data))}")
+    if out != default_out:
+        parts.append(f"--checkpoint {shlex.quote(str(out))}")
+    return " ".join(parts)

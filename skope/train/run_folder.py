@@ -1,0 +1,259 @@
+"""The run folder: what was asked for, checkpoints, and what `--resume` needs.
+
+    recipe.json               configuration of the run
+    epoch_NNN.safetensors     weights after NNN epochs (the newest ones)
+    best.safetensors          weights of the epoch with the best validation
+    metrics.jsonl             losses and validation of each epoch
+    resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best figure
+    README.md, curves.png, progress/, tensorboard/    the model card, and what lets one see it learn
+
+resume.pt alone decides where a run goes on, and is replaced in one step: killed at any moment, a run goes on from it
+and writes again what came after. The state of every random generator follows from seed, epoch and step.
+"""
+
+import contextlib
+import io
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from torchvision.models.detection import KeypointRCNN
+
+from skope import detector, keypoints
+from skope.dataset import Dataset
+from skope.detector import BEST, DetectorConfig
+from skope.errors import UserError
+from skope.files import locked, read_json, unwritable, write_bytes, write_json, write_text
+from skope.keypoints import Scheme
+from skope.train import init_weights
+from skope.train.recipe import Recipe
+
+_VERSION = 2
+_CONFIG = "recipe.json"
+_METRICS = "metrics.jsonl"
+_RESUME = "resume.pt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """Everything that shapes the result of a run."""
+
+    recipe: Recipe
+    seed: int
+    data: tuple[str, ...]
+    """Dataset folders."""
+    mix: float | None
+    """Share of an epoch's images that the first dataset gives; None: all images of all datasets once."""
+    max_images: int | None
+    scheme: str = keypoints.SCHEME
+    """The datasets' keypoint scheme."""
+    licences: tuple[str, ...] = ()
+    """Of the datasets, in their order, as their cards state them."""
+
+    def of(self, datasets: Sequence[Dataset], scheme: Scheme) -> Self:
+        """With what the datasets say; images are not mirrored where nobody knows the keypoints' mirror partners."""
+        recipe = self.recipe
+        if scheme.flip is None:
+            recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
+        return replace(self, recipe=recipe, scheme=scheme.name, licences=tuple(d.licence for d in datasets))
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "version": _VERSION,
+            "scheme": self.scheme,
+            "recipe": self.recipe.to_dict(),
+            "seed": self.seed,
+            "data": list(self.data),
+            "mix": self.mix,
+            "max_images": self.max_images,
+            "licences": list(self.licences),
+        }
+
+    @classmethod
+    def read(cls, run: Path) -> Self:
+        """The configuration that a run folder records."""
+        values = read_json(run / _CONFIG)
+        try:
+            if not isinstance(values, dict) or values.get("version") != _VERSION:
+                raise UserError(f"version: expected {_VERSION}")
+            names = ("seed", "mix", "max_images")
+            recipe, data = Recipe.from_dict(values["recipe"]), tuple(values["data"])
+            return cls(recipe=recipe, data=data, **{name: values[name] for name in names})
+        except KeyError as error:
+            raise UserError(f"{run / _CONFIG}: field {error.args[0]} is missing") from None
+        except UserError as error:
+            raise UserError(f"{run / _CONFIG}: {error}") from None
+
+
+@dataclass
+class Training:
+    """A run in progress: what changes from step to step."""
+
+    model: KeypointRCNN
+    config: DetectorConfig
+    optimizer: torch.optim.SGD
+    origin: str
+    """Where the first weights came from, in words."""
+    fingerprints: list[str]
+    """Of each dataset."""
+    epochs_done: int
+    steps_done: int
+    """In the epoch that is under way."""
+    sums: dict[str, float]
+    """Losses so far of the epoch that is under way."""
+    history: list[dict[str, Any]]
+    """Mean losses and validation of the epochs so far."""
+    best: list[float] | None
+    """The figures that decide which epoch is best."""
+
+    def state(self) -> dict[str, Any]:
+        """What changes, as `resume.pt` holds it."""
+        return {
+            "model": self.model.state_dict(),
+            "detector": self.config.to_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            **{name: getattr(self, name) for name in _PLAIN},
+        }
+
+
+_PLAIN = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
+
+
+def resumable(run: Path) -> bool:
+    """Whether a run folder holds a state to resume from."""
+    return (run / _RESUME).is_file()
+
+
+@contextlib.contextmanager
+def alone(run: Path) -> Iterator[None]:
+    """Keep other processes from training in the same folder; one that was made for it and stays empty goes again."""
+    made = not run.exists()
+    with contextlib.ExitStack() as held:
+        try:
+            run.mkdir(parents=True, exist_ok=True)
+            held.enter_context(locked(run / ".lock", f"{run}: another `skope train` is writing to this folder"))
+        except OSError as error:
+            raise unwritable(run, error) from None
+        try:
+            yield
+        finally:
+            held.close()
+            if made:
+                with contextlib.suppress(OSError):  # it holds the run
+                    run.rmdir()
+
+
+def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
+    """Begin a run in a folder that holds none."""
+    if resumable(run) or detector.checkpoints(run):
+        raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
+    # Of several processes the first one may have begun to write the configuration.
+    if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
+        raise UserError(f"{run}: holds other files and no run; choose another folder by --out, or remove what is there")
+    recipe = config.recipe
+    model, detector_config, origin = init_weights.initialise(
+        recipe.init,
+        norm=recipe.norm,
+        min_size=recipe.min_size,
+        max_size=recipe.max_size,
+        trainable_layers=recipe.trainable_layers,
+        seed=config.seed,
+        scheme=config.scheme,
+    )
+    model = placed(model, recipe, device)
+    return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)
+
+
+def _begun(run: Path) -> bool:
+    """Whether a folder is that of a run that has saved nothing yet."""
+    try:
+        RunConfig.read(run)
+    except UserError:
+        return False
+    return True
+
+
+def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
+    """Take up the run in a folder where its state was saved last."""
+    path = run / _RESUME
+    if not resumable(run):
+        raise UserError(f"{run}: nothing saved yet to resume from ({_RESUME} is missing); leave out --resume")
+    try:
+        saved = torch.load(path, map_location="cpu", weights_only=True)
+        plain = {name: saved[name] for name in _PLAIN}
+        detector_config = DetectorConfig.from_dict(saved["detector"])
+        model = detector.build(detector_config, trainable_layers=config.recipe.trainable_layers)
+        model.load_state_dict(saved["model"])
+    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
+        raise UserError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0]})") from None
+    for data, then, now in zip(config.data, plain["fingerprints"], fingerprints, strict=True):
+        if then != now:
+            raise UserError(
+                f"{data}: is not the dataset that the run in {run} began with (annotations or images differ)"
+            )
+    done = plain["epochs_done"]
+    if done > config.recipe.epochs:
+        raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {done} epochs behind it already")
+    model = placed(model, config.recipe, device)
+    sgd = optimizer(model, config.recipe)
+    try:
+        sgd.load_state_dict(saved["optimizer"])
+    except (ValueError, KeyError) as error:
+        raise UserError(f"{path}: does not fit the run's recipe ({error})") from None
+    return Training(model, detector_config, sgd, **plain)
+
+
+def record(run: Path, config: RunConfig) -> None:
+    """Write what was asked for."""
+    write_json(run / _CONFIG, config.to_dict())
+
+
+def save_state(run: Path, training: Training) -> None:
+    """Write what `resume` reads."""
+    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    buffer = io.BytesIO()
+    torch.save(training.state(), buffer)
+    write_bytes(run / _RESUME, buffer.getbuffer())
+
+
+def save_epoch(run: Path, config: RunConfig, training: Training, *, keep: int) -> Path:
+    """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
+    checkpoint = run / detector.checkpoint_name(training.epochs_done)
+    _save_weights(checkpoint, config, training)
+    write_text(run / _METRICS, "".join(json.dumps(row) + "\n" for row in training.history))
+    save_state(run, training)
+    older = [epoch for epoch in detector.checkpoints(run) if epoch <= training.epochs_done][:-keep]
+    for epoch, path in detector.checkpoints(run).items():
+        if epoch in older or epoch > training.epochs_done:
+            path.unlink()
+    return checkpoint
+
+
+def save_best(run: Path, config: RunConfig, training: Training) -> None:
+    """Write the weights of the epoch with the best validation so far."""
+    _save_weights(run / BEST, config, training)
+
+
+def _save_weights(path: Path, config: RunConfig, training: Training) -> None:
+    metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
+    detector.save_weights(path, training.model, training.config, metadata)
+
+
+def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
+    """The model on a device, in the recipe's memory layout."""
+    layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
+    return model.to(device=device, memory_format=layout)
+
+
+def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
+    """Of the parameters that learn; one pass over memory a step."""
+    return torch.optim.SGD(
+        [parameter for parameter in model.parameters() if parameter.requires_grad],
+        lr=recipe.learning_rate,
+        momentum=recipe.momentum,
+        weight_decay=recipe.weight_decay,
+        fused=True,
+    )

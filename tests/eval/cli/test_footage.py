@@ -1,0 +1,570 @@
+"""Footage in, vehicles in metres out: the commands `predict`, `pose`, `track` and `camera`."""
+
+import csv
+import json
+import math
+import threading
+import time
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import sumolib
+
+from skope import coco
+from skope.camera import Camera
+from skope.eval.inference import stream
+from skope.eval.inference.blur import blurred
+from skope.eval.inference.footage import Cut, open_footage
+from skope.eval.pose import errors, fit_camera
+from skope.eval.pose.types import Ground
+from skope.eval.pose.views import Scene, read_camera
+from skope.files import write_json
+from skope.schema import Annotation, AnnotationFile, Box3D, Result
+from tests.eval.inference import streams
+from tests.eval.pose.test_solver import drawn
+from tests.eval.sightings import CAMERA, drive, scene
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def numbered_video(path: Path, count: int, codec: str = "mp4v") -> Path:
+    """A video whose frame i has brightness 8 i."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, (96, 64))
+    for i in range(count):
+        writer.write(np.full((64, 96, 3), 8 * i, dtype=np.uint8))
+    writer.release()
+    return path
+
+
+# -------------------------------------------------------------------------------------------------------------- footage
+
+
+def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
+    footage = open_footage(str(numbered_video(tmp_path / "v.mp4", 30)), Cut(every=4, start_s=0.5, end_s=2.6))
+    frames = list(footage.frames())
+    assert [image.frame_index for image, _ in frames] == [5, 9, 13, 17, 21, 25]
+    assert len(footage) == 6
+    assert np.allclose([pixels.mean() / 8 for _, pixels in frames], [5, 9, 13, 17, 21, 25], atol=0.5)
+    assert [image.time_s for image, _ in frames] == pytest.approx([0.5, 0.9, 1.3, 1.7, 2.1, 2.5])
+    later = list(footage.frames(first=2))
+    assert [(i.id, i.frame_index) for i, _ in later] == [(i.id, i.frame_index) for i, _ in frames[2:]]
+
+
+def test_a_camera_on_the_network_is_read_until_it_hangs_up(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "RETURN_S", 0.5)
+    with streams.rtsp(numbered_video(tmp_path / "v.ts", 30), times=2) as address:  # it is looked at, then read
+        code, _, err = skope("eval", "predict", address, "--checkpoint", random_run, "--every", 3, "--out", "p")
+        assert code == 1
+        assert "broke off after" in err
+    with streams.rtsp(tmp_path / "v.ts") as address:
+        assert skope("eval", "predict", address, "--checkpoint", random_run, "--overlay", "--out", "o")[0] == 2
+    images = coco.read(Path("p/frames.json")).images
+    assert images
+    for image in images:
+        assert image.frame_index is not None
+        assert image.frame_index % 3 == 0
+        assert image.time_s == pytest.approx(image.frame_index / 10)
+
+
+def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream, "RETURN_S", 0.5)
+    with streams.mjpeg(24, 20, times=2) as address:
+        footage = open_footage(address, Cut())
+        assert footage.live
+        taken = []
+        for image, pixels in footage.frames():
+            taken.append((image, pixels.mean() / 8))
+            time.sleep(0.25)
+    indices = [image.frame_index for image, _ in taken]
+    assert 3 <= len(taken) <= 12
+    assert indices == [round(brightness) for _, brightness in taken]
+    assert indices[-1] == 23
+    times = [image.time_s or 0.0 for image, _ in taken]
+    assert times == sorted(set(times))
+
+
+def test_a_stream_that_breaks_off_in_the_midst_of_a_frame_is_opened_again() -> None:
+    with streams.mjpeg(6, 20, times=4) as address:
+        begun = time.monotonic()
+        footage = open_footage(address, Cut(end_s=0.7))
+        images = [image for image, _ in footage.frames()]
+        lasted = time.monotonic() - begun
+    assert not footage.skipped  # three openings hold enough
+    assert len(images) >= 7  # more than one opening holds
+    times = [image.time_s or 0.0 for image in images]
+    assert times == sorted(set(times))
+    assert times[-1] < lasted
+
+
+def test_times_are_those_of_the_frames_however_long_each_lasts(tmp_path: Path) -> None:
+    path = numbered_video(tmp_path / "v.mp4", 30)
+    shown = streams.vary(path, [1 + 7 * i % 5 for i in range(30)])
+    whole = list(open_footage(str(path)).frames())
+    assert [image.time_s for image, _ in whole] == pytest.approx(shown, abs=1e-3)
+    assert np.allclose([pixels.mean() / 8 for _, pixels in whole], range(30), atol=0.5)
+    for start, end, every in ((0.05, 3.0, 1), (4.0, 7.1, 3), (8.05, 100.0, 2)):
+        footage = open_footage(str(path), Cut(start_s=start, end_s=end, every=every))
+        wanted = [i for i, at in enumerate(shown) if start <= at < end][::every]
+        frames = list(footage.frames())
+        assert [image.frame_index for image, _ in frames] == wanted
+        assert len(footage) == len(wanted)
+        assert np.allclose([pixels.mean() / 8 for _, pixels in frames], wanted, atol=0.5)
+        later = [(image.id, image.time_s) for image, _ in footage.frames(first=2)]
+        assert later == [(image.id, image.time_s) for image, _ in frames[2:]]
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_jumping_into_a_long_video_lands_on_the_frame_that_is_meant(
+    varied: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = numbered_video(tmp_path / "v.mp4", 30)
+    if varied:
+        streams.vary(path, [1] * 15 + [9] * 15)
+    monkeypatch.setattr("skope.eval.inference.footage._FAR", 3)
+    for first in range(30):
+        image, pixels = next(open_footage(str(path)).frames(first))
+        assert image.frame_index == first
+        assert pixels.mean() / 8 == pytest.approx(first, abs=0.5)
+
+
+def test_a_video_that_is_cut_off_names_the_frame_from_which_it_is(tmp_path: Path) -> None:
+    path = numbered_video(tmp_path / "v.avi", 30, "MJPG")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    footage = open_footage(str(path))
+    got = len(list(footage.frames()))
+    assert 3 <= got < 30
+    assert f"frame {got} of" in footage.skipped[0]
+
+
+def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
+    with streams.mjpeg(1000, 50) as address:
+        frames = open_footage(address, Cut(end_s=0.3)).frames()
+        assert 1 <= len(list(frames)) < 30
+    assert threading.active_count() < 8
+
+
+def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    shapes = {"portrait": (120, 40, 3), "tiny": (3, 5, 3), "grey": (50, 70), "wide": (20, 900, 3)}
+    for name, shape in shapes.items():
+        cv2.imwrite(str(folder / f"{name}.png"), rng.integers(0, 255, shape, dtype=np.uint8))
+    cv2.imwrite(str(folder / "deep.png"), rng.integers(0, 65535, (50, 60, 3), dtype=np.uint16))
+    (folder / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
+    code, _, err = skope(
+        "eval", "predict", folder, "--checkpoint", random_run, "--out", "p", "--score", 0.2, "--overlay"
+    )
+    assert code == 1
+    assert "broken.jpg" in err
+    images = coco.read(Path("p/frames.json")).images
+    assert {i.file_name for i in images} == {f"{name}.png" for name in (*shapes, "deep")}
+    results = coco.read_results(Path("p/predictions.json"))
+    assert {r.image_id for r in results} <= {i.id for i in images}
+    assert len(list(Path("p/overlays").iterdir())) == 5
+
+
+def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stops_after: Any
+) -> None:
+    from skope.eval.inference.predictor import Predictor
+
+    def brightness(self: Predictor, batch: Any) -> list[Result]:
+        """One result an image, by what its pixels are: a detector that takes no time."""
+        return [
+            Result(image_id=image.id, score=0.9, bbox=np.array([0, 0, pixels.mean(), 9]), keypoints=np.ones((33, 3)))
+            for image, pixels in batch
+        ]
+
+    monkeypatch.setattr(Predictor, "_found", brightness)
+    video = numbered_video(tmp_path / "v.mp4", 12)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--every", 2)
+    assert skope(*call, "--out", "whole")[0] == 0
+    with stops_after(3):
+        assert skope(*call, "--out", "parts")[0] == 130
+    assert not Path("parts/predictions.json").exists()
+    code, out, _ = skope(*call, "--out", "parts")
+    assert code == 0
+    assert "going on after frame 3" in out
+    for name in ("predictions.json", "frames.json"):
+        assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
+    assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json", "work.json"}
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        ("nothing.mp4", (), "nothing.mp4: no such file"),
+        (".", (), "no images in it"),
+        ("*.png", (), "matches no file"),
+        ("text.txt", (), "text.txt: neither an image nor a video"),
+        ("rtsp://127.0.0.1:9/no", (), "neither an image nor a video"),
+        ("text.txt", ("--every", 0), "--every: expected a whole number from 1"),
+        ("text.txt", ("--start", 5, "--end", 2), "--start, --end"),
+    ],
+)
+def test_what_is_no_footage_gets_one_line(skope: Any, source: str, options: tuple[Any, ...], message: str) -> None:
+    Path("text.txt").write_text("text")
+    code, _, err = skope("eval", "predict", source, *options)
+    assert code == 2
+    assert message in err.splitlines()[-1]
+    assert not Path("runs").exists()
+
+
+def test_blur_levels_glass_and_plates_and_nothing_else() -> None:
+    shown = drive(1, 5).annotations[0]
+    found = Result(
+        image_id=1, score=0.9, bbox=shown.bbox, keypoints=np.column_stack([shown.keypoints[:, :2], np.ones(33)])
+    )
+    noise = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
+    out = blurred(noise, [found])
+    x, y, w, h = shown.bbox
+    changed = (out != noise).any(axis=-1)
+    ys, xs = np.nonzero(changed)
+    assert changed.sum() > 0.05 * w * h
+    assert out[changed].std() < 0.4 * noise.std()
+    assert xs.min() >= x - 0.1 * w - 1
+    assert xs.max() <= x + 1.1 * w + 1
+    assert ys.min() >= y - 0.1 * h - 1
+    assert ys.max() <= y + 1.1 * h + 1
+
+
+# ---------------------------------------------------------------------------------------------------------- pose, track
+
+
+def test_pose_writes_what_it_measures(skope: Any) -> None:
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    coco.write(Path("road.json"), file)
+    code, out, _ = skope("eval", "pose", "--annotations", "road.json", "--noise", "0,2", "--out", "p", "-q")
+    assert code == 0
+    assert "labels with 2 px of noise" in out
+    rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    table = rows_of(Path("p/poses.csv"))
+    assert len(rows) == len(table) == len(file.annotations)
+    for row, cells, truth in zip(rows, table, file.annotations, strict=True):
+        assert truth.box_3d is not None
+        assert row["refused"] is None
+        assert np.linalg.norm(np.array(row["position"][:2]) - truth.box_3d.center[:2]) < 0.15
+        assert np.abs(np.mean(row["box_3d"], axis=0) - truth.box_3d.center).max() < 0.15
+        assert float(cells["x"]) == row["position"][0]
+        seen, _, _ = CAMERA.project(np.array(row["wheels"]))
+        camera = np.array(row["wheels_camera"])
+        assert np.allclose(seen, camera[:, :2] / camera[:, 2:] * CAMERA.K[0, 0] + CAMERA.K[:2, 2], atol=0.1)
+    told = json.loads(Path("p/pose_errors.json").read_text())
+    assert (
+        told["labels with 0 px of noise"]["all"]["position"]["50"]
+        < told["labels with 2 px of noise"]["all"]["position"]["50"]
+    )
+    assert told["labels with 0 px of noise"]["all"]["iou"] > 0.85
+
+
+def tilted(file: AnnotationFile, T: Any) -> AnnotationFile:
+    """The same scene in a world that `T` (4, 4) brings it to."""
+
+    def turned(a: Annotation) -> Annotation:
+        assert a.box_3d is not None
+        R = T[:3, :3] @ a.box_3d.R
+        center = T[:3, :3] @ a.box_3d.center + T[:3, 3]
+        return replace(a, box_3d=replace(a.box_3d, center=center, R=R, yaw=math.atan2(R[1, 0], R[0, 0])))
+
+    camera = replace(CAMERA, T_camera_world=CAMERA.T_camera_world @ np.linalg.inv(T))
+    images = tuple(replace(image, camera=camera) for image in file.images)
+    return replace(file, images=images, annotations=tuple(turned(a) for a in file.annotations))
+
+
+def test_a_sloping_road_that_is_known_costs_nothing() -> None:
+    ground = Ground(height=3.0, slope=(0.05, -0.03), about=(12.0, 4.0))
+    T = ground.T_world_level
+    assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3))
+    for x, y in ((0, 0), (7, -2)):
+        point = T[:3, :3] @ [x, y, 0] + T[:3, 3]
+        assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
+    a, b = errors.measure(level, noise=1), errors.measure(sloping, noise=1)
+    assert b.position == pytest.approx(a.position, abs=2e-3)
+    assert b.heading == pytest.approx(a.heading, abs=0.1)
+
+
+@pytest.mark.parametrize(("asked", "height", "slope"), [("auto", -5.0, (0.0, 0.0)), ("fit", 2.0, (0.04, -0.03))])
+def test_a_road_elsewhere_is_found_from_its_vehicles(
+    skope: Any, asked: str, height: float, slope: tuple[float, float]
+) -> None:
+    T = Ground(height=height, slope=slope).T_world_level
+    coco.write(Path("slope.json"), tilted(drive(2, 4, speeds=(9.0, 3.0, -6.0)), T))
+    told = {}
+    for ground in ("0", asked):
+        call = ("eval", "pose", "--annotations", "slope.json", "--noise", 1, "--ground", ground, "--out", ground, "-q")
+        code, out, err = skope(*call)
+        assert code == 0, err
+        assert ("contradict a level road" in out) == (ground == "auto")
+        told[ground] = json.loads(Path(ground, "pose_errors.json").read_text())["labels with 1 px of noise"]["all"]
+    assert told[asked]["position"]["90"] < 0.8
+    assert told["0"]["refused"] > 10 or told["0"]["position"]["50"] > 2.0
+
+
+def test_a_level_road_stays_where_it_is_said_to_be(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
+    call = ("eval", "pose", "--annotations", "road.json", "--noise", 2, "-q")
+    for ground in ("0", "auto"):
+        assert skope(*call, "--ground", ground, "--out", ground)[0] == 0
+    assert Path("0/poses.jsonl").read_bytes() == Path("auto/poses.jsonl").read_bytes()
+
+
+def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
+    def box(x: float, yaw: float, length: float = 4.0) -> Box3D:
+        c, s = math.cos(yaw), math.sin(yaw)
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Box3D(center=np.array([x, 0, 1]), size_lwh=np.array([length, 2, 2]), yaw=yaw, R=R)
+
+    assert errors.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
+    assert errors.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
+    assert errors.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
+    assert errors.iou_3d(box(0, 0), box(9, 0)) == 0
+
+
+def test_predictions_are_measured_against_the_vehicles_they_match(skope: Any) -> None:
+    file = drive(1, 5, speeds=(8.0, 0.0))
+    coco.write(Path("road.json"), file)
+    found = [
+        Result(
+            image_id=a.image_id,
+            bbox=a.bbox,
+            score=0.9 - 0.01 * i,
+            keypoints=np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] / 2]),
+        )
+        for i, a in enumerate(reversed(file.annotations))
+    ]
+    coco.write_results(Path("found.json"), found)
+    skope("eval", "pose", "--annotations", "road.json", "--predictions", "found.json", "--out", "p", "-q")
+    told = json.loads(Path("p/pose_errors.json").read_text())["predictions"]["all"]
+    assert told["vehicles"] == len(found)
+    assert told["position"]["99"] < 0.2
+    code, out, _ = skope(
+        "eval", "track", "--annotations", "road.json", "--predictions", "found.json", "--out", "t", "-q"
+    )
+    assert code == 0
+    assert "speed: " in out
+
+
+def test_tracks_have_the_speeds_that_were_driven(skope: Any) -> None:
+    file = drive(3, 25, speeds=(12.0, 0.0, 6.0))
+    coco.write(Path("road.json"), file)
+    code, out, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "--video", "-q")
+    assert code == 0
+    assert "3 tracks over 3.0 s" in out
+    rows = rows_of(Path("t/tracks.csv"))
+    for speed in (12.0, 0.0, 6.0):
+        own = [r for r in rows if abs(float(r["speed"]) - speed) < 1.5]
+        assert len({r["track"] for r in own}) == 1
+        middle = [float(r["speed"]) for r in own]
+        assert np.median(middle) == pytest.approx(speed, abs=0.4)
+        turn = np.array([float(r["heading_deg"]) for r in own]) - math.degrees(CAMERA.angles[0]) - 90
+        assert np.abs((turn + 180) % 360 - 180).max() < 5
+
+    # SUMO's own reader; a vehicle's position there is the middle of its front bumper, its angle that of a compass.
+    steps = list(sumolib.xml.parse("t/fcd.xml", "timestep"))
+    assert [float(step.time) for step in steps[:3]] == [0, 0.04, 0.08]
+    vehicle = steps[20].vehicle[0]
+    row = next(r for r in rows if r["track"] == vehicle.id and r["frame"] == "20")
+    angle = math.radians(float(vehicle.angle))
+    back = np.array([float(vehicle.x), float(vehicle.y)]) - float(row["length"]) / 2 * np.array(
+        [math.sin(angle), math.cos(angle)]
+    )
+    assert np.allclose(back, [float(row["x"]), float(row["y"])], atol=0.02)
+
+    mot, truth = (np.loadtxt(f"t/{name}.txt", delimiter=",") for name in ("mot", "mot_truth"))
+    # TrackEval reads the eighth column as a class; 1 is the only one that it measures.
+    assert mot.shape[1] == 10
+    assert (mot[:, 7:] == -1).all()
+    assert truth.shape[1] == 9
+    assert (truth[:, 6:] == 1).all()
+    assert mot[:, 0].min() == 1
+    pairs = {(a[1], b[1]) for a in mot for b in truth if a[0] == b[0] and np.allclose(a[2:6], b[2:6], atol=0.02)}
+    assert len(pairs) == 3
+    capture = cv2.VideoCapture("t/birdseye.mp4")
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 75
+    assert ET.parse("t/fcd.xml").getroot().tag == "fcd-export"
+    assert Path("t/birdseye.png").stat().st_size > 10_000
+
+
+def test_a_vehicle_that_is_hidden_for_a_while_rolls_on(skope: Any) -> None:
+    file = drive(4, 25, speeds=(8.0,))
+    seen = tuple(a for a in file.annotations if not 40 <= a.image_id < 75)
+    coco.write(Path("road.json"), replace(file, annotations=seen))
+    code, _, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "-q")
+    assert code == 0
+    rows = rows_of(Path("t/tracks.csv"))
+    assert {r["track"] for r in rows} == {"1"}
+    hidden = [float(r["speed"]) for r in rows if 40 <= int(r["frame"]) + 1 < 75]
+    assert len(hidden) == 35
+    assert hidden == pytest.approx([8.0] * 35, abs=0.6)
+    assert {r["seen"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "give either the folder"),
+        (("nowhere",), "nowhere: no such folder"),
+        (("--annotations", "bare.json"), "has no camera; give one with --camera"),
+        (("--annotations", "road.json", "--ground", "low"), "--ground: expected numbers"),
+        (("--annotations", "road.json", "--camera", "k.json"), "k.json: "),
+        (("--annotations", "road.json", "--score", 2), "--score: expected a number from 0 to 1"),
+    ],
+)
+@pytest.mark.parametrize("command", ["pose", "track"])
+def test_what_cannot_be_placed_gets_one_line(skope: Any, command: str, options: tuple[Any, ...], message: str) -> None:
+    file = drive(0.4, 5)
+    coco.write(Path("road.json"), file)
+    bare = json.loads(Path("road.json").read_text())
+    for image in bare["images"]:
+        del image["camera"]
+    write_json(Path("bare.json"), bare)
+    write_json(Path("k.json"), {"T_camera_world": [1, 2], "width": 5, "height": 5, "K": [[1]]})
+    code, _, err = skope("eval", command, *options, "-q")
+    assert code == 2
+    assert message in err
+    assert len(err.splitlines()) == 1
+    assert not Path("runs").exists()
+
+
+# --------------------------------------------------------------------------------------------------------------- camera
+
+
+def test_a_camera_is_found_from_vehicles() -> None:
+    real = Camera.looking([0, 0, 8.5], yaw=0.3, pitch_down=math.radians(20), fov=math.radians(70))
+    seen = scene(drawn(16, 3), np.random.default_rng(4), noise=1, far=35, camera=real)
+    fit = fit_camera.fit_camera(
+        fit_camera.SampledVehicles(seen.found, np.ones(len(seen.found)), (real.width, real.height))
+    )
+    focal = abs(fit.camera.K[0, 0] - real.K[0, 0])
+    assert focal < max(0.05 * real.K[0, 0], 2 * fit.sigma_focal)
+    assert focal < 0.1 * real.K[0, 0]
+    assert abs(fit.camera.angles[1] - real.angles[1]) < math.radians(1)
+    assert abs(fit.camera.position[2] - 8.5) < max(0.4, 2 * fit.sigma_height)
+
+
+def test_a_camera_from_marked_points_is_written_and_read(skope: Any) -> None:
+    ground = np.array([[10, -3, 0], [12, 5, 0], [20, -6, 0], [25, 8, 0], [35, 0, 0], [15, 1, 1.0]]) + [3, -2, 0]
+    pixels, _, _ = CAMERA.project(ground)
+    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz)) for uv, xyz in zip(pixels, ground, strict=True)]
+    Path("p.csv").write_text("column,row,x,y,z\n" + "\n".join(lines) + "\n")
+    code, _, _ = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080", "--out", "c.json")
+    assert code == 0
+    camera, posed = read_camera(Path("c.json"))
+    assert posed
+    assert np.allclose(camera.T_camera_world, CAMERA.T_camera_world, atol=1e-3)
+    assert camera.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=1e-4)
+    Path("p.csv").write_text("column,row,x,y\n1,2,3,4\n")
+    code, _, err = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080")
+    assert code == 2
+    assert "p.csv: column z: missing" in err
+    assert not Path("runs").exists()
+
+
+def test_marked_points_that_are_off_are_named(skope: Any) -> None:
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(8, 40, 12), rng.uniform(-8, 8, 12), np.zeros(12)]) + [3, -2, 0]
+    pixels, _, _ = CAMERA.project(ground)
+    pixels[4] += [12, -9]
+    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz)) for uv, xyz in zip(pixels, ground, strict=True)]
+    Path("p.csv").write_text("column,row,x,y,z\n" + "\n".join(lines) + "\n")
+    code, out, _ = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080", "--out", "c.json")
+    assert code == 0
+    told = [line for line in out.splitlines() if line.startswith("point ")]
+    off = [float(line.rsplit(": ", 1)[1].split(" px")[0]) for line in told]
+    assert len(told) == 12
+    assert int(np.argmax(off)) == 4
+    assert told[4].endswith("px off; wrong?")
+    fitted, _ = read_camera(Path("c.json"))
+    assert off == pytest.approx(np.linalg.norm(fitted.project(ground)[0] - pixels, axis=1), abs=0.006)
+
+
+def test_a_camera_that_nobody_knows_is_not_written(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fit(sample: fit_camera.SampledVehicles) -> fit_camera.CameraFit:
+        return fit_camera.CameraFit(CAMERA, len(sample.found), 554_225.0, 0.01, 0.01, 0.2)
+
+    coco.write(Path("road.json"), drive(2, 5, speeds=(6.0, 3.0)))
+    monkeypatch.setattr("skope.eval.pose.fit_camera.fit_camera", fit)
+    code, _, error = skope("eval", "camera", "--annotations", "road.json", "--noise", 1, "--out", "c.json")
+    assert code == 2
+    assert "with a standard deviation of 554225" in error
+    assert "--points" in error
+    assert not Path("c.json").exists()
+
+
+def test_a_camera_without_a_pose_is_its_own_world(skope: Any) -> None:
+    """Then there is no ground, and positions are the camera's."""
+    file = drive(0.4, 5)
+    coco.write(Path("road.json"), file)
+    storage = cv2.FileStorage("k.yml", cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", CAMERA.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    storage.write("image_width", CAMERA.width)
+    storage.write("image_height", CAMERA.height)
+    storage.release()
+    code, _, _ = skope("eval", "pose", "--annotations", "road.json", "--camera", "k.yml", "--out", "p", "-q")
+    assert code == 0
+    rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    for row, truth in zip(rows, file.annotations, strict=True):
+        assert truth.box_3d is not None
+        assert row["position"] == row["position_camera"]
+        real = CAMERA.to_camera(truth.box_3d.center - [0, 0, truth.box_3d.size_lwh[2] / 2])
+        assert np.linalg.norm(np.array(row["position"]) - real) < 0.1 * np.linalg.norm(real)
+
+
+def test_too_few_vehicles_are_no_camera(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(0.4, 5))
+    code, _, err = skope("eval", "camera", "--annotations", "road.json")
+    assert code == 2
+    assert "a camera needs 5" in err
+
+
+def test_other_footage_is_refused_in_a_folder_of_its_own(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    video = numbered_video(tmp_path / "site.mp4", 3)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--quiet")
+    assert skope(*call, "--every", 2)[0] == 0
+    out = Path("runs/predict/site")  # named after its source
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    code, _, err = skope(*call, "--every", 3)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{out} holds other work (every = 2, now 3)" in err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert skope(*call, "--every", 2, "--overlay")[0] == 0  # the same work, with more to look at
+    assert (out / "overlay.mp4").is_file()
+
+
+def test_the_frames_themselves_say_what_footage_it_is(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    for folder, shade in (("a", 0), ("b", 90)):
+        (tmp_path / folder / "imgs").mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / folder / "imgs" / "1.png"), np.full((48, 64, 3), shade, np.uint8))
+    call = ("--checkpoint", random_run, "--out", tmp_path / "out", "--quiet")
+    assert skope("eval", "predict", "a/imgs", *call)[0] == 0
+    assert skope("eval", "predict", tmp_path / "a" / "imgs", *call)[0] == 0  # the same, named otherwise
+    (tmp_path / "b" / "imgs").rename(tmp_path / "imgs")
+    (tmp_path / "a" / "imgs").rename(tmp_path / "others")
+    (tmp_path / "imgs").rename(tmp_path / "a" / "imgs")  # others under the same name
+    code, _, err = skope("eval", "predict", "a/imgs", *call)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "holds other work (source = " in err
+
+
+@pytest.mark.parametrize("left", [b"\xff\xfe garbage", b"123\n", b'{"image": {"id": 1}}\n', b'{"image"'])
+def test_damaged_progress_is_begun_anew(left: bytes, skope: Any, random_run: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((48, 64, 3), np.uint8))
+    call = ("eval", "predict", tmp_path / "1.png", "--checkpoint", random_run, "--out", "out", "--quiet")
+    assert skope(*call)[0] == 0
+    before = Path("out/predictions.json").read_bytes()
+    Path("out/.predict.jsonl").write_bytes(left)
+    assert skope(*call)[0] == 0
+    assert Path("out/predictions.json").read_bytes() == before
+    assert not Path("out/.predict.jsonl").exists()

@@ -1,0 +1,23 @@
+import numpy as np
+
+from skope.camera import Camera
+from skope.gen.labels.annotate import locate
+from skope.gen.labels.raycast import RayCaster
+from tests.gen.rays import cast, vehicle_triangles
+from tests.gen.scenes import standing
+
+
+def test_first_hits_are_those_of_every_triangle_of_every_vehicle() -> None:
+    camera = Camera.looking([300.0, -190.0, 5.0], yaw=0.7, pitch_down=0.3, size=(640, 360))
+    places = [("sedan", 306.0, -184.0, 0.3), ("van", 311.0, -182.0, 1.9), ("suv", 290.0, -200.0, 0.0)]
+    moment = standing(camera, places).moment(0)
+    triangles = np.concatenate([vehicle_triangles(moment, i) for i in range(3)])
+    rng = np.random.default_rng(4)
+    points = triangles[rng.integers(len(triangles), size=300)].mean(axis=1) + rng.normal(0, 0.3, (300, 3))
+    away = points - camera.position
+    expected, _ = cast(camera.position, away / np.linalg.norm(away, axis=1, keepdims=True), triangles)
+    hits = RayCaster(moment, locate(moment, "rigid").vehicles, camera).first_hits(points)
+    before = expected < np.linalg.norm(away, axis=1)
+    assert 100 < before.sum() < 290
+    np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
+    np.testing.assert_array_less(np.linalg.norm(away, axis=1)[~before], hits[~before] + 1e-6)

@@ -1,0 +1,33 @@
+"""Folding frozen norms changes neither outputs nor gradients nor the state dict."""
+
+import copy
+
+import torch
+
+from skope import detector
+from skope.detector import DetectorConfig
+from skope.train.fold_batchnorm import fold_norms
+from tests.test_detector import use_uneven_statistics
+
+
+def test_folded_and_plain_agree() -> None:
+    torch.manual_seed(0)
+    plain = detector.build(DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160), trainable_layers=3)
+    use_uneven_statistics(plain)
+    folded = copy.deepcopy(plain).to(memory_format=torch.channels_last)
+    assert fold_norms(folded) == 53
+    pixels = torch.rand(2, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    maps = [model.backbone(pixels) for model in (plain, folded)]
+    for name in maps[0]:
+        torch.testing.assert_close(maps[1][name], maps[0][name], rtol=1e-3, atol=1e-4)
+    for each in maps:
+        sum(one.square().mean() for one in each.values()).backward()
+    gradients = [{n: p.grad for n, p in model.named_parameters() if p.grad is not None} for model in (plain, folded)]
+    assert gradients[0].keys() == gradients[1].keys()
+    for name, gradient in gradients[0].items():
+        torch.testing.assert_close(gradients[1][name], gradient, rtol=1e-2, atol=1e-3 * float(gradient.abs().max()))
+    assert list(folded.state_dict()) == list(plain.state_dict())
+
+
+def test_norms_that_learn_are_left_alone() -> None:
+    assert fold_norms(detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))) == 0
