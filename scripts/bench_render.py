@@ -22,7 +22,7 @@ import numpy as np
 
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.towns import site
+from skope.gen.towns.sites import site
 
 SITE = "t01_main_west"
 DENSITY = 2

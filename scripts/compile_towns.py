@@ -11,8 +11,8 @@ import argparse
 from pathlib import Path
 
 from skope.errors import UserError, one_of
-from skope.gen.towns import folder, source_digest, towns
 from skope.gen.towns.netconvert import COMMON, netconvert
+from skope.gen.towns.town import folder, source_digest, towns
 
 SOURCES = {"nod": "node-files", "edg": "edge-files", "con": "connection-files", "typ": "type-files"}
 
@@ -28,13 +28,14 @@ def compile_town(town: str, out: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("towns", nargs="*", metavar="TOWN", help=f"of {', '.join(towns())}; default: all of them")
+    names = tuple(town.name for town in towns())
+    parser.add_argument("towns", nargs="*", metavar="TOWN", help=f"of {', '.join(names)}; default: all of them")
     parser.add_argument("--out", type=Path, help="folder for TOWN.net.xml; default: town.net.xml beside the sources")
     options = parser.parse_args()
-    for town in options.towns or towns():
+    for town in options.towns or names:
         out = options.out / f"{town}.net.xml" if options.out else folder(town) / "town.net.xml"
         try:
-            compile_town(one_of("TOWN", town, towns()), out)
+            compile_town(one_of("TOWN", town, names), out)
         except UserError as error:
             parser.exit(2, f"compile_towns: {error}\n")
         print(out)

@@ -26,7 +26,6 @@ from skope.gen.pipeline.workers import local
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording
-from skope.gen.towns import network
 from tests.gen.scenes import standing
 from tests.samples import make_annotation
 
@@ -39,7 +38,7 @@ class FlatRenderer:
     """Draws grey frames in which no vehicle is seen, at once."""
 
     def __init__(self, _name: str, recording: Recording) -> None:
-        network(recording.town)  # as whoever grows scenery does
+        assert recording.town.network  # as whoever grows scenery does
         self._recording = recording
 
     def render(self, frame: int) -> RenderedFrame:

@@ -33,7 +33,7 @@ def test_flags_before_a_subcommand_are_refused_not_forgotten(skope: Any, words: 
     ("words", "inside"),
     [
         (["gen", "--out", "d"], "skope.gen.cli.app.Path.exists"),
-        (["gen", "sites"], "skope.gen.towns.towns"),
+        (["gen", "sites"], "skope.gen.towns.town.towns"),
         (["gen", "convert", "--to", "yolo", "a", "b"], "skope.gen.formats.convert.convert"),
         (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.metrics.inputs.read_annotations"),
         (["eval", "compare", "a", "b"], "skope.eval.report.compare.compare"),

@@ -28,8 +28,9 @@ from skope.gen.formats.convert import WRITERS
 from skope.gen.output.writers import unpack_shards
 from skope.gen.pipeline.store import Store
 from skope.gen.scene import recording as recordings
-from skope.gen.towns import place
-from skope.gen.towns.place import Place
+from skope.gen.towns import town
+from skope.gen.towns.own_road import OwnRoad
+from skope.gen.towns.town import Town
 from skope.schema import Result
 from skope.train import splits
 from tests import hostile
@@ -165,9 +166,9 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Where temporary files go."""
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
-    place._scratch.cache_clear()
+    town._scratch.cache_clear()
     yield tmp_path / "scratch"
-    place._scratch.cache_clear()
+    town._scratch.cache_clear()
 
 
 def test_repair_removes_nothing_that_a_manifest_names_elsewhere(skope: Any, ours: Path) -> None:
@@ -200,8 +201,8 @@ def test_exports_write_nothing_where_a_site_leads_elsewhere(skope: Any, ours: Pa
 
 def test_a_place_whose_title_leads_elsewhere_is_not_written(skope: Any, begun: Path, scratch: Path) -> None:
     made = hostile.recording("train")
-    corner = Place(title="corner", network=b"<net/>", style="", camera=made.camera)
-    recordings.save(begun / RECORDING, replace(made, town=corner.name, place=corner))
+    corner = OwnRoad(title="corner", network=b"<net/>", style="", camera=made.camera)
+    recordings.save(begun / RECORDING, replace(made, town=Town.of(corner)))
 
     evil = replace(corner)
     object.__setattr__(evil, "title", "../escaped")
@@ -463,8 +464,8 @@ def in_header(field: str) -> Spoil:
                 header[field] = value
 
         made = hostile.recording("train")
-        corner = Place(title="corner", network=b"", style="", camera=made.camera)
-        recordings.save(root / RECORDING, replace(made, town=corner.name, place=corner))
+        corner = OwnRoad(title="corner", network=b"", style="", camera=made.camera)
+        recordings.save(root / RECORDING, replace(made, town=Town.of(corner)))
         hostile.respelt(root / RECORDING, change)
 
     return spoil

@@ -11,7 +11,8 @@ from skope.gen.bystanders import Look
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import site
+from skope.gen.towns.sites import site
+from skope.gen.towns.town import Town
 from skope.gen.vehicles import fleet
 
 
@@ -37,7 +38,7 @@ def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], we
         wheels[i, :, :3, 3] = vehicle.shape.wheel_centers() @ chassis[i, :3, :3].T + chassis[i, :3, 3]
     count = len(vehicles)
     return Recording(
-        town="town01",
+        town=Town("town01"),
         site="t01_mill_corner",
         name="00",
         split="train",

@@ -9,6 +9,7 @@ import pytest
 from skope.gen import cache
 from skope.gen.mesh import Mesh
 from skope.gen.scenery import build as towns
+from skope.gen.towns.town import Town
 from skope.gen.vehicles import fleet
 from skope.gen.vehicles.model import simplified_parts
 
@@ -76,9 +77,9 @@ def test_what_two_want_at_once_is_made_once() -> None:
 
 def test_a_town_is_found_as_it_was_built(empty: Path) -> None:
     towns.scenery.cache_clear()
-    built = towns.scenery("town01")
+    built = towns.scenery(Town("town01"))
     towns.scenery.cache_clear()
-    found = towns.scenery("town01")
+    found = towns.scenery(Town("town01"))
     (file,) = empty.iterdir()
     assert file.name.startswith("town_")
     assert found is not built

@@ -26,9 +26,9 @@ def sites(
     version: VersionOption = False,
 ) -> None:
     """A table of the camera sites: town, height over the road, pitch, split, what they see; their towns' plans."""
-    from skope.gen.towns import sites as all_sites
-    from skope.gen.towns import towns
     from skope.gen.towns.layout import Layout
+    from skope.gen.towns.sites import sites as all_sites
+    from skope.gen.towns.town import towns
 
     console = Console(quiet)
     if site:
@@ -41,8 +41,8 @@ def sites(
         out = out or DRAWN / "towns"
         with look(out, "skope gen sites --map", "the towns") as drawn:
             for town in towns():
-                draw.write(drawn / f"{town}.png", town_map(town))
-                console.say(f"drew {out / f'{town}.png'}")
+                draw.write(drawn / f"{town.name}.png", town_map(town))
+                console.say(f"drew {out / f'{town.name}.png'}")
         console.result(f"wrote {len(towns())} plans to {out}")
         return
     console.result(f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees")
@@ -50,7 +50,7 @@ def sites(
         layout = Layout.of(town)
         for one in layout.sites:
             height = one.position[2] - layout.road_below(one)
-            console.result(f"{one.name:<20} {town:<7} {height:5.1f} m {one.pitch_deg:4.0f}° {one.split:<7} {one.sees}")
+            console.result(f"{one.name:<20} {town.name:<7} {height:5.1f} m {one.pitch_deg:4.0f}° {one.split:<7} {one.sees}")
     console.result(f"{len(all_sites())} sites; plans of the towns: skope gen sites --map")
 
 
@@ -61,17 +61,17 @@ def _show(path: Path, out: Path | None, console: Console) -> None:
     from skope.gen.towns.layout import Layout
 
     own = read_site(path)
-    place, layout = own.place, Layout.of(own.place.name)
-    height = place.camera.position[2] - layout.road_level(place.camera.position[:2])
-    out = out or DRAWN / place.title
-    picture = out / f"{place.title}.png"
+    road, layout = own.road, Layout.of(own.site.town)
+    height = road.camera.position[2] - layout.road_level(road.camera.position[:2])
+    out = out or DRAWN / road.title
+    picture = out / f"{road.title}.png"
     with look(out, "skope gen sites --site", path) as drawn:
-        draw.write(drawn / picture.name, overlay(place))
+        draw.write(drawn / picture.name, overlay(road))
     for line in own.said:
         console.result(line)
     traffic = "left" if layout.mirrored else "right"
     console.result(
-        f"{place.title}: {place.camera.width}x{place.camera.height}, {height:.1f} m over the road, "
+        f"{road.title}: {road.camera.width}x{road.camera.height}, {height:.1f} m over the road, "
         f"{own.site.pitch_deg:.0f} degrees down, traffic on the {traffic}; wrote {picture}; "
         f"next: skope gen --site {path}"
     )

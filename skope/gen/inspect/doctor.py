@@ -16,8 +16,8 @@ from skope.camera import Camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import sites
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.sites import sites
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.scenery.build import scenery
 from skope.gen.towns.layout import HALF_VIEW_DEG, Layout, polygons
+from skope.gen.towns.town import Town
 
 Image = NDArray[np.uint8]
 RGB = tuple[int, int, int]
@@ -30,7 +31,7 @@ SPLITS: Final[dict[str, RGB]] = {
 }
 
 
-def town_map(town: str) -> Image:
+def town_map(town: Town) -> Image:
     """(H, W, 3) RGB: north is up."""
     layout = Layout.of(town)
     x0, y0, x1, y1 = layout.road.buffer(_FRAME).bounds

@@ -99,7 +99,7 @@ def parked(vehicle: Vehicle, camera: Camera) -> Recording:
     wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
     return Recording(
         town=STUDIO,
-        site=STUDIO,
+        site=STUDIO.name,
         name="00",
         split="extra",
         camera=camera,

@@ -24,7 +24,7 @@ from skope.gen.scene.conditions import Range, check_settings
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.simulation.simulate import versions
 from skope.gen.site_files.site_file import OwnSite
-from skope.gen.towns import Site, site, sites
+from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 
 _SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
@@ -96,7 +96,7 @@ class Parameters:
                     pinhole_of(self.site(self.sites[0]).camera(self.pixels(), widest, lens))
 
     def _check_own(self, own: OwnSite) -> None:
-        camera, photograph, (width, height) = own.place.camera, own.place.photograph, self.pixels()
+        camera, photograph, (width, height) = own.road.camera, own.road.photograph, self.pixels()
         if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
             raise UserError(
                 f"--size {self.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
@@ -147,7 +147,7 @@ class Parameters:
             return in_its_light(site(name), index, self.seed)
         own = replace(self.own.site, split=self.own.splits[index])
         # A photograph has its own light.
-        return own if self.own.place.photograph else in_its_light(own, index, self.seed)
+        return own if self.own.road.photograph else in_its_light(own, index, self.seed)
 
     def frames_of(self, name: str) -> int:
         """How many frames a site has; one of a split that the preset has not, as many as the first one."""
@@ -187,7 +187,7 @@ def in_its_light(own: Site, index: int, seed: int) -> Site:
     splits = _tables()["splits"]
     split = splits.get(own.split, splits["train"])
     lights = split["light"]
-    if own.place:
+    if own.road:
         # Its first recording may be in any light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     weather, time_of_day = lights[(index - 1) % len(lights)].split()
@@ -235,7 +235,7 @@ def from_preset(
     values = {name: value for name, value in row.items() if name in known}
     values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
     if own is not None:
-        own, camera = own.with_recordings(row["recordings"]), own.place.camera
+        own, camera = own.with_recordings(row["recordings"]), own.road.camera
         values |= {
             "own": own,
             "sites": (own.site.name,),

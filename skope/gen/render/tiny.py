@@ -27,6 +27,7 @@ from skope.gen.scene.bodies import body_of
 from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
+from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
@@ -150,7 +151,7 @@ class _Stage:
 
 
 @cache
-def _town_stage(town: str) -> _Stage:
+def _town_stage(town: Town) -> _Stage:
     stage = _Stage()
     stage.add(scenery(town).mesh, MATERIALS)
     return stage

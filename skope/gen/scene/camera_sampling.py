@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.conditions import Range
-from skope.gen.towns import Site
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.sites import Site
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def _moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
 
 def _level(layout: Layout, site: Site) -> float:
     """Height of the road that the site looks at, metres."""
-    return layout.road_level(site.position[:2]) if site.place else layout.road_below(site)
+    return layout.road_level(site.position[:2]) if site.road else layout.road_below(site)
 
 
 def _lowest(layout: Layout, site: Site) -> float:

@@ -20,8 +20,9 @@ from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range
-from skope.gen.towns import Site, towns
-from skope.gen.towns.place import Place, know, known
+from skope.gen.towns.own_road import OwnRoad
+from skope.gen.towns.sites import Site
+from skope.gen.towns.town import Town, towns
 
 Array = NDArray[np.float64]
 
@@ -111,7 +112,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    town: str
+    town: Town
     site: str
     name: str
     split: str
@@ -138,17 +139,16 @@ class Recording:
     """(R, 3)"""
     lamps: NDArray[np.uint8]
     """(R,)"""
-    place: Place | None = None
-    """What the scenery of a user's own road comes from."""
     photograph: NDArray[np.uint8] | None = None
-    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery: the place's, unless given."""
+    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery: the own road's, unless given."""
 
     def __post_init__(self) -> None:
-        for field_name in ("town", "site", "name", "split"):
+        names.name("town", self.town.name)
+        for field_name in ("site", "name", "split"):
             names.name(field_name, getattr(self, field_name))
-        know(self.place)
-        if self.photograph is None and self.place and self.place.photograph:
-            picture = self.place.picture((self.camera.width, self.camera.height))
+        road = self.town.road
+        if self.photograph is None and road and road.photograph:
+            picture = road.picture((self.camera.width, self.camera.height))
             object.__setattr__(self, "photograph", picture)
 
     def __len__(self) -> int:
@@ -173,7 +173,7 @@ class Recording:
 
     def starts_like(self, other: "Recording") -> bool:
         """Whether its first frames are all that `other` has."""
-        same = (*_HEADER, "conditions", "photograph")
+        same = ("town", *_HEADER, "conditions", "photograph")
         rows = len(other.frame)
         return (
             len(self) >= len(other)
@@ -190,8 +190,8 @@ class Recording:
 _ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
 _ARRAYS: Final = ("times_s", *_ROWS)
 _FILES: Final = ("network", "photograph")
-"""Of a place."""
-_HEADER: Final = (*("town", "site", "name", "split", "weather", "time_of_day", "seed", "versions"),)
+"""Of an own road."""
+_HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
 
 
 def save(path: Path, recording: Recording) -> None:
@@ -203,6 +203,7 @@ def packed(recording: Recording) -> bytes:
     """What a recording's file holds."""
     header = {
         "version": VERSION,
+        "town": recording.town.name,
         **{name: getattr(recording, name) for name in _HEADER},
         "size": [recording.camera.width, recording.camera.height],
         "camera": recording.camera.to_dict(),
@@ -211,9 +212,9 @@ def packed(recording: Recording) -> bytes:
         "signals": [dict(states) for states in recording.signals],
     }
     arrays = {name: getattr(recording, name) for name in _ARRAYS}
-    if place := recording.place:
-        header["place"] = place.header()
-        arrays |= {name: np.frombuffer(getattr(place, name), dtype=np.uint8) for name in _FILES}
+    if road := recording.town.road:
+        header["place"] = road.header()
+        arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILES}
     file = io.BytesIO()
     np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
     return file.getvalue()
@@ -252,8 +253,10 @@ def unpacked(data: bytes, path: Path) -> Recording:
                     f"version: this skope reads recordings of version {VERSION}, got {header.get('version')}"
                 )
             recording = _recording_of(header, file)
-        if not known(recording.town):
-            one_of("town", recording.town, towns())
+        if recording.town.road is None:
+            one_of("town", recording.town.name, tuple(town.name for town in towns()))
+        elif recording.town != Town.of(recording.town.road):
+            raise UserError(f"town: expected {recording.town.road.name}, as the road in it, got {recording.town.name}")
         return recording
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
@@ -264,12 +267,13 @@ def unpacked(data: bytes, path: Path) -> Recording:
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
     """The recording of a file's header and arrays."""
     own = header.get("place")
+    road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
     return Recording(
+        town=Town(header["town"], road),
         **{name: header[name] for name in _HEADER},
         camera=Camera.from_dict(header["camera"], *header["size"]),
         conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
-        place=Place.of(own, *(file[name].tobytes() for name in _FILES)) if own else None,
         **{name: file[name] for name in _ARRAYS},
     )

@@ -10,7 +10,8 @@ from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.place import Outline, Place
+from skope.gen.towns.own_road import Outline, OwnRoad
+from skope.gen.towns.town import Town
 
 Array = NDArray[np.float64]
 
@@ -23,9 +24,9 @@ _SLOPED: Final = 250.0
 """Where ground that is not level ends, metres from the camera."""
 
 
-def backdrop(layout: Layout, place: Place) -> Mesh:
+def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
     """Ground at the lanes' heights, and occluders that face the camera, in the world's axes."""
-    return merged([_ground(layout, place.camera.position[:2]), *_occluders(place)])
+    return merged([_ground(layout, road.camera.position[:2]), *_occluders(road)])
 
 
 def _ground(layout: Layout, middle: Array) -> Mesh:
@@ -42,19 +43,19 @@ def _ground(layout: Layout, middle: Array) -> Mesh:
     return grid(points, [["asphalt"] * count] * count)
 
 
-def _occluders(place: Place) -> Iterator[Mesh]:
-    for one in place.occluders:
-        corners = _triangles(place, one.polygon)
-        points, _ = place.camera.unproject(corners, np.full(len(corners), one.distance))
+def _occluders(road: OwnRoad) -> Iterator[Mesh]:
+    for one in road.occluders:
+        corners = _triangles(road, one.polygon)
+        points, _ = road.camera.unproject(corners, np.full(len(corners), one.distance))
         yield from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron")
 
 
-def plates(place: Place, toward_sun: Array) -> Mesh | None:
+def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
     """Something high over the road that throws the shadows which the photograph has; None when it has none."""
-    camera, out = place.camera, []
-    level = Layout.of(place.name).road_level(camera.position[:2])
-    for outline in place.shades:
-        rays, _ = camera.rays(_triangles(place, outline))
+    camera, out = road.camera, []
+    level = Layout.of(Town.of(road)).road_level(camera.position[:2])
+    for outline in road.shades:
+        rays, _ = camera.rays(_triangles(road, outline))
         directions = rays @ camera.T_camera_world[:3, :3]
         reach = (level - camera.position[2]) / directions[:, 2:]
         points = camera.position + reach * directions + toward_sun * _PLATES / toward_sun[2]
@@ -62,8 +63,8 @@ def plates(place: Place, toward_sun: Array) -> Mesh | None:
     return merged(out) if out else None
 
 
-def _triangles(place: Place, outline: Outline) -> Array:
+def _triangles(road: OwnRoad, outline: Outline) -> Array:
     """(3T, 2) corners of triangles that fill an outline in the image, small enough for the lens."""
-    fine = shapely.segmentize(Polygon(outline), max(place.camera.width, place.camera.height) / 50)
+    fine = shapely.segmentize(Polygon(outline), max(road.camera.width, road.camera.height) / 50)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))
     return np.asarray(shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3].reshape(-1, 2))

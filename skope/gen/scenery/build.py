@@ -25,11 +25,11 @@ from skope.gen.scenery.structures import structures
 from skope.gen.scenery.trees import plant, tree_meshes
 from skope.gen.towns.layout import Layout, driven, right_of
 from skope.gen.towns.parking import Bay, lot_bays
-from skope.gen.towns.place import known
+from skope.gen.towns.town import Town
 
 Array = NDArray[np.float64]
 
-STUDIO: Final = "studio"
+STUDIO: Final = Town("studio")
 """An empty place, to look at vehicles."""
 STUDIO_RADIUS: Final = 200.0
 ARM_CLEARANCE: Final = 16.0
@@ -92,21 +92,20 @@ class Scenery:
 
 
 @cache
-def scenery(town: str) -> Scenery:
+def scenery(town: Town) -> Scenery:
     """Everything of a town that does not move; of `STUDIO` a floor."""
     if town == STUDIO:
         r = STUDIO_RADIUS
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
-    own = known(town)
-    if own and own.photograph:
-        return Scenery(backdrop(Layout.of(town), own), ())
-    return Scenery.from_arrays(cached("town", digest_of(town), lambda: _grown(town).to_arrays()))
+    if town.road and town.road.photograph:
+        return Scenery(backdrop(Layout.of(town), town.road), ())
+    return Scenery.from_arrays(cached("town", digest_of(town.name), lambda: _grown(town).to_arrays()))
 
 
-def _grown(town: str) -> Scenery:
+def _grown(town: Town) -> Scenery:
     layout = Layout.of(town)
     # A generator of its own for each part, so that a change of one leaves the others as they are.
-    rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.encode())).spawn(len(_PARTS)), strict=True))
+    rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.name.encode())).spawn(len(_PARTS)), strict=True))
     houses = plots(layout, rng["plots"])
     built = covered(houses)
     walks, drives = paths(houses)

@@ -11,6 +11,7 @@ from shapely import Polygon
 from skope.gen.simulation.motion import Driven
 from skope.gen.towns.layout import Layout, rectangle
 from skope.gen.towns.parking import BAY, Bay
+from skope.gen.towns.town import Town
 from skope.gen.vehicles import FleetEntry, draw_paint
 from skope.gen.vehicles.model import Vehicle
 
@@ -35,7 +36,7 @@ class Parked:
         return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
 
-def parked(town: str, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:
+def parked(town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:
     """Vehicles that fit, in some of the bays, nose or tail first."""
     if not bays:
         return []

@@ -19,10 +19,8 @@ from skope.gen.simulation.motion import Driven, drivable, reach
 from skope.gen.simulation.parked import Parked, parked
 from skope.gen.simulation.pedestrians import Present, Riders, Walkers
 from skope.gen.simulation.physics import Pose, World, at_rest
-from skope.gen.towns import network
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.parking import Bay
-from skope.gen.towns.place import know
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic, step_for
@@ -77,7 +75,6 @@ def versions() -> dict[str, str]:
 def simulate(plan: RecordingPlan) -> Recording:
     """Run traffic and physics, and record every frame of the plan."""
     site = plan.site
-    know(site.place)
     step = step_for(plan.interval)
     rng = np.random.default_rng([plan.seed, zlib.crc32(site.name.encode()), plan.index])
     warm_up = round(rng.uniform(*WARM_UP) / step)
@@ -99,13 +96,13 @@ def simulate(plan: RecordingPlan) -> Recording:
     duration = (warm_up + steps + ahead) * step
     with (
         Traffic(
-            network(site.town),
+            site.town.network,
             models,
             vehicles_per_hour=site.vehicles_per_hour,
             duration=duration,
             rng=rng,
             flows=site.flows,
-            passing=Layout.of(site.town).seen_by(site.place.camera, REACH) if site.place else frozenset(),
+            passing=Layout.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
             step=step,
             watched=log.watches,
         ) as traffic,
@@ -129,7 +126,8 @@ def simulate(plan: RecordingPlan) -> Recording:
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     """What drives by: the fleet, where detectors train without what is held out, and what was added."""
     train = plan.site.split == "train"
-    models = in_town({name: entry for name, entry in fleet().items() if not (train and entry.held_out)}, plan.site.town)
+    usual = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
+    models = in_town(usual, plan.site.town.name)
     share = ADDED_SHARE * sum(entry.share for entry in models.values())
     return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
 
@@ -287,5 +285,4 @@ class _Recorder:
             T_world_wheels=np.array([pose.T_world_wheels for pose in poses]).reshape(-1, 4, 4, 4),
             velocity=np.array([pose.velocity for pose in poses]).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
-            place=site.place,
         )

@@ -22,11 +22,12 @@ from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.site_files.camera import read_camera
 from skope.gen.site_files.toml_table import TomlTable
-from skope.gen.towns import Site, network, site_of
 from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map
-from skope.gen.towns.place import Occluder, Outline, Place, know
+from skope.gen.towns.own_road import Occluder, Outline, OwnRoad
+from skope.gen.towns.sites import Site, site_of
 from skope.gen.towns.style import style
+from skope.gen.towns.town import Town
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
 
@@ -53,9 +54,9 @@ class OwnSite:
     """Worth telling the user."""
 
     @property
-    def place(self) -> Place:
-        assert self.site.place is not None
-        return self.site.place
+    def road(self) -> OwnRoad:
+        assert self.site.road is not None
+        return self.site.road
 
     def with_recordings(self, count: int) -> Self:
         """With so many recordings, one of them to test on and at least one to train on, unless it names its own."""
@@ -66,8 +67,8 @@ class OwnSite:
         return {
             "file": self.path.name,
             "digests": dict(self.digests),
-            "town": self.place.name,
-            "photograph": bool(self.place.photograph),
+            "town": self.road.name,
+            "photograph": bool(self.road.photograph),
             "splits": list(self.splits),
         }
 
@@ -87,30 +88,29 @@ def read_site(path: Path) -> OwnSite:
             "background", f"is {picture[0]}x{picture[1]}, but the camera {camera.width}x{camera.height}: other shapes"
         )
     styled = table.file("style")
-    place = Place(
+    road = OwnRoad(
         title=name,
         network=_network(table),
         style=read_bytes(styled).decode() if styled else "",
         camera=camera,
         photograph=read_bytes(background) if background else b"",
     )
-    layout = _layout(table, place)
+    layout = _layout(table, road)
     level = layout.road_level(camera.position[:2])
     occluders = tuple(_occluder(row, camera, level) for row in table.tables("occluders"))
     shades = tuple(_shade(row, camera) for row in table.tables("shades"))
     if occluders or shades:
         if not background:
             raise table.wrong("occluders" if occluders else "shades", "are for a photograph: background is missing")
-        place = replace(place, occluders=occluders, shades=shades)
-        know(place)
+        road = replace(road, occluders=occluders, shades=shades)
     light = table.table("light")
     weather, hour, sun = _light(light)
     conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
-    vehicles, text = _traffic(table, place, layout)
+    vehicles, text = _traffic(table, road, layout)
     splits = _splits(table)
     table.done()
     site = site_of(
-        place,
+        road,
         split=splits[0] if splits else "train",
         vehicles_per_hour=vehicles,
         weather=weather,
@@ -250,19 +250,19 @@ def _conditions(table: TomlTable) -> dict[str, Range]:
         raise table.wrong("", str(error).removeprefix("--set ")) from None
 
 
-def _traffic(table: TomlTable, place: Place, layout: Layout) -> tuple[float, str]:
+def _traffic(table: TomlTable, road: OwnRoad, layout: Layout) -> tuple[float, str]:
     """Vehicles per hour, or a route file's text."""
     path = table.file("flows")
     if path is None:
-        seen = layout.seen_by(place.camera, _SEEN)
-        if all(seen.isdisjoint(edges) for edges, _ in ways(network(place.name))):
+        seen = layout.seen_by(road.camera, _SEEN)
+        if all(seen.isdisjoint(edges) for edges, _ in ways(Town.of(road).network)):
             raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
     if "vehicles_per_hour" in table:
         raise table.wrong("vehicles_per_hour", "flows says it already")
     text = read_bytes(path).decode(errors="replace")
     try:
-        route_files.streams(text, network(place.name))
+        route_files.streams(text, Town.of(road).network)
     except UserError as error:
         raise table.wrong("flows", f"{path}: {error}") from None
     return 0.0, text
@@ -280,21 +280,20 @@ def _splits(table: TomlTable) -> tuple[str, ...]:
 # -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _layout(table: TomlTable, place: Place) -> Layout:
+def _layout(table: TomlTable, road: OwnRoad) -> Layout:
     """The place's layout. Raises UserError when no picture could come of it."""
-    know(place)
-    camera = place.camera
+    camera = road.camera
     if camera.distortion.model != "none":
         try:
             pinhole_of(camera)
         except UserError as error:
             raise table.wrong("", str(error)) from None
     try:
-        style(place.name)
+        style(Town.of(road))
     except (TypeError, KeyError, ValueError) as error:
         raise table.wrong("style", str(error)) from None
     try:
-        layout = Layout.of(place.name)
+        layout = Layout.of(Town.of(road))
     except Exception as error:  # whatever parsers say of a file that is no network
         raise table.wrong("network", f"not a SUMO network: {error}") from None
     if not layout.edges:

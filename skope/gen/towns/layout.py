@@ -17,11 +17,11 @@ from shapely.ops import unary_union
 
 from skope.camera import Camera
 from skope.gen.mesh import Mesh
-from skope.gen.towns import Site, network, sites_of
 from skope.gen.towns.lefthand import is_lefthand, mirrored
-from skope.gen.towns.place import known
+from skope.gen.towns.sites import Site, sites_of
 from skope.gen.towns.style import Road, TownStyle, style
 from skope.gen.towns.terrain import GroundSurface, Lanes
+from skope.gen.towns.town import Town
 
 Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
@@ -48,7 +48,7 @@ REACH: Final = 600.0
 class Layout:
     """A town's network with the regions that scenery is fitted into."""
 
-    town: str
+    town: Town
     net: Any
     style: TownStyle
     sites: tuple[Site, ...]
@@ -56,8 +56,8 @@ class Layout:
     """Whether all this is seen in the mirror of left-hand traffic (see `lefthand`)."""
 
     @classmethod
-    def of(cls, town: str) -> "Layout":
-        path, cameras = network(town), sites_of(town)
+    def of(cls, town: Town) -> "Layout":
+        path, cameras = town.network, sites_of(town)
         if not is_lefthand(path.read_bytes()):
             return cls(town, _read(path), style(town), cameras)
         with tempfile.TemporaryDirectory() as folder:
@@ -78,7 +78,7 @@ class Layout:
     def edges(self) -> list[Any]:
         """Edges that vehicles drive on."""
         edges = [edge for edge in self.net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
-        if known(self.town) is None:
+        if self.town.road is None:
             return edges
         around = unary_union([Point(site.position[:2]).buffer(REACH) for site in self.sites])
         return [edge for edge in edges if any(LineString(lane.getShape()).intersects(around) for lane in driven(edge))]

@@ -9,6 +9,7 @@ from shapely import LineString, Point
 from shapely.ops import unary_union
 
 from skope.gen.towns.layout import KERB_WIDTH, Layout, driven
+from skope.gen.towns.town import Town
 
 Array = NDArray[np.float64]
 
@@ -18,7 +19,7 @@ _SPACING: Final = 5.0
 """Metres between the heights of a path."""
 
 
-def sidewalks(town: str, center: tuple[float, float], reach: float) -> list[Array]:
+def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Array]:
     """Middles (N, 3) of the sidewalks within `reach` metres of a place."""
     layout = Layout.of(town)
     around = Point(layout.world(center)).buffer(reach)

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
 
-from skope.gen.towns import folder
-from skope.gen.towns.place import known
+from skope.gen.towns.town import Town, folder
 
 Range = tuple[float, float]
 
@@ -171,7 +170,7 @@ class TownStyle:
 
 
 @cache
-def style(town: str) -> TownStyle:
+def style(town: Town) -> TownStyle:
     """The style of a town."""
     row = _read(town)
     own = row.pop("kinds", {})
@@ -189,9 +188,9 @@ def style(town: str) -> TownStyle:
     )
 
 
-def _read(town: str) -> dict[str, Any]:
-    own = known(town)
-    path = folder(town) / "town.toml" if own is None else folder("bare.toml" if own.photograph else "generic.toml")
+def _read(town: Town) -> dict[str, Any]:
+    own = town.road
+    path = folder(town.name) / "town.toml" if own is None else folder("bare.toml" if own.photograph else "generic.toml")
     return tomllib.loads((own and own.style) or path.read_text(encoding="utf-8"))
 
 

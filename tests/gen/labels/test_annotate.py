@@ -14,7 +14,7 @@ from skope.gen.render.choose import make_renderer
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import site
+from skope.gen.towns.sites import site
 from skope.schema import Annotation
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import driven, standing

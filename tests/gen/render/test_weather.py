@@ -15,6 +15,7 @@ from skope.gen.scene.bodies import body_of
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import STUDIO, scenery
+from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS
 from tests.gen.scenes import conditions, standing
 
@@ -204,7 +205,7 @@ def test_text_and_compression(plain: RenderedFrame) -> None:
 
 
 def test_street_lights_hang_over_the_ground() -> None:
-    lamps = scenery("town01").lamps
+    lamps = scenery(Town("town01")).lamps
     assert len(lamps) > 10
     np.testing.assert_allclose(lamps[:, 2], 8.05, atol=0.01)
 

@@ -8,8 +8,8 @@ from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import Parameters, from_preset
 from skope.gen.scene import camera_sampling
-from skope.gen.towns import site
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.sites import site
 
 SIZE = (1920, 1080)
 

@@ -11,17 +11,18 @@ from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.furniture import CLEARANCE
 from skope.gen.scenery.solid import Solid
-from skope.gen.towns import towns
 from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
+from skope.gen.towns.town import Town, towns
 from tests.gen.rays import cast
 
 KERB = 0.12
 FLAT = [town for town in towns() if Layout.of(town).ground.flat]
 
 
-@pytest.fixture(scope="module", params=towns())
-def town(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
+@pytest.fixture(scope="module", params=towns(), ids=lambda town: town.name)
+def town(request: pytest.FixtureRequest) -> Town:
+    found: Town = request.param
+    return found
 
 
 def corners(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
@@ -41,16 +42,16 @@ def ground(mesh: Mesh, height: float) -> np.ndarray:
     return corners(mesh, is_ground & level)
 
 
-@pytest.mark.parametrize("town", FLAT)
-def test_the_carriageway_is_flat_and_whole(town: str) -> None:
+@pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
+def test_the_carriageway_is_flat_and_whole(town: Town) -> None:
     road = Layout.of(town).road
     triangles = ground(scenery(town).mesh, 0.0)
     assert area(triangles) == pytest.approx(road.area, rel=1e-4)
     assert unary_union(shapely.polygons(triangles[..., :2])).symmetric_difference(road).area < 1e-4 * road.area
 
 
-@pytest.mark.parametrize("town", FLAT)
-def test_the_ground_beside_it_is_laid_once_everywhere(town: str) -> None:
+@pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
+def test_the_ground_beside_it_is_laid_once_everywhere(town: Town) -> None:
     road = Layout.of(town).road
     triangles = ground(scenery(town).mesh, KERB)
     points = triangles.reshape(-1, 3)
@@ -65,8 +66,8 @@ def test_the_ground_beside_it_is_laid_once_everywhere(town: str) -> None:
     assert len(np.unique(point)) > 0.999 * len(beside)
 
 
-@pytest.mark.parametrize("town", FLAT)
-def test_nothing_stands_on_the_carriageway(town: str) -> None:
+@pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
+def test_nothing_stands_on_the_carriageway(town: Town) -> None:
     road, mesh = Layout.of(town).road, scenery(town).mesh
     is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
     standing = corners(mesh, ~is_ground)
@@ -76,8 +77,8 @@ def test_nothing_stands_on_the_carriageway(town: str) -> None:
     assert not near.any(), feet[near][:5]
 
 
-@pytest.mark.parametrize("town", FLAT)
-def test_cameras_have_room_around_them(town: str) -> None:
+@pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
+def test_cameras_have_room_around_them(town: Town) -> None:
     mesh = scenery(town).mesh
     for site in Layout.of(town).sites:
         high = mesh.vertices[mesh.vertices[:, 2] > site.position[2] - 2.5]
@@ -85,7 +86,7 @@ def test_cameras_have_room_around_them(town: str) -> None:
         assert distance.min() > CAMERA_CLEARANCE, site.name
 
 
-def test_cameras_see_the_road_before_them(town: str) -> None:
+def test_cameras_see_the_road_before_them(town: Town) -> None:
     """Of the carriageway within 30 m in front of a camera hardly anything is hidden by scenery."""
     layout, mesh = Layout.of(town), scenery(town).mesh
     is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
@@ -103,15 +104,15 @@ def test_cameras_see_the_road_before_them(town: str) -> None:
         assert (distances > 1).mean() > 0.85, site.name
 
 
-@pytest.mark.parametrize("town", ["town04"])
-def test_the_same_town_gives_the_same_mesh(town: str) -> None:
+@pytest.mark.parametrize("town", [Town("town04")])
+def test_the_same_town_gives_the_same_mesh(town: Town) -> None:
     first, again = scenery(town), scenery.__wrapped__(town)
     np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
     np.testing.assert_array_equal(first.mesh.material, again.mesh.material)
     assert len(first.signals) == len(again.signals)
 
 
-def test_materials_have_colours_and_the_mesh_is_of_bounded_size(town: str) -> None:
+def test_materials_have_colours_and_the_mesh_is_of_bounded_size(town: Town) -> None:
     mesh = scenery(town).mesh
     assert set(mesh.materials) <= set(MATERIALS)
     assert len(mesh.triangles) < 440_000
@@ -120,7 +121,7 @@ def test_materials_have_colours_and_the_mesh_is_of_bounded_size(town: str) -> No
 
 
 def test_triangles_wind_as_their_normals_point() -> None:
-    mesh = scenery("town01").mesh
+    mesh = scenery(Town("town01")).mesh
     hard = np.array([not name.startswith("leaves") for name in mesh.materials])[mesh.material]
     a, b, c = np.moveaxis(corners(mesh, hard), 1, 0)
     face = np.cross(b - a, c - a)

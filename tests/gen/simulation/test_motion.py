@@ -11,7 +11,7 @@ import pytest
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.simulation.motion import LOCK, SPREADS_S, Driven, drivable, reach
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import site
+from skope.gen.towns.sites import site
 from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoVehicle
 from skope.gen.vehicles import fleet
 

@@ -11,7 +11,8 @@ from skope.gen.simulation import simulate as simulation
 from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import network, site
+from skope.gen.towns.sites import site
+from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS, STEP, Traffic
 from skope.gen.vehicles import fleet
 from tests.gen.scenes import driven
@@ -136,7 +137,7 @@ def test_sumo_front_bumper_and_compass_are_converted() -> None:
     import libsumo
 
     rng = np.random.default_rng(0)
-    with Traffic(network("town01"), fleet(), vehicles_per_hour=3000, duration=40, rng=rng) as traffic:
+    with Traffic(Town("town01").network, fleet(), vehicles_per_hour=3000, duration=40, rng=rng) as traffic:
         for _ in range(round(30 / STEP)):
             snapshot = traffic.step()
         checked = 0

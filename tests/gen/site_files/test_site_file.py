@@ -35,11 +35,13 @@ from skope.gen.scenery.build import scenery
 from skope.gen.scenery.markings import crossings, markings
 from skope.gen.simulation.simulate import simulate
 from skope.gen.site_files.site_file import OwnSite, read_site
-from skope.gen.towns import folder, netconvert, network, place, site, site_of
+from skope.gen.towns import netconvert
 from skope.gen.towns.layout import Layout, driven
 from skope.gen.towns.lefthand import is_lefthand, mirrored
-from skope.gen.towns.place import Place, know
+from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sidewalks import sidewalks
+from skope.gen.towns.sites import site, site_of
+from skope.gen.towns.town import Town, folder
 from skope.gen.traffic.demand import trips
 from skope.gen.traffic.route_files import scheduled, streams
 from skope.gen.vehicles import fleet
@@ -108,14 +110,11 @@ def test_the_example_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_shadows_and_vehicles_fit_the_photograph(own: OwnSite, made: Recording) -> None:
-    camera = own.place.camera
-    straight = Place(
-        **{**vars(own.place), "camera": Camera(camera.width, camera.height, camera.K, camera.T_camera_world)}
+    camera = own.road.camera
+    straight = OwnRoad(
+        **{**vars(own.road), "camera": Camera(camera.width, camera.height, camera.K, camera.T_camera_world)}
     )
-    know(straight)
-    plain = Recording(
-        **{**vars(made), "place": straight, "town": straight.name, "camera": straight.camera.resized((320, 180))}
-    )
+    plain = Recording(**{**vars(made), "town": Town.of(straight), "camera": straight.camera.resized((320, 180))})
     view = make_renderer("gl", plain).render(1)
     drawn = (view.ids > 0) | (cv2.dilate((view.ids > 0).astype(np.uint8), np.ones((41, 41))) > 0)
     assert plain.photograph is not None
@@ -129,9 +128,8 @@ def test_shadows_and_vehicles_fit_the_photograph(own: OwnSite, made: Recording) 
 
 def test_vehicles_in_the_photographs_shade_are_dark(own: OwnSite, made: Recording) -> None:
     shade = ((300.0, 360.0), (1270.0, 250.0), (1270.0, 710.0), (500.0, 710.0))
-    shaded = Place(**{**vars(own.place), "shades": (shade,)})
-    know(shaded)
-    frames = [make_renderer("gl", one).render(1) for one in (made, replace(made, place=shaded, town=shaded.name))]
+    shaded = OwnRoad(**{**vars(own.road), "shades": (shade,)})
+    frames = [make_renderer("gl", one).render(1) for one in (made, replace(made, town=Town.of(shaded)))]
     mask = cv2.fillPoly(np.zeros((180, 320), np.uint8), [np.array(shade).astype(int) // 4], 1) > 0
     vehicles = mask & (frames[0].ids > 0)
     assert vehicles.sum() > 300
@@ -154,7 +152,7 @@ def test_depth_behind_a_photograph_is_the_ground_and_the_occluders(own: OwnSite,
     assert flat.mean() > 0.97
     shown = view.depth[rows, columns][near][~flat]
     assert len(shown) > 5
-    assert np.abs(shown[:, None] - [one.distance for one in own.place.occluders]).min(axis=1).max() < 0.5
+    assert np.abs(shown[:, None] - [one.distance for one in own.road.occluders]).min(axis=1).max() < 0.5
 
 
 def test_the_light_of_a_drawn_photograph_is_found_again() -> None:
@@ -169,25 +167,21 @@ def test_the_light_of_a_drawn_photograph_is_found_again() -> None:
     fields = vars(recording) | {name: getattr(recording, name)[:0] for name in nobody} | {"vehicles": ()}
     picture = make_renderer("gl", Recording(**fields)).render(0).rgb
     data = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
-    shot = Place(
-        title="shot", network=network("town01").read_bytes(), style="", camera=recording.camera, photograph=data
+    shot = OwnRoad(
+        title="shot", network=Town("town01").network.read_bytes(), style="", camera=recording.camera, photograph=data
     )
-    know(shot)
     daylight = Daylight.of(recording.conditions)
     found = fitted(device(), daylight, shot)
     assert math.log2((found.exposure / daylight.exposure).mean()) == pytest.approx(0, abs=0.35)
     np.testing.assert_allclose(found.sun / daylight.sun, 1, atol=0.1)
 
 
-def test_recordings_carry_their_place(
-    own: OwnSite, made: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recordings_carry_their_road(own: OwnSite, made: Recording, tmp_path: Path) -> None:
     recordings.save(tmp_path / "r.npz", made)
-    monkeypatch.setattr(place, "_known", {})
-    place.network_file.cache_clear()
     again = recordings.load(tmp_path / "r.npz")
-    assert again.place is not None
-    assert again.town == again.place.name == own.place.name
+    assert again.town.road is not None
+    assert again.town.road is not own.road
+    assert again.town.name == again.town.road.name == own.road.name
     assert scenery.__wrapped__(again.town).mesh.triangles.shape == scenery(made.town).mesh.triangles.shape
     np.testing.assert_array_equal(again.photograph, made.photograph)
     recordings.save(tmp_path / "again.npz", again)
@@ -230,11 +224,11 @@ def test_lanes_are_drawn_over_the_photograph(tmp_path: Path, capsys: pytest.Capt
     assert run("gen", "sites", "--site", str(EXAMPLE / "site.toml"), "--out", str(tmp_path)) == 0
     assert "7.6 m over the road" in capsys.readouterr().out
     drawn = cv2.imread(str(tmp_path / "site.png"))[..., ::-1]
-    lane = Layout.of(own.place.name).net.getLane("-10#0_0")
+    lane = Layout.of(own.site.town).net.getLane("-10#0_0")
     a, b = (np.array(point) for point in lane.getShape3D()[:2])
     across = np.array([a[1] - b[1], b[0] - a[0], 0]) / np.linalg.norm(b - a) * lane.getWidth() / 2
     for edge in (a + 0.3 * (b - a) + side * across for side in (-1, 1)):
-        column, row = own.place.camera.project(edge)[0].astype(int)
+        column, row = own.road.camera.project(edge)[0].astype(int)
         red, _, blue = drawn[row, column].tolist()
         assert red > 200
         assert blue < 120
@@ -249,10 +243,10 @@ NEEDS_NETCONVERT = pytest.mark.skipif(netconvert.program() is None, reason="netc
 @NEEDS_NETCONVERT
 def test_maps_are_converted_around_their_origin() -> None:
     drawn = read_site(EXAMPLE / "drawn.toml")
-    nodes = {node.getID(): node.getCoord() for node in Layout.of(drawn.place.name).net.getNodes()}
+    nodes = {node.getID(): node.getCoord() for node in Layout.of(drawn.site.town).net.getNodes()}
     assert nodes["3"] == pytest.approx((0, 0), abs=0.02)
     assert nodes["1"] == pytest.approx((-170, -4), abs=0.02)
-    assert drawn.place.network == (EXAMPLE / "junction.net.xml").read_bytes()
+    assert drawn.road.network == (EXAMPLE / "junction.net.xml").read_bytes()
     plans = parameters(drawn).plans()
     assert [plan.site.split for plan in plans] == ["train", "train", "test"]
     assert len({plan.site.time_of_day for plan in plans}) > 1
@@ -412,7 +406,7 @@ def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
         values = {**BASE, "camera": {"size": [1280, 720], "distortion": lens, **way}}
         (tmp_path / "site.toml").write_text(toml(values))
         read = read_site(tmp_path / "site.toml")
-        np.testing.assert_allclose(read.place.camera.project(ground)[0], own.project(ground)[0], atol=0.01)
+        np.testing.assert_allclose(read.road.camera.project(ground)[0], own.project(ground)[0], atol=0.01)
         assert bool(read.said) == ("points" in way)
 
 
@@ -422,7 +416,7 @@ def calibrated(folder: Path, size: list[int] | None) -> Camera:
         shutil.copy(EXAMPLE / name, folder)
     table = {"file": "camera.yml", **({"size": size} if size else {})}
     (folder / "site.toml").write_text(toml({**BASE, "camera": table}))
-    return read_site(folder / "site.toml").place.camera
+    return read_site(folder / "site.toml").road.camera
 
 
 def test_a_calibration_is_scaled_to_the_cameras_size(tmp_path: Path) -> None:
@@ -446,49 +440,48 @@ def test_a_size_of_another_shape_than_the_calibrations_is_refused(tmp_path: Path
 
 
 @pytest.fixture(scope="module")
-def both() -> tuple[Place, Place]:
+def both() -> tuple[OwnRoad, OwnRoad]:
     """Town 01 as it is, and in the mirror: there people drive on the left."""
-    net, style = network("town01").read_bytes(), (folder("town01") / "town.toml").read_text(encoding="utf-8")
+    net, style = Town("town01").network.read_bytes(), (folder("town01") / "town.toml").read_text(encoding="utf-8")
     left = mirrored(net).replace(b"<net ", b'<net lefthand="true" ', 1)
     corner, out = site("t01_mill_corner"), []
     for data, side in ((net, 1.0), (left, -1.0)):
         hung = Camera.looking(
             np.array(corner.position) * [1, side, 1], yaw=side * math.radians(corner.yaw_deg), pitch_down=0.3
         )
-        out.append(Place(title="corner", network=data, style=style, camera=hung))
-        know(out[-1])
+        out.append(OwnRoad(title="corner", network=data, style=style, camera=hung))
     return out[0], out[1]
 
 
 def test_the_mirror_turns_round_and_back() -> None:
-    net = network("town01").read_bytes()
+    net = Town("town01").network.read_bytes()
     assert not is_lefthand(net)
     assert is_lefthand(b'<net version="1.20" lefthand="true">')
     assert mirrored(mirrored(net)) == mirrored(mirrored(mirrored(mirrored(net))))
 
 
-def test_what_stands_beside_a_left_hand_road_is_on_the_other_side(both: tuple[Place, Place]) -> None:
-    right, left = (Layout.of(one.name) for one in both)
+def test_what_stands_beside_a_left_hand_road_is_on_the_other_side(both: tuple[OwnRoad, OwnRoad]) -> None:
+    right, left = (Layout.of(Town.of(one)) for one in both)
     assert left.mirrored
     assert right.ground_road.symmetric_difference(left.ground_road).area < 1e-3
     painted = [unary_union([*markings(layout), *crossings(layout)]) for layout in (right, left)]
     assert painted[0].symmetric_difference(painted[1]).area < 1e-3
-    signals = [scenery(one.name).signals for one in both]
+    signals = [scenery(Town.of(one)).signals for one in both]
     assert len(signals[0]) == len(signals[1]) > 3
     for a, b in zip(*signals, strict=True):
         np.testing.assert_allclose(a.lamps * FLIP, b.lamps, atol=1e-6)
         np.testing.assert_allclose(a.facing * FLIP, b.facing, atol=1e-6)
-    paths = [sidewalks(one.name, one.camera.position[:2], 60.0) for one in both]
+    paths = [sidewalks(Town.of(one), one.camera.position[:2], 60.0) for one in both]
     assert len(paths[0]) == len(paths[1]) > 2
     for a, b in zip(*paths, strict=True):
         np.testing.assert_allclose(a * FLIP, b, atol=1e-6)
 
 
-def test_left_hand_traffic_drives_on_the_left(both: tuple[Place, Place]) -> None:
+def test_left_hand_traffic_drives_on_the_left(both: tuple[OwnRoad, OwnRoad]) -> None:
     left = both[1]
     own = site_of(left, split="train", vehicles_per_hour=2500, weather="clear", time_of_day="noon")
     recording = simulate(RecordingPlan(site=own, index=0, frames=12, interval=1.0, size=(640, 360), fov_deg=0, seed=2))
-    layout, seen = Layout.of(left.name), 0
+    layout, seen = Layout.of(Town.of(left)), 0
     lanes = [LineString(layout.world(lane.getShape())) for edge in layout.edges for lane in driven(edge)]
     tree = shapely.STRtree(lanes)
     ends = [[layout.world(node.getCoord()) for node in (e.getFromNode(), e.getToNode())] for e in layout.edges]

@@ -15,25 +15,27 @@ from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.render.materials import GROUND
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.structures import GANTRY_CLEARANCE
-from skope.gen.towns import folder, network, sites, source_digest, towns
 from skope.gen.towns.layout import Layout, driven
+from skope.gen.towns.sites import sites
+from skope.gen.towns.town import Town, folder, source_digest, towns
 from tests.gen.rays import cast
 
 CLEARANCE = 4.2
 """Over lanes there is nothing below that, metres."""
 
 
-@pytest.fixture(scope="module", params=towns())
-def town(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
+@pytest.fixture(scope="module", params=towns(), ids=lambda town: town.name)
+def town(request: pytest.FixtureRequest) -> Town:
+    found: Town = request.param
+    return found
 
 
-def sources(town: str, kind: str, tag: str) -> list[dict[str, str]]:
-    path = folder(town) / "source" / f"town.{kind}.xml"
+def sources(town: Town, kind: str, tag: str) -> list[dict[str, str]]:
+    path = folder(town.name) / "source" / f"town.{kind}.xml"
     return [element.attrib for element in ET.parse(path).iter(tag)] if path.is_file() else []
 
 
-def lane_pieces(town: str, step: float) -> tuple[np.ndarray, np.ndarray]:
+def lane_pieces(town: Town, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Pieces of all lanes that are not in junctions: (N,) polygons and (N, 2, 3) their ends."""
     shapes, ends = [], []
     layout = Layout.of(town)
@@ -50,10 +52,10 @@ def lane_pieces(town: str, step: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(shapes, dtype=object), np.array(ends)
 
 
-def test_compiled_networks_are_of_their_sources(town: str) -> None:
+def test_compiled_networks_are_of_their_sources(town: Town) -> None:
     """Run scripts/compile_towns.py when this fails."""
-    text = network(town).read_text(encoding="utf-8")
-    assert f"from sources {source_digest(town)} " in text
+    text = town.network.read_text(encoding="utf-8")
+    assert f"from sources {source_digest(town.name)} " in text
     assert "generated on" not in text
     root = ET.fromstring(text)
     edges = {edge.get("id"): edge for edge in root.iter("edge") if edge.get("function") is None}
@@ -74,7 +76,7 @@ def test_compiled_networks_are_of_their_sources(town: str) -> None:
             assert float(nodes[row["id"]].get(axis, 0)) == pytest.approx(float(row.get(axis, 0)), abs=0.006)
 
 
-def test_every_way_in_leads_to_every_other_end(town: str) -> None:
+def test_every_way_in_leads_to_every_other_end(town: Town) -> None:
     net = Layout.of(town).net
     edges = net.getEdges(withInternal=False)
     ways_in = [edge for edge in edges if not edge.getIncoming()]
@@ -94,7 +96,7 @@ def test_every_way_in_leads_to_every_other_end(town: str) -> None:
         assert min(far) > 100, site.name
 
 
-def test_the_road_lies_where_vehicles_drive(town: str) -> None:
+def test_the_road_lies_where_vehicles_drive(town: Town) -> None:
     """Straight below lanes, bridges included, the ground is at the lanes' height."""
     mesh = scenery(town).mesh
     is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
@@ -112,7 +114,7 @@ def test_the_road_lies_where_vehicles_drive(town: str) -> None:
     assert np.abs(top - places[:, 2]).max() < 0.01
 
 
-def test_nothing_is_in_the_way_over_lanes(town: str) -> None:
+def test_nothing_is_in_the_way_over_lanes(town: Town) -> None:
     mesh = scenery(town).mesh
     corners = mesh.vertices[mesh.triangles]
     # Slopes of the ground itself rise within a piece of lane.
@@ -127,7 +129,7 @@ def test_nothing_is_in_the_way_over_lanes(town: str) -> None:
     assert GANTRY_CLEARANCE > CLEARANCE
 
 
-def test_sites_see_the_carriageway_and_have_nothing_before_them(town: str) -> None:
+def test_sites_see_the_carriageway_and_have_nothing_before_them(town: Town) -> None:
     mesh = scenery(town).mesh
     _, ends = lane_pieces(town, 2.0)
     places = ends.mean(axis=1)
@@ -151,7 +153,7 @@ def test_cameras_hang_as_road_authorities_hang_them() -> None:
         layout = Layout.of(town)
         assert len(layout.sites) == 4
         for site in layout.sites:
-            assert site.name.startswith(town.replace("town", "t")), site.name
+            assert site.name.startswith(town.name.replace("town", "t")), site.name
             assert 5.0 <= site.position[2] - layout.road_below(site) <= 12.0, site.name
             assert 8.0 <= site.pitch_deg <= 35.0, site.name
             assert site.mounting
@@ -173,8 +175,8 @@ def test_splits_and_presets() -> None:
 
 
 def test_a_plan_shows_roads_and_cameras() -> None:
-    image = town_map("town01")
+    image = town_map(Town("town01"))
     assert max(image.shape[:2]) >= 1600
-    layout = Layout.of("town01")
+    layout = Layout.of(Town("town01"))
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 4
     assert layout.style.title

@@ -13,7 +13,8 @@ from skope.gen.simulation import simulate as simulation
 from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.physics import World
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns import network, site, sites
+from skope.gen.towns.sites import site, sites
+from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import in_town, ways
 from skope.gen.vehicles import build, fleet
 from skope.gen.vehicles.model import Vehicle
@@ -28,7 +29,7 @@ def recorded(name: str, frames: int = 40) -> Recording:
 @cache
 def lane_pieces(town: str) -> tuple[np.ndarray, np.ndarray]:
     """(S, 3) starts and ends of the straight pieces of all lanes that cars drive on."""
-    net = sumolib.net.readNet(str(network(town)), withInternal=True)
+    net = sumolib.net.readNet(str(Town(town).network), withInternal=True)
     edges = net.getEdges(withInternal=True)
     lines = [np.array(lane.getShape3D()) for edge in edges for lane in edge.getLanes() if lane.allows("passenger")]
     return np.concatenate([line[:-1] for line in lines]), np.concatenate([line[1:] for line in lines])
@@ -115,8 +116,8 @@ def test_vehicles_at_a_busy_crossing_do_not_run_into_each_other() -> None:
 def test_nobody_enters_or_leaves_the_town_where_a_camera_sees_more_than_a_speck() -> None:
     for name, place in sites().items():
         camera = place.camera((1920, 1080), 110)
-        net = sumolib.net.readNet(str(network(place.town)))
-        for edges, _ in ways(network(place.town)):
+        net = sumolib.net.readNet(str(place.town.network))
+        for edges, _ in ways(place.town.network):
             ends = ((net.getEdge(edges[0]), 0), (net.getEdge(edges[-1]), -1))
             rim = np.array([edge.getLanes()[0].getShape3D()[end] for edge, end in ends])
             both = np.stack([rim, rim + [0, 0, 1.5]])
@@ -146,7 +147,7 @@ def test_parked_vehicles_stand_in_their_bays_all_the_time() -> None:
         for vehicle, T in zip(moment.vehicles, moment.T_world_chassis, strict=True):
             if vehicle.parked:
                 poses.setdefault(vehicle.track_id, []).append(T)
-    bays = np.array([bay.place for bay in scenery("town06").bays])
+    bays = np.array([bay.place for bay in scenery(Town("town06")).bays])
     assert 5 <= len(poses) <= 30
     for stays in poses.values():
         assert len(stays) == len(recording)

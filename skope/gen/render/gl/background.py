@@ -64,10 +64,10 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     """Work out the light of a recording's scenery."""
     camera, town, conditions = recording.camera, scenery(recording.town), recording.conditions
     daylight = Daylight.of(conditions)
-    if recording.place and recording.place.photograph:
+    if recording.town.road and recording.town.road.photograph:
         # The photograph's own wet road is in it already.
         conditions = replace(conditions, wetness=0.0, puddles=0.0)
-        daylight = photograph.fitted(device, daylight, recording.place)
+        daylight = photograph.fitted(device, daylight, recording.town.road)
     size = (camera.width, camera.height)
     stage = Stage(device, town.mesh, camera, conditions, town.lamps, daylight)
     wet = conditions.wetness > 0

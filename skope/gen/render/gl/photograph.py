@@ -17,7 +17,8 @@ from skope.gen.render.materials import MATERIALS
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.backdrop import plates
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.place import Place
+from skope.gen.towns.own_road import OwnRoad
+from skope.gen.towns.town import Town
 
 Array = NDArray[np.float64]
 
@@ -32,13 +33,13 @@ _TINT: Final = (0.6, 1.6)
 """How far the colour of the light may be from that of the hour."""
 
 
-def fitted(device: Device, daylight: Daylight, place: Place) -> Daylight:
+def fitted(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
     """Daylight whose colour and exposure give the road the brightness that it has in the photograph.
 
     Where the photograph shows no road nearby, its whole lower half counts as one.
     """
-    picture = place.picture((place.camera.width, place.camera.height))
-    seen = light_of(device, picture[_road_pixels(place)])
+    picture = road.picture((road.camera.width, road.camera.height))
+    seen = light_of(device, picture[_road_pixels(road)])
     gain = np.maximum(np.median(seen, axis=0), 1e-4) * np.pi / (_ROAD * daylight.ground_irradiance)
     tint = np.clip(gain / gain.mean(), *_TINT)
     light = replace(
@@ -60,10 +61,10 @@ def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any
     own shadows all of it is the sky's.
     """
     assert recording.photograph is not None
-    assert recording.place is not None
+    assert recording.town.road is not None
     light = light_of(device, recording.photograph)
     share = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
-    sun = share * (1 - _shaded(recording.place, recording.camera))[..., None]
+    sun = share * (1 - _shaded(recording.town.road, recording.camera))[..., None]
     one = np.ones((*light.shape[:2], 1))
     parts = (np.concatenate([light * share, one], axis=-1) for share in (1 - sun, sun))
     ambient, sunlit = (device.texture(part, "f2") for part in parts)
@@ -72,20 +73,20 @@ def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any
 
 def draw_shadows(stage: Stage, target: Any, clip: Array, recording: Recording, daylight: Daylight) -> None:
     """The depth buffer of what throws the photograph's own shadows onto vehicles."""
-    assert recording.place is not None
-    high = plates(recording.place, daylight.sun_direction)
+    assert recording.town.road is not None
+    high = plates(recording.town.road, daylight.sun_direction)
     if high is None:
         target.clear()
     else:
         Stage(stage.device, high, recording.camera, recording.conditions, daylight=daylight).draw_depth(target, clip)
 
 
-def _shaded(place: Place, camera: Camera) -> Array:
+def _shaded(road: OwnRoad, camera: Camera) -> Array:
     """(H, W) share of each pixel of a camera at the place's own that lies in the photograph's shadows."""
     out = np.zeros((camera.height, camera.width), dtype=np.uint8)
-    for outline in place.shades:
-        fine = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(outline), place.camera.width / 50))
-        rays, _ = place.camera.rays(fine)
+    for outline in road.shades:
+        fine = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(outline), road.camera.width / 50))
+        rays, _ = road.camera.rays(fine)
         pixels, _, _ = camera.project(camera.position + rays @ camera.T_camera_world[:3, :3])
         at = np.rint((np.clip(pixels, -1e4, 1e4) - 0.5) * 16).astype(np.int32)
         cv2.fillPoly(out, [at], 255, cv2.LINE_AA, 4)
@@ -112,9 +113,9 @@ def _inverse_curve(device: Device) -> Array:
     return np.concatenate([[0.0], 2.0 ** stops[1:]])
 
 
-def _road_pixels(place: Place) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of pixels, some in each direction, that show the carriageway."""
-    camera, layout = place.camera, Layout.of(place.name)
+    camera, layout = road.camera, Layout.of(Town.of(road))
     step = max(1, camera.width // 320)
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
     rays, valid = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
@@ -125,7 +126,7 @@ def _road_pixels(place: Place) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     places = eye[:2] + reach[:, None] * directions[:, :2]
     near = down & (np.linalg.norm(places - eye[:2], axis=1) < _NEAR)
     on_road = near & shapely.contains_xy(layout.ground_road, layout.world(places))
-    outlines = [*(one.polygon for one in place.occluders), *place.shades]
+    outlines = [*(one.polygon for one in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
     sunny = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)
     chosen = sunny if sunny.any() else on_road

@@ -2,12 +2,10 @@
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -33,8 +31,8 @@ class Occluder:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Place:
-    """One camera's road. Its name holds a digest of all the rest: equal names, equal places."""
+class OwnRoad:
+    """A user's road before one camera. Its name holds a digest of all the rest: equal names, equal roads."""
 
     title: str
     network: bytes = field(repr=False)
@@ -77,7 +75,7 @@ class Place:
 
     @classmethod
     def of(cls, header: Mapping[str, Any], network: bytes, photograph: bytes) -> Self:
-        """The place of a `header` and its two files."""
+        """The road of a `header` and its two files."""
         return cls(
             title=header["title"],
             network=network,
@@ -90,35 +88,8 @@ class Place:
 
 
 @cache
-def _name(place: Place) -> str:
-    digest = hashlib.sha256(json.dumps(place.header(), sort_keys=True).encode())
-    for data in (place.network, place.photograph):
+def _name(road: OwnRoad) -> str:
+    digest = hashlib.sha256(json.dumps(road.header(), sort_keys=True).encode())
+    for data in (road.network, road.photograph):
         digest.update(hashlib.sha256(data).digest())
-    return f"{place.title}-{digest.hexdigest()[:10]}"
-
-
-_known: Final[dict[str, Place]] = {}
-
-
-def know(place: Place | None) -> None:
-    """From now on this process finds the place by its name."""
-    if place:
-        _known.setdefault(place.name, place)
-
-
-def known(town: str) -> Place | None:
-    """The place of that name; None for the towns of the package."""
-    return _known.get(town)
-
-
-@cache
-def network_file(town: str) -> Path:
-    """A known place's network as a file, for as long as the process lives: SUMO reads nothing else."""
-    path = Path(_scratch().name) / f"{town}.net.xml"
-    path.write_bytes(_known[town].network)
-    return path
-
-
-@cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="skope-")
+    return f"{road.title}-{digest.hexdigest()[:10]}"

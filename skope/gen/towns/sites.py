@@ -1,0 +1,110 @@
+"""Camera sites: those of the package's towns, and that of a user's own road."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from skope.camera import Camera, Distortion
+from skope.errors import UserError
+from skope.gen.towns.own_road import OwnRoad
+from skope.gen.towns.town import Town, folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """A camera where a road authority would hang one, with the traffic and the hour that it is recorded at."""
+
+    name: str
+    town: Town
+    split: str
+    mounting: str
+    """What the camera hangs on; the source is named in the town's file."""
+    sees: str
+    """What traffic it looks at."""
+    position: tuple[float, float, float]
+    """World x, y and z of the camera, metres."""
+    yaw_deg: float
+    """Viewing direction, counter-clockwise from east."""
+    pitch_deg: float
+    """Downwards from the horizon."""
+    vehicles_per_hour: float
+    """Over all ways into the town; over all ways that pass a user's own camera."""
+    weather: str
+    time_of_day: str
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges of conditions in place of those of weather and hour."""
+    flows: str = ""
+    """Traffic as a SUMO route file has it, in place of `vehicles_per_hour`."""
+
+    @property
+    def road(self) -> OwnRoad | None:
+        """The road of a user's own site."""
+        return self.town.road
+
+    def camera(self, size: tuple[int, int], fov_deg: float, distortion: Distortion | None = None) -> Camera:
+        """The site's camera for an image size (width, height), a horizontal field of view and a lens' distortion.
+
+        The field of view is that before a brown distortion, and what a fisheye lens shows. A user's own camera has its
+        own, and its own distortion unless one is given.
+        """
+        if self.road:
+            own = self.road.camera.resized(size)
+            return replace(own, distortion=distortion) if distortion else own
+        camera = Camera.looking(
+            self.position,
+            yaw=math.radians(self.yaw_deg),
+            pitch_down=math.radians(self.pitch_deg),
+            size=size,
+            fov=math.radians(fov_deg),
+            distortion=distortion,
+        )
+        if camera.distortion.model != "fisheye":
+            return camera
+        edge = np.array([math.tan(math.radians(fov_deg) / 2), 0.0])
+        shorter = edge[0] / camera.distortion.distort(edge)[0][0]
+        return replace(camera, K=camera.K * [[shorter, 1, 1], [1, shorter, 1], [1, 1, 1]])
+
+
+@cache
+def sites() -> Mapping[str, Site]:
+    """All camera sites by name, town by town."""
+    out = {}
+    for path in sorted(folder("").glob("*/sites.toml")):
+        for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items():
+            out[name] = Site(name=name, town=Town(path.parent.name), **{**row, "position": tuple(row["position"])})
+    return out
+
+
+def site(name: str) -> Site:
+    """The site of that name, or a UserError that lists them."""
+    if name not in sites():
+        raise UserError(f"site: {name!r} is not one of {', '.join(sites())}")
+    return sites()[name]
+
+
+def sites_of(town: Town) -> tuple[Site, ...]:
+    """The cameras whose views a town's scenery keeps clear."""
+    if town.road is None:
+        return tuple(site for site in sites().values() if site.town == town)
+    return (site_of(town.road, split="", vehicles_per_hour=0.0, weather="", time_of_day=""),)
+
+
+def site_of(own: OwnRoad, **values: Any) -> Site:
+    """The site of a user's own camera."""
+    x, y, z = own.camera.position.tolist()
+    yaw, pitch_down, _ = own.camera.angles
+    return Site(
+        name=own.title,
+        town=Town.of(own),
+        mounting="",
+        sees="",
+        position=(x, y, z),
+        yaw_deg=math.degrees(yaw),
+        pitch_deg=math.degrees(pitch_down),
+        **values,
+    )

@@ -1,0 +1,61 @@
+"""A town as a value: what layout, scenery and traffic are made from."""
+
+import hashlib
+import tempfile
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from skope.gen.towns.own_road import OwnRoad
+
+
+@dataclass(frozen=True)
+class Town:
+    """A town of the package, or a user's own road. Towns of one name are equal."""
+
+    name: str
+    road: OwnRoad | None = field(default=None, compare=False, repr=False)
+    """What a user's own road comes from; None for the towns of the package."""
+
+    @classmethod
+    def of(cls, road: OwnRoad) -> "Town":
+        return cls(road.name, road)
+
+    @property
+    def network(self) -> Path:
+        """The compiled SUMO network."""
+        return _network_file(self) if self.road else folder(self.name) / "town.net.xml"
+
+
+def folder(name: str) -> Path:
+    """Where the files of a town of the package are."""
+    return Path(str(resources.files("skope.gen.towns"))) / name
+
+
+@cache
+def towns() -> tuple[Town, ...]:
+    """All towns of the package."""
+    return tuple(Town(name) for name in sorted(path.parent.name for path in folder("").glob("*/town.toml")))
+
+
+def source_digest(name: str) -> str:
+    """Of the plain XML files that the network of a town of the package is compiled from."""
+    digest = hashlib.sha256()
+    for path in sorted((folder(name) / "source").glob("*.xml")):
+        digest.update(path.name.encode() + b"\n" + path.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+@cache
+def _network_file(town: Town) -> Path:
+    """An own road's network as a file, for as long as the process lives: SUMO reads nothing else."""
+    assert town.road is not None
+    path = Path(_scratch().name) / f"{town.name}.net.xml"
+    path.write_bytes(town.road.network)
+    return path
+
+
+@cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="skope-")
