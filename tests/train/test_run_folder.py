@@ -97,9 +97,9 @@ def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from tests.train.test_run_folder import little_room, state\n"
-        "from skope.errors import UserError; from skope.train import run\n"
+        "from skope.errors import UserError; from skope.train import run_folder\n"
         "training = state(); little_room()\n"
-        "try: run.save_state(Path(sys.argv[1]), training)\n"
+        "try: run_folder.save_state(Path(sys.argv[1]), training)\n"
         "except UserError as error: print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)

@@ -3,14 +3,11 @@
 import math
 import re
 import tomllib
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from importlib import resources
 from typing import Any
-
-import numpy as np
 
 from skope.camera import Distortion
 from skope.errors import UserError, one_of
@@ -22,7 +19,8 @@ from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import Range, check_settings
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.simulation.simulate import versions
+from skope.gen.scene.streams import Stream, rng
+from skope.gen.scene.versions import versions
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
@@ -191,8 +189,8 @@ def in_its_light(own: Site, index: int, seed: int) -> Site:
         # Its first recording may be in any light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     weather, time_of_day = lights[(index - 1) % len(lights)].split()
-    rng = np.random.default_rng([seed, zlib.crc32(own.name.encode()), index, 2])
-    traffic = own.vehicles_per_hour * rng.uniform(*split["traffic"])
+    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*split["traffic"])
+    traffic = own.vehicles_per_hour * share
     fixed = {name: pair for name, pair in own.conditions.items() if name not in _SUN}
     return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1), conditions=fixed)
 

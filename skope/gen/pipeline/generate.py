@@ -18,7 +18,7 @@ from skope.gen.pipeline.store import Store
 from skope.gen.pipeline.workers import Crew, RenderJobSpec
 from skope.gen.render.choose import choose_renderer
 from skope.gen.scene import recording
-from skope.gen.simulation.simulate import versions
+from skope.gen.scene.versions import versions
 
 Hire = Callable[[], AbstractContextManager[Crew]]
 

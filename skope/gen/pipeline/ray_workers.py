@@ -14,7 +14,8 @@ from skope.gen.render.choose import choose_renderer, make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan, Take
-from skope.gen.simulation.simulate import simulate, versions
+from skope.gen.scene.versions import versions
+from skope.gen.simulation.simulate import simulate
 
 _LOST: Final = 20
 """So many workers may be lost before the run is given up."""

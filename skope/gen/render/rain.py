@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.scene.recording import Recording
+from skope.gen.scene.streams import Stream
 
 Image = NDArray[np.uint8]
 
@@ -29,9 +30,8 @@ class Rain:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._rate = recording.conditions.rain_mm_h
-        self._seed = [recording.seed, *recording.site.encode(), int(recording.name)]
         size = (recording.camera.width, recording.camera.height)
-        rng = np.random.default_rng([*self._seed, 11])
+        rng = recording.rng(Stream.RAIN)
         shutter = float(np.clip(recording.conditions.shutter_s, *_EXPOSED))
         if self._rate > 0:
             self._streaks = _streaks(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
@@ -41,7 +41,7 @@ class Rain:
         if self._rate <= 0:
             return rgb
         height, width = rgb.shape[:2]
-        rng = np.random.default_rng([*self._seed, 12, frame])
+        rng = self._recording.rng(Stream.RAIN_IN_FRAME, frame)
         rows, columns = self._streaks.shape
         y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
         window = self._streaks[y : y + height, x : x + width]
@@ -55,7 +55,7 @@ class Rain:
     def _on_glass(self, rgb: Image, frame: int) -> Image:
         """Drops on the glass show the street upside down, out of focus and small."""
         time = float(self._recording.times_s[frame])
-        rng = np.random.default_rng([*self._seed, 13])
+        rng = self._recording.rng(Stream.DROPS_ON_GLASS)
         span = float(self._recording.times_s[-1]) + 2 * _STAYS
         count = int(rng.poisson(_DROPS * (self._rate / 10) ** 0.5 * max(span / _STAYS, 1.0)))
         height, width = rgb.shape[:2]

@@ -15,6 +15,7 @@ from skope.gen.render.rain import Rain
 from skope.gen.render.stream import streamed
 from skope.gen.scene.conditions import DARK_DEG, Conditions
 from skope.gen.scene.recording import Recording
+from skope.gen.scene.streams import Stream
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""
@@ -92,8 +93,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     A window of one field, at a place of its own in each frame: drawing 6 million numbers a frame would take longer
     than rendering it.
     """
-    seed = [recording.seed, *recording.site.encode(), int(recording.name), frame]
-    y, x = np.random.default_rng(seed).integers(0, _SLACK, 2)
+    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _SLACK, 2)
     height, width = clean.shape[:2]
     conditions = recording.conditions
     field = _field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))

@@ -7,6 +7,7 @@ have equal bytes.
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range
+from skope.gen.scene.streams import Stream, rng
 from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sites import Site
 from skope.gen.towns.town import Town, towns
@@ -68,6 +70,14 @@ class RecordingPlan:
     def take(self) -> Take:
         """The recording that this plan leads to."""
         return Take(self.site.name, f"{self.index:02d}", self.site.split, self.frames)
+
+    def rng(self, stream: Stream, *which: int) -> np.random.Generator:
+        """The generator of one of this recording's streams; `which` is what the stream takes."""
+        return rng(self.seed, self.site.name, self.index, stream, *which)
+
+    def rng_of(self, name: str) -> np.random.Generator:
+        """The generator of the vehicle or rider of that name."""
+        return self.rng(Stream.ROAD_USER, zlib.crc32(name.encode()))
 
 
 @dataclass(frozen=True)
@@ -153,6 +163,10 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.times_s)
+
+    def rng(self, stream: Stream, *which: int) -> np.random.Generator:
+        """The generator of one of this recording's streams; `which` is what the stream takes."""
+        return rng(self.seed, self.site, int(self.name), stream, *which)
 
     def moment(self, frame: int) -> Moment:
         """The state at a frame."""

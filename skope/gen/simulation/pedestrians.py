@@ -1,8 +1,7 @@
 """Those on the road who are not labelled: riders, as SUMO moves them, and people who walk on the sidewalks."""
 
 import math
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -50,9 +49,9 @@ class Present:
 class Riders:
     """Follows SUMO's riders: how far each has come, and how it leans in curves."""
 
-    def __init__(self, kinds: Mapping[str, str], seed: Sequence[int]) -> None:
-        """The kind of each rider by name; `seed` decides how they look."""
-        self._kinds, self._seed = kinds, seed
+    def __init__(self, kinds: Mapping[str, str], rng_of: Callable[[str], np.random.Generator]) -> None:
+        """`kinds` is what each rider is, by name; `rng_of` gives the generator that a rider's look is drawn from."""
+        self._kinds, self._rng_of = kinds, rng_of
         self._bodies: dict[str, Bystander] = {}
         self._travelled: dict[str, float] = {}
         self._yaw: dict[str, float] = {}
@@ -64,7 +63,7 @@ class Riders:
 
     def _present(self, name: str, state: SumoRider, dt: float) -> Present:
         if name not in self._bodies:
-            look = Look.drawn(np.random.default_rng([*self._seed, zlib.crc32(name.encode())]))
+            look = Look.drawn(self._rng_of(name))
             self._bodies[name] = build(self._kinds[name], look.to_dict())
             self._travelled[name], self._yaw[name], self._lean[name] = 0.0, state.yaw, 0.0
         turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt

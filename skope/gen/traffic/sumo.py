@@ -36,7 +36,7 @@ _OPTIONS: Final = {
 _TRAIL_STEP: Final = 0.05
 """Metres between the heights that are kept of the road that a vehicle has passed."""
 _GLANCE: Final = 4
-"""Steps from look to look at a vehicle that nobody watches."""
+"""Steps from look to look at vehicles that are not reported."""
 _TRAIL: Final = 25.0
 """How far back they are kept, metres."""
 
@@ -215,10 +215,9 @@ class Traffic:
             for gone in self._trails.keys() - set(present):
                 del self._trails[gone]
             for name in present:
-                if name not in self._reported:
-                    self._trail(name)
-                    if self._watched(*sumo.vehicle.getPosition(name)):
-                        self._reported.add(name)
+                self._trail(name)
+                if name not in self._reported and self._watched(*sumo.vehicle.getPosition(name)):
+                    self._reported.add(name)
         self._steps += 1
         return present
 

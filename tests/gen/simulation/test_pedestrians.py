@@ -14,7 +14,7 @@ from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose import make_renderer
 from skope.gen.simulation.pedestrians import Riders, Walkers
-from skope.gen.simulation.simulate import FLASH, flashed
+from skope.gen.simulation.recorder import FLASH, flashed
 from skope.gen.traffic.sumo import LAMPS, STEP, SumoRider
 from tests.gen.scenes import standing, with_people
 
@@ -87,7 +87,7 @@ def test_the_lower_foot_of_a_walker_touches_the_ground() -> None:
 
 
 def test_riders_lean_into_curves_and_their_wheels_roll() -> None:
-    riders, radius, speed = Riders({"r": "motorcyclist"}, [1]), 20.0, 8.0
+    riders, radius, speed = Riders({"r": "motorcyclist"}, lambda _: np.random.default_rng(1)), 20.0, 8.0
     for k in range(80):
         a = k * STEP * speed / radius
         ridden = SumoRider((radius * math.sin(a), radius * (1 - math.cos(a)), 0.0), a, 0.0, speed)

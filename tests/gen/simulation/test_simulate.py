@@ -7,9 +7,9 @@ import pytest
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.simulation import simulate as simulation
 from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.physics import World, at_rest
+from skope.gen.simulation.recorder import Recorder
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
@@ -224,7 +224,7 @@ def test_vehicles_nobody_watches_yet_come_into_view_as_if_they_had_been_watched(
     from_afar = Traffic._placed
     monkeypatch.setattr(Traffic, "_placed", lambda self, name: followed.append(name) or from_afar(self, name))
     usual, asked = simulate(plan), len(followed)
-    monkeypatch.setattr(simulation._Recorder, "watches", lambda *_: True)
+    monkeypatch.setattr(Recorder, "watches", lambda *_: True)
     everyone = simulate(plan)
     assert 0 < asked < len(followed) - asked
     np.testing.assert_array_equal(usual.frame, everyone.frame)

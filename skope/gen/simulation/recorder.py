@@ -1,0 +1,185 @@
+"""What of a simulation is recorded: whoever the camera can see, or may see soon."""
+
+import math
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from skope.camera import Camera
+from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
+from skope.gen.scene.versions import versions
+from skope.gen.simulation.motion import Driven
+from skope.gen.simulation.parked import Parked
+from skope.gen.simulation.pedestrians import Present
+from skope.gen.simulation.physics import Pose, at_rest
+from skope.gen.towns.parking import Bay
+from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
+from skope.gen.vehicles import FleetEntry, build, fleet, jittered
+from skope.gen.vehicles.model import Vehicle
+
+REACH: Final = 150.0
+"""Vehicles nearer to the camera than this are simulated physically, metres."""
+FARTHEST: Final = 600.0
+"""Beyond that nothing is recorded, metres."""
+SPECK: Final = 3.0
+"""Nearer than that vehicles are recorded from where they are this high in the image, pixels."""
+COMING: Final = 60.0
+"""Vehicles are followed from this much farther away, metres: they take a second to come onto a way they can drive."""
+BEHIND: Final = 40.0
+"""Of what is behind the camera only what is nearer than this is recorded: it may throw shadows into the view."""
+PARKED_REACH: Final = 120.0
+"""Parked vehicles nearer to the camera than this are recorded, metres."""
+FLASH: Final = 0.667
+"""Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
+TRACKS_PER_RECORDING: Final = 100_000
+
+
+def flashed(lamps: int, time: float, name: str) -> int:
+    """The lamps that are lit at a time: indicators flash, each vehicle's in its own time."""
+    indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
+    phase = zlib.crc32(name.encode()) / 2**32
+    return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
+
+
+class Recorder:
+    """Collects frames; vehicles are numbered in the order in which they come near."""
+
+    def __init__(
+        self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool
+    ) -> None:
+        self._plan, self._models = plan, models
+        self._vehicles: dict[str, Vehicle] = {}
+        self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
+        self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
+        self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
+        self._always = LAMPS["low_beam"] if lamps_on else 0
+        self._parked: dict[str, tuple[Parked, Pose]] = {}
+        self._index: dict[str, int] = {}
+        self._entries: list[RecordedVehicle] = []
+        self._times: list[float] = []
+        self._signals: list[dict[str, str]] = []
+        self._rows: list[tuple[int, int, Pose, int]] = []
+        self._first_track = plan.index * TRACKS_PER_RECORDING + 1
+
+    def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+        """Vehicles that the physics are worth."""
+        return self._within(0.0, REACH, everyone, traffic)
+
+    def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
+        """Vehicles so far away that it is enough to know where they are."""
+        return self._within(REACH, self._reach, everyone, traffic)
+
+    def _within(
+        self, least: float, most: float, everyone: Mapping[str, Driven], traffic: Traffic
+    ) -> dict[str, tuple[Vehicle, Driven]]:
+        return {
+            name: (self._vehicle(name, traffic.trips[name].model), driven)
+            for name, driven in sorted(everyone.items())
+            if least <= self._distance(driven.position) < most
+        }
+
+    def watches(self, x: float, y: float) -> bool:
+        """Whether what drives at a place is recorded, or may be soon."""
+        east, north = x - self._eye[0], y - self._eye[1]
+        away = math.hypot(east, north)
+        ahead = east * self._ahead[0] + north * self._ahead[1]
+        return away < COMING + (self._reach if ahead > -COMING else BEHIND)
+
+    def _distance(self, position: Sequence[float]) -> float:
+        """How far a place (2 or more) is from the camera, metres; infinitely far when nothing of it can be seen."""
+        east, north = position[0] - self._eye[0], position[1] - self._eye[1]
+        away = math.hypot(east, north)
+        return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < BEHIND else math.inf
+
+    def _vehicle(self, name: str, model: str) -> Vehicle:
+        if name not in self._vehicles:
+            vehicle = self._models[model].vehicle
+            if self._plan.shape_jitter and model in fleet():
+                vehicle = build(model, jittered(model, self._plan.rng_of(name)))
+            self._vehicles[name] = vehicle
+        return self._vehicles[name]
+
+    def add(
+        self,
+        time: float,
+        near: dict[str, tuple[Vehicle, Driven]],
+        poses: dict[str, Pose],
+        snapshot: Snapshot,
+        traffic: Traffic,
+    ) -> None:
+        frame = len(self._times)
+        self._times.append(round(time, 6))
+        self._signals.append(dict(snapshot.signals))
+        for name, (vehicle, driven) in near.items():
+            lamps = flashed(driven.lamps, time, name) | self._always
+            self._note(
+                frame, name, vehicle.model, vehicle.shape.to_dict(), traffic.trips[name].color, poses[name], lamps
+            )
+        for name, (one, pose) in self._parked.items():
+            shape = self._vehicles[name].shape.to_dict()
+            self._note(frame, name, one.model, shape, one.color, pose, 0, parked=True)
+
+    def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
+        """Bays whose vehicles are recorded."""
+        return [bay for bay in bays if self._distance(bay.place) < PARKED_REACH]
+
+    def park(self, vehicles: Iterable[Parked]) -> None:
+        """Vehicles that are in every frame."""
+        for one in vehicles:
+            self._parked[one.name] = one, at_rest(self._vehicle(one.name, one.model), one.state)
+
+    def add_others(self, others: Mapping[str, Present]) -> None:
+        """Those who are not labelled, into the last frame."""
+        for name, other in others.items():
+            if self._distance(other.T_world_body[:2, 3].tolist()) < REACH:
+                pose = Pose(other.T_world_body, other.part_poses, other.velocity)
+                look = other.body.look.to_dict()
+                self._note(
+                    len(self._times) - 1, name, other.body.kind, look, "black", pose, self._always, labelled=False
+                )
+
+    def _note(
+        self,
+        frame: int,
+        name: str,
+        model: str,
+        shape: Mapping[str, float],
+        color: str,
+        pose: Pose,
+        lamps: int,
+        *,
+        labelled: bool = True,
+        parked: bool = False,
+    ) -> None:
+        if name not in self._index:
+            self._index[name] = len(self._entries)
+            track = self._first_track + len(self._entries)
+            self._entries.append(RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled))
+        self._rows.append((frame, self._index[name], pose, lamps))
+
+    def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
+        site, poses = plan.site, [row[2] for row in self._rows]
+        return Recording(
+            town=site.town,
+            site=site.name,
+            name=plan.take.name,
+            split=site.split,
+            camera=camera,
+            weather=site.weather,
+            time_of_day=site.time_of_day,
+            conditions=conditions,
+            seed=plan.seed,
+            versions=versions(),
+            vehicles=tuple(self._entries),
+            times_s=np.array(self._times),
+            signals=tuple(self._signals),
+            frame=np.array([row[0] for row in self._rows], dtype=np.int32),
+            vehicle=np.array([row[1] for row in self._rows], dtype=np.int32),
+            T_world_chassis=np.array([pose.T_world_chassis for pose in poses]).reshape(-1, 4, 4),
+            T_world_wheels=np.array([pose.T_world_wheels for pose in poses]).reshape(-1, 4, 4, 4),
+            velocity=np.array([pose.velocity for pose in poses]).reshape(-1, 3),
+            lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
+        )
