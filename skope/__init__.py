@@ -1,3 +1,53 @@
-"""Synthetic roadside images with 33 keypoints per vehicle, the detector that learns from them, and its measurement."""
+"""Synthetic roadside images with 33 keypoints per vehicle, the detector that learns from them, and its measurement.
 
-__version__ = "0.1.0"
+The names below are all that most programs need; each is loaded when it is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from skope.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from skope.api import Detector as Detector
+    from skope.api import generate as generate
+    from skope.api import load_detector as load_detector
+    from skope.api import locate as locate
+    from skope.api import open_dataset as open_dataset
+    from skope.api import read_camera as read_camera
+    from skope.api import score as score
+    from skope.api import torch_dataset as torch_dataset
+    from skope.api import track as track
+    from skope.camera import Camera as Camera
+    from skope.errors import UserError as UserError
+
+_PLACES = {
+    **dict.fromkeys(
+        (
+            "Detector",
+            "generate",
+            "load_detector",
+            "locate",
+            "open_dataset",
+            "read_camera",
+            "score",
+            "torch_dataset",
+            "track",
+        ),
+        "skope.api",
+    ),
+    "Camera": "skope.camera",
+    "UserError": "skope.errors",
+}
+
+__all__ = sorted((*_PLACES, "__version__"))
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'skope' has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PLACES})

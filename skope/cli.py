@@ -6,7 +6,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from skope.console import VersionOption
+from skope.commands import Commands
 from skope.errors import UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
@@ -24,12 +24,11 @@ class _Root(TyperGroup):
             raise typer.Exit(130) from None
 
 
-app = typer.Typer(
+app = Commands(
     cls=_Root,
     help="Synthetic roadside images with 33 keypoints per vehicle, a detector trained on them, and its measurement.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 app.add_typer(gen_app, name="gen")
 app.add_typer(train_app, name="train")
@@ -37,7 +36,7 @@ app.add_typer(eval_app, name="eval")
 
 
 @app.callback()
-def _root(version: VersionOption = False) -> None:
+def _root() -> None:
     pass
 
 

@@ -9,12 +9,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skope import __version__, keypoints, schema
+from skope import keypoints, schema
 from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.files import json_bytes, parse_json, read_json, replacing
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
+from skope.version import __version__
 
 T = TypeVar("T")
 

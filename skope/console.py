@@ -1,48 +1,20 @@
-"""What commands say while they work, and the options that every command has."""
+"""What commands say while they work."""
 
 import io
+import json
 import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import typer
 from tqdm import tqdm
-
-from skope import __version__
-from skope.errors import UserError
 
 T = TypeVar("T")
 
 _QUIET_S: Final = 30.0
 """A log hears of work at least so often, seconds."""
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"skope {__version__}")
-        raise typer.Exit
-
-
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print results and errors only.")]
-VersionOption = Annotated[
-    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
-]
-
-
-def goes_on(context: typer.Context) -> bool:
-    """Whether a subcommand follows; a UserError where flags stand before it that only its group knows."""
-    if context.invoked_subcommand is None:
-        return False
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if parameter.name != "quiet" and source is not None and source.name == "COMMANDLINE":
-            raise UserError(
-                f"{parameter.opts[0]}: is a flag of `{context.command_path}` by itself; write those of "
-                f"`{context.invoked_subcommand}` after that word"
-            )
-    return True
 
 
 @dataclass(frozen=True)
@@ -59,6 +31,10 @@ class Console:
     def result(self, text: str) -> None:
         """A line that the command was run for: always printed."""
         typer.echo(text)
+
+    def document(self, value: Any) -> None:
+        """What the command was run for as one JSON document: always printed."""
+        typer.echo(json.dumps(value, indent=1, allow_nan=False))
 
     def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
         """A progress bar with rate and time left, over `items` or updated by hand; lines where there is no terminal."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import coco, keypoints, names, schema, shards
+from skope.camera import Camera
 from skope.depth_files import read_depth
 from skope.errors import UserError, one_of
 from skope.files import check_version, read_json
@@ -32,9 +33,35 @@ _CARD_FIELDS: Final[dict[str, type]] = {
 _NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "text"}
 
 
+@dataclass(frozen=True, eq=False)
+class LabelledImage:
+    """An image of a dataset with its annotations; pixels are read when asked for."""
+
+    dataset: "Dataset"
+    split: str
+    record: Image
+    annotations: tuple[Annotation, ...]
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera that took it; None where the dataset does not say."""
+        return self.record.camera
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB."""
+        return self.dataset.image(self.record)
+
+    def depth(self) -> NDArray[np.float32] | None:
+        """(H, W) planar depth in metres, sky = +inf; None without a depth file."""
+        return self.dataset.depth(self.record)
+
+
 @dataclass(frozen=True)
 class Dataset:
-    """A dataset folder. Annotation files are read when asked for."""
+    """A dataset folder. Annotation files are read when asked for.
+
+    Iterating over it gives the images of all splits, `images(split)` those of one.
+    """
 
     root: Path
     card: dict[str, Any]
@@ -80,6 +107,15 @@ class Dataset:
             for labels in shards.labels_in(shard)
         )
         return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme)
+
+    def __iter__(self) -> Iterator[LabelledImage]:
+        return (labelled for split in self.splits for labelled in self.images(split))
+
+    def images(self, split: str) -> Iterator[LabelledImage]:
+        """The images of a split with their annotations; a UserError lists the splits there are."""
+        file = self.read(split)
+        own = file.by_image()
+        return (LabelledImage(self, split, image, tuple(own[image.id])) for image in file.images)
 
     def _read_file(self, path: Path) -> AnnotationFile:
         file = coco.read(path)

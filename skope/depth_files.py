@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from isal import isal_zlib
 from numpy.typing import NDArray
 
 from skope import shards
@@ -38,6 +37,8 @@ def depth_png(depth_m: NDArray[np.float32]) -> bytes:
 
     Written here because Intel's ISA-L compresses it five times as fast as OpenCV's PNG encoder does, and smaller.
     """
+    from isal import isal_zlib
+
     height, width = depth_m.shape
     rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
     rows[:, 0] = _UP

@@ -9,7 +9,7 @@ import functools
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -295,6 +295,20 @@ class Detections:
     p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
     taken in float64, from which the peak can be had back (`skope.eval.inference.score_calibration` does).
     """
+    size: tuple[int, int]
+    """Width and height of the image, pixels."""
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def above(self, score: float) -> Self:
+        """Those that score higher."""
+        kept = self.scores > score
+        return replace(self, boxes_xyxy=self.boxes_xyxy[kept], scores=self.scores[kept], keypoints=self.keypoints[kept])
+
+    def to_results(self, image_id: int) -> list[Result]:
+        """As COCO results of the image with that id, for `skope.coco.write_results` and `skope.score`."""
+        return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
 
 
 def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
@@ -318,14 +332,17 @@ def detect(
     seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
         answers = model([_as_tensor(images[i], device) for i in seen]) if seen else []
-    found = {
-        i: Detections(
-            _float64(a["boxes"]), _float64(a["scores"]), _with_probability(a["keypoints"], a["keypoints_scores"])
-        )
-        for i, a in zip(seen, answers, strict=True)
-    }
-    nothing = Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)))
-    return [found.get(i, nothing) for i in range(len(images))]
+    answered = dict(zip(seen, answers, strict=True))
+    return [_detections(answered.get(i), image) for i, image in enumerate(images)]
+
+
+def _detections(answer: Mapping[str, torch.Tensor] | None, image: NDArray[np.uint8]) -> Detections:
+    """What torchvision answers for an image, or nothing where it was too narrow to be asked about."""
+    size = (image.shape[1], image.shape[0])
+    if answer is None:
+        return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), size)
+    points = _with_probability(answer["keypoints"], answer["keypoints_scores"])
+    return Detections(_float64(answer["boxes"]), _float64(answer["scores"]), points, size)
 
 
 def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:

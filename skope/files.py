@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import orjson
-
 from skope.errors import UserError
 
 
@@ -147,6 +145,8 @@ def write_text(path: Path, text: str) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
+    import orjson
+
     try:
         data = orjson.dumps(value)
     except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
@@ -158,6 +158,8 @@ def json_bytes(value: Any) -> bytes:
 
 def parse_json(data: bytes) -> Any:
     """The value of JSON text; json.JSONDecodeError or UnicodeDecodeError where it is none."""
+    import orjson
+
     with contextlib.suppress(orjson.JSONDecodeError):
         return orjson.loads(data)
     # NaN, which Python writes, is for those to refuse who know the field's name.

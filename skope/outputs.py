@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from skope import __version__
 from skope.errors import UserError
 from skope.files import (
     file_in_place_of,
@@ -23,6 +22,7 @@ from skope.files import (
     write_bytes,
     write_json,
 )
+from skope.version import __version__
 
 WORK: Final = "work.json"
 _CHOICE: Final = "choose another folder, or remove what is there"

@@ -1,16 +1,298 @@
 """What holds for every command."""
 
+import ast
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+import typer
+from rich.text import Text
+from typer.testing import CliRunner
 
+import skope as package
+from skope import cli, commands, schema
+from skope.commands import Commands, Formerly, option
 from skope.console import Console
+from skope.eval.inference.settings import PRECISIONS
+from skope.gen.formats.convert import READERS, WRITERS
+from skope.gen.labels.annotate import OCCLUSION_RULES
+from skope.gen.labels.localize import LOCALIZERS
+from skope.gen.output.frames import FORMATS as IMAGE_FORMATS
+from skope.gen.output.writers import FORMATS
+from skope.gen.pipeline.config import presets
+from skope.gen.render.choose import RENDERERS
+from skope.metrics.counts import LABELLED, PROTOCOLS
+from skope.metrics.inputs import SCHEMES
+from skope.metrics.match import BOX_KINDS
+from skope.train.export import FORMATS as EXPORTS
+from skope.train.init_weights import INITS
+from skope.train.recipe import CHOICES, SUPERVISE
+from tests.samples import make_dataset
+
+
+def tree(command: Any, name: str = "skope") -> Iterator[tuple[str, Any]]:
+    """Every command and group of the command line with its full name."""
+    yield name, command
+    for word, below in getattr(command, "commands", {}).items():
+        yield from tree(below, f"{name} {word}")
+
+
+EVERY = dict(tree(typer.main.get_command(cli.app)))
+
+
+def parameters() -> Iterator[tuple[str, Any]]:
+    """Every option and argument with the name of its command."""
+    for name, command in EVERY.items():
+        for parameter in command.params:
+            yield name, parameter
+
+
+# ------------------------------------------------------------------------------------------- what every command takes
+
+
+def test_every_command_takes_quiet_and_version() -> None:
+    for name, command in EVERY.items():
+        flags = {flag for parameter in command.params if not parameter.hidden for flag in parameter.opts}
+        # The vehicles' group does nothing by itself.
+        assert name == "skope gen vehicles" or {"--quiet", "-q", "--version"} <= flags, name
+
+
+@pytest.mark.parametrize("words", ["", "gen", "gen check", "gen vehicles list", "train export", "eval compare"])
+def test_the_version_is_printed_everywhere(skope: Any, words: str) -> None:
+    assert skope(*words.split(), "--version") == (0, f"skope {package.__version__}\n", "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weather:
+    """Options that commands share."""
+
+    rain: Annotated[str, option(choices=("none", "some"), help="Rain [mm].")] = "none"
+    wind: Annotated[int, option(least=2, help="Wind."), Formerly("--storm")] = 7
+
+
+def toy() -> Commands:
+    app = Commands()
+
+    @app.callback(invoke_without_command=True)
+    def group(console: Console, seed: int = 0) -> None:
+        console.say("chatter")
+        console.result(f"group {seed}")
+
+    @app.command()
+    def inner(weather: Weather, console: Console, name: str = "x") -> None:
+        console.say("chatter")
+        console.result(f"inner {weather.rain} {weather.wind} {name}")
+
+    return app
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("", "chatter\ngroup 0\n"),
+        ("-q --seed 3", "group 3\n"),
+        ("inner", "chatter\ninner none 7 x\n"),
+        ("inner --quiet --rain some --name y", "inner some 7 y\n"),
+        ("-q inner", "inner none 7 x\n"),
+        ("-q inner --wind 3", "inner none 3 x\n"),
+        ("-q inner --storm 4", "inner none 4 x\n"),
+    ],
+)
+def test_commands_are_handed_what_they_take(words: str, said: str) -> None:
+    result = CliRunner().invoke(toy(), words.split())
+    assert (result.exit_code, result.output) == (0, said)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("inner --rain much", "--rain: 'much' is not one of none, some"),
+        ("inner --wind 1", "--wind: expected a whole number from 2, got 1"),
+        ("inner --storm 1", "--storm: expected a whole number from 2, got 1"),
+        ("--seed 3 inner", "--seed: is a flag of"),
+    ],
+)
+def test_what_they_do_not_take_is_said_in_the_spelling_that_was_used(words: str, said: str) -> None:
+    assert str(CliRunner().invoke(toy(), words.split()).exception).startswith(said)
+
+
+def test_older_spellings_are_not_shown() -> None:
+    told = CliRunner().invoke(toy(), ["inner", "--help"]).output
+    assert "--wind" in told
+    assert "--storm" not in told
+
+
+# ------------------------------------------------------------------------------------------------------------- --help
+
+
+def test_help_says_all_that_was_written() -> None:
+    """Rich takes brackets for markup: what stands in them would be missing."""
+    for name, parameter in parameters():
+        text = parameter.help or ""
+        assert Text.from_markup(text).plain == text.replace("\\[", "["), (name, parameter.name)
+    for name, command in EVERY.items():
+        assert Text.from_markup(command.help or "").plain == (command.help or ""), name
+
+
+def test_brackets_are_shown(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "(pip install skope[ray])" in skope("gen", "--help")[1]
+    told = skope("train", "--help")[1]
+    assert "[default: (data/skope)]" in told
+    assert "[default: (the recipe's)]" in told
+
+
+CHOSEN = {
+    "--preset": tuple(presets()),
+    "--renderer": RENDERERS,
+    "--localizer": LOCALIZERS,
+    "--occlusion-rule": OCCLUSION_RULES,
+    "--image-format": tuple(IMAGE_FORMATS),
+    "skope gen --format": FORMATS,
+    "skope gen simulate --format": FORMATS,
+    "skope gen convert --to": WRITERS,
+    "skope gen convert --from": READERS,
+    "skope train export --to": tuple(EXPORTS),
+    "--weather": schema.WEATHERS,
+    "--time-of-day": schema.TIMES_OF_DAY,
+    "--engine": ("local", "ray"),
+    "--supervise": SUPERVISE,
+    "--recipe": (*CHOICES, "FILE"),
+    "--init": (*INITS, "FILE"),
+    "--labelled": LABELLED,
+    "--boxes": (*BOX_KINDS, "given"),
+    "--scheme": SCHEMES,
+    "--protocol": PROTOCOLS,
+    "--compare": ("paper",),
+    "--precision": PRECISIONS,
+    "--device": ("auto", "cpu", "cuda", "cuda:N"),
+    "--ground": ("auto", "fit", "none", "METRES"),
+}
+
+
+def test_the_choices_of_help_are_those_there_are() -> None:
+    shown = {}
+    for name, parameter in parameters():
+        if parameter.param_type_name == "option" and (parameter.metavar or "").startswith("["):
+            flag = parameter.opts[0]
+            shown[flag if flag in CHOSEN else f"{name} {flag}"] = tuple(parameter.metavar[1:-1].split("|"))
+    assert shown == CHOSEN
+
+
+def test_long_help_stands_in_panels() -> None:
+    panels: dict[str, dict[str | None, list[str]]] = {}
+    for name, parameter in parameters():
+        if parameter.param_type_name == "option" and not parameter.hidden:
+            panels.setdefault(name, defaultdict(list))[parameter.rich_help_panel].append(parameter.opts[0])
+    titles = {name: {title for title in told if title} for name, told in panels.items()}
+    gen = {"Sites and traffic", "Camera and image", "Labels", "Output", "Machine"}
+    assert titles["skope gen"] == titles["skope gen simulate"] == gen
+    assert titles["skope train"] == {"Data", "Training", "Output", "Machine"}
+    assert titles["skope eval"] == {"Data", "What counts", "Output", "Machine"}
+    for name, told in panels.items():
+        assert max(map(len, told.values())) <= 9, (name, told)
+
+
+def test_a_flag_is_written_alike_everywhere() -> None:
+    """One name, one kind of value."""
+    kinds = defaultdict(set)
+    for _, parameter in parameters():
+        if parameter.param_type_name == "option" and not parameter.hidden:
+            kind = "flag" if parameter.is_flag else parameter.metavar or parameter.type_descriptor.annotation
+            kinds[parameter.opts[0]].add(kind)
+    assert {flag: kind for flag, kind in kinds.items() if len(kind) > 1} == {
+        "--out": {"DIR", "FILE"},  # what is written
+        "--to": {f"[{'|'.join(WRITERS)}]", f"[{'|'.join(EXPORTS)}]"},
+        "--noise": {"A,B,..", float},
+        "--keypoints": {"A,B,..", "flag"},  # names of points to write, and a layer to draw
+        "--split": {"A,B,..", "NAME"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "old", "new"),
+    [
+        ("gen show", "--site", "--sites"),
+        ("gen report", "--images", "--max-images"),
+        ("gen sites", "--map", "--maps"),
+        ("gen convert", "--format", "--to"),
+        ("train export", "--format", "--to"),
+        ("eval camera", "--vehicles", "--max-vehicles"),
+    ],
+)
+def test_older_spellings_stay(skope: Any, words: str, old: str, new: str) -> None:
+    told = skope(*words.split(), "--help")[1].split()
+    assert new in told
+    assert old not in told
+    (hidden,) = (one for one in EVERY[f"skope {words}"].params if one.hidden)
+    assert hidden.opts == [old]
+
+
+def test_sheets_of_sites_by_either_spelling(skope: Any, tmp_path: Path) -> None:
+    root = make_dataset(tmp_path / "data")
+    for flag, out in (("--sites", "new"), ("--site", "old")):
+        assert skope("gen", "show", root, flag, "site", "--out", out) == (0, f"wrote {out}/site.png\n", "")
+    assert Path("old/site.png").read_bytes() == Path("new/site.png").read_bytes()
+    assert skope("gen", "show", root, "--sites", "site,nowhere")[2].endswith("no image is of site 'nowhere'\n")
+
+
+def test_default_folders_are_named_in_one_place() -> None:
+    root = Path(package.__file__).parent
+    for path in (*root.rglob("cli.py"), *root.rglob("cli/*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not node.value.startswith(("data/", "runs/")), (path, node.value)
+    assert (str(commands.DATA), str(commands.RUN)) == ("data/skope", "runs/skope")
+
+
+# --------------------------------------------------------------------------------------------------- shell completion
+
+
+def completed(*words: str, **environment: str) -> str:
+    """What `skope` prints in such an environment."""
+    call = "import sys; sys.argv[0] = 'skope'; from skope.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", call, *words],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout
+
+
+def test_the_shell_gets_a_script_that_asks_skope() -> None:
+    asked = completed(_SKOPE_COMPLETE="source_bash")
+    shown = completed("--show-completion", "bash", _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
+    for script in (asked, shown):
+        assert "_SKOPE_COMPLETE=complete_bash" in script
+        assert "complete -o default -F _skope_completion skope" in script
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("skope e", ["eval"]),
+        ("skope gen vehicles ", ["list", "check", "show", "add"]),
+        ("skope gen --re", ["--renderer"]),
+        ("skope gen --renderer ", list(RENDERERS)),
+        ("skope eval --boxes g", ["given"]),
+    ],
+)
+def test_words_are_completed(line: str, words: list[str]) -> None:
+    told = completed(_SKOPE_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=str(len(line.split(" ")) - 1))
+    assert told.split() == words
+
+
+# --------------------------------------------------------------------------------------------- flags and interruptions
 
 
 @pytest.mark.parametrize(

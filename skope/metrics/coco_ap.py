@@ -7,8 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pycocotools.coco import COCO
-from pycocotools.cocoeval import COCOeval
 
 from skope import keypoints, schema
 from skope.metrics.counts import Options
@@ -81,6 +79,8 @@ def _ap(
     kind: str,
     sigmas: Sequence[float],
 ) -> tuple[float | None, float | None]:
+    from pycocotools.cocoeval import COCOeval
+
     # pycocotools prints as it goes, and squares whatever a stray keypoint is.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
@@ -95,6 +95,8 @@ def _ap(
 
 def _index(images: list[dict[str, Any]], annotations: list[dict[str, Any]]) -> Any:
     """A pycocotools COCO object made directly: its `loadRes` crashes on an empty list."""
+    from pycocotools.coco import COCO
+
     coco = COCO()
     # Copies, because evaluation writes into the rows.
     coco.dataset = {

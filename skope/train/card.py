@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skope import __version__, keypoints
+from skope import keypoints
 from skope.dataset import Dataset
 from skope.detector import BEST
 from skope.train.run_folder import RunConfig, Training
 from skope.train.validate import rank
+from skope.version import __version__
 
 _WEIGHTS = (
     ("COCO", "weights published with torchvision (BSD-3-Clause), trained on COCO's photographs (Flickr's terms)"),

@@ -5,70 +5,82 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption, goes_on
+from skope.commands import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
+from skope.console import Console
 from skope.errors import UserError
 
-DATA = Path("data/skope")
-RUN = Path("runs/skope")
+_RECIPES = "the recipe's"
 
-app = typer.Typer(help="Train the detector: Keypoint R-CNN with 33 keypoints.")
+app = Commands(help="Train the detector: Keypoint R-CNN with 33 keypoints.")
+data_option, training, output, machine = map(panel, ("Data", "Training", "Output", "Machine"))
 
 
 @app.callback(invoke_without_command=True)
 def run(
-    context: typer.Context,
+    console: Console,
     data: Annotated[
-        list[Path] | None, typer.Option(help=f"Dataset folder; several train together.  [default: {DATA}]")
+        list[Path] | None,
+        data_option(metavar=DIR, help="Dataset folder; several, repeated, train together.", show_default=str(DATA)),
     ] = None,
     mix: Annotated[
         float | None,
-        typer.Option(help="Share of an epoch's images that the first --data gives.  [default: all images once]"),
+        data_option(
+            help="Share of an epoch's images that the first --data gives.", show_default="all images of all, once"
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Run folder for checkpoints.")] = RUN,
+    max_images: Annotated[
+        int | None, data_option(help="Train on this many images with vehicles of each dataset only.")
+    ] = None,
+    exclude_types: Annotated[
+        str | None, data_option(metavar=LIST, help="Vehicle types to ignore, as in pickup,bus.")
+    ] = None,
+    val_fraction: Annotated[
+        float | None,
+        data_option(help="Share of each recording's end to validate on.", show_default=_RECIPES),
+    ] = None,
     recipe: Annotated[
         str | None,
-        typer.Option(help="paper, laptop, scratch, a TOML file, or auto: paper on a GPU, laptop on a CPU.  [auto]"),
+        training(
+            metavar="[auto|paper|laptop|scratch|FILE]",
+            help="How to train; FILE: TOML; auto: paper on a GPU, laptop on a CPU.",
+            show_default="auto",
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Any value of the recipe, as in --set weight_decay=1e-4 --set augment.blur=0.2."),
-    ] = None,
-    epochs: Annotated[int | None, typer.Option(help="Passes over the images.  [default: the recipe's]")] = None,
-    init: Annotated[
-        str | None,
-        typer.Option(
-            help="First weights: coco, imagenet (both downloaded when missing), random, a file or run folder, or auto: "
-            "COCO weights if torchvision's cache has them, else random.  [default: the recipe's]"
+        training(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Any value of the recipe, as in --set weight_decay=1e-4 --set augment.blur=0.2.",
         ),
     ] = None,
-    batch_size: Annotated[int | None, typer.Option(help="Images a step.  [default: the recipe's]")] = None,
-    max_images: Annotated[
-        int | None, typer.Option(help="Train on this many images with vehicles of each dataset only.")
+    epochs: Annotated[int | None, training(help="Passes over the images.", show_default=_RECIPES)] = None,
+    init: Annotated[
+        str | None,
+        training(
+            metavar="[auto|coco|imagenet|random|FILE]",
+            help="First weights. coco and imagenet are downloaded when missing, FILE may be a run folder; auto: COCO "
+            "weights if torchvision's cache has them, else random.",
+            show_default=_RECIPES,
+        ),
     ] = None,
+    batch_size: Annotated[int | None, training(help="Images a step.", show_default=_RECIPES)] = None,
     min_size: Annotated[
-        int | None, typer.Option(help="Short side of the image in the network, pixels.  [default: the recipe's]")
+        int | None, training(help="Short side of the image in the network, pixels.", show_default=_RECIPES)
     ] = None,
     supervise: Annotated[
-        str | None, typer.Option(help="Keypoints to learn: visible, or all (hidden ones too).  [default: the recipe's]")
+        str | None,
+        training(choices=("visible", "all"), help="Keypoints to learn; all: hidden ones too.", show_default=_RECIPES),
     ] = None,
-    exclude_types: Annotated[
-        str | None, typer.Option(help="Vehicle types to ignore, with commas, as in pickup,bus.")
-    ] = None,
-    val_fraction: Annotated[
-        float | None, typer.Option(help="Share of each recording's end to validate on.  [default: the recipe's]")
-    ] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    seed: Annotated[int | None, typer.Option(help="Seed of weights, order, changes and samples.  [default: 0]")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes that load images; changes no result.")] = None,
-    keep: Annotated[int, typer.Option(help="Checkpoints of epochs to keep, beside the best one.")] = 1,
-    save_minutes: Annotated[float, typer.Option(help="Save the state so often within an epoch.")] = 10,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out where it was saved.")] = False,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    seed: Annotated[int | None, training(help="Seed of weights, order, changes and samples.", show_default="0")] = None,
+    out: Annotated[Path, output(metavar=DIR, help="Run folder for checkpoints.")] = RUN,
+    resume: Annotated[bool, output("--resume", help="Go on with the run in --out where it was saved.")] = False,
+    keep: Annotated[int, output(help="Checkpoints of epochs to keep, beside the best one.")] = 1,
+    save_minutes: Annotated[float, output(help="Save the state so often within an epoch.")] = 10,
+    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto",
+    workers: Annotated[int | None, machine(help="Processes that load images; changes no result.")] = None,
 ) -> None:
     """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most)."""
-    if goes_on(context):
-        return
     for name, value in (("epochs", epochs), ("batch-size", batch_size), ("max-images", max_images), ("keep", keep)):
         if value is not None and value < 1:
             raise UserError(f"--{name}: expected at least 1, got {value}")
@@ -80,7 +92,6 @@ def run(
     from skope.train import configure
     from skope.train.loop import Saving, train
 
-    console = Console(quiet)
     where = choose_device(device)
     flags: dict[str, Any] = {
         "recipe": recipe,
@@ -115,12 +126,16 @@ def run(
 
 @app.command()
 def export(
+    console: Console,
     checkpoint: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or a checkpoint file.")] = RUN,
     to: Annotated[
-        str, typer.Option(help="compact (integers, 35 MB), torchscript or onnx (the extra `onnx`).")
+        str,
+        option(choices=("torchscript", "onnx", "compact"), help="Form; onnx needs the extra `onnx`."),
+        Formerly("--format"),
     ] = "torchscript",
-    out: Annotated[Path | None, typer.Option(help="File to write.  [default: beside the checkpoint]")] = None,
-    quiet: QuietOption = False,
+    out: Annotated[
+        Path | None, option(metavar=FILE, help="File to write.", show_default="beside the checkpoint")
+    ] = None,
 ) -> None:
     """Write a checkpoint in another form.
 
@@ -129,5 +144,5 @@ def export(
     """
     from skope.train.export import export as write
 
-    path = write(checkpoint, to, out, console=Console(quiet))
-    Console(quiet).result(f"wrote {path}")
+    path = write(checkpoint, to, out, console=console)
+    console.result(f"wrote {path}")

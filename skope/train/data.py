@@ -15,13 +15,14 @@ from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from skope.dataset import Dataset
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.schema import Image
 from skope.train import ignored_regions
 from skope.train.augment import Augment
 from skope.train.interrupt import left_to_the_parent
+from skope.train.recipe import SUPERVISE
 from skope.train.splits import SPLIT, Source
-from skope.train.targets import Vehicles
+from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
 """Epoch, position in the training set, how often the epoch has drawn it before."""
@@ -91,6 +92,25 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         rng = np.random.default_rng((self._seed, epoch, frame.source, frame.image.id, repeat))
         pixels, vehicles = self._augment.apply(pixels, frame.vehicles, rng)
         return to_sample(frame.image.file_name, pixels, vehicles, self._supervise)
+
+
+class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]]):
+    """The images of a split as torchvision's detection models take them, unchanged and in file order."""
+
+    def __init__(self, dataset: Dataset, split: str, supervise: str) -> None:
+        """`supervise` is "visible", or "all" for hidden keypoints too."""
+        self._supervise = one_of("supervise", supervise, SUPERVISE)
+        self._images = list(dataset.images(split))
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Pixels (3, H, W) float32 from 0 to 1, and the target as in `TrainingSample`."""
+        labelled = self._images[index]
+        vehicles = vehicles_of(labelled.record, list(labelled.annotations))
+        sample = to_sample(labelled.record.file_name, labelled.pixels(), vehicles, self._supervise)
+        return sample.to(torch.device("cpu"))
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:

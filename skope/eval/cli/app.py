@@ -7,108 +7,109 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption, goes_on
-from skope.errors import UserError, one_of
+from skope.commands import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
+from skope.console import Console
+from skope.errors import UserError
 from skope.eval.cli import footage
+from skope.eval.cli.options import MachineOptions, machine
 from skope.weights import names
 
-DATA = Path("data/skope")
-RUN = Path("runs/skope")
 GIVEN = "given"
 PAPER = "paper"
+_PROTOCOLS = ("pooled", PAPER)
 
-app = typer.Typer(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
+app = Commands(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
+data_option, counts, output = map(panel, ("Data", "What counts", "Output"))
 
 
 @app.callback(invoke_without_command=True)
 def run(
-    ctx: typer.Context,
-    data: Annotated[Path | None, typer.Option(help="Dataset folder.", show_default=str(DATA))] = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN)),
-    ] = None,
+    *,
+    data: Annotated[Path | None, data_option(metavar=DIR, help="Dataset folder.", show_default=str(DATA))] = None,
     split: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Split to evaluate; several: repeat it or separate by commas.", show_default="all test splits"
+        data_option(
+            metavar=LIST,
+            help="Split to evaluate; several: repeat it or separate by commas.",
+            show_default="all test splits",
         ),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        data_option(metavar="PATH", help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN)),
     ] = None,
     annotations: Annotated[
-        Path | None, typer.Option(help="Score --predictions against this COCO file, without a dataset folder.")
+        Path | None,
+        data_option(metavar=FILE, help="Score --predictions against this COCO file, without a dataset folder."),
     ] = None,
     predictions: Annotated[
-        Path | None, typer.Option(help="Score this COCO results file, of any detector, instead of a checkpoint.")
+        Path | None,
+        data_option(metavar=FILE, help="Score this COCO results file, of any detector, instead of a checkpoint."),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where to write.", show_default="RUN/eval, or eval for a results file")
-    ] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    precision: Annotated[
-        str, typer.Option(help="float32, bfloat16, or auto: bfloat16 where the processor has it.")
-    ] = "float32",
-    batch_size: Annotated[
-        int | None, typer.Option(help="Images that go through the network together.", show_default="1, on a GPU 8")
-    ] = None,
-    fast: Annotated[
-        bool, typer.Option("--fast", help="Place keypoints only on detections above --score; no AP then.")
-    ] = False,
-    protocol: Annotated[
-        str | None,
-        typer.Option(
-            help="What the table shows: pooled or paper.", show_default="pooled, or paper beside the paper's rows"
-        ),
-    ] = None,
-    compare: Annotated[
-        str | None, typer.Option(help="paper: print the published rows below ours (splits easy, medium, hard).")
-    ] = None,
-    labelled: Annotated[
-        str, typer.Option(help="Keypoints that count: visible, or all (hidden ones inside the image too).")
-    ] = "visible",
-    boxes: Annotated[
-        str,
-        typer.Option(help="full or visible ground-truth boxes, or given: keypoints on the ground truth's own boxes."),
-    ] = "full",
-    score: Annotated[float, typer.Option(help="A detection counts when it scores above this.")] = 0.9,
-    alpha: Annotated[
-        float, typer.Option(help="A keypoint is correct within this share of the box's longer edge.")
-    ] = 0.1,
-    iou: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="IoU at which a detection matches; several: repeat it or separate by commas.",
-            show_default="0.9,0.8,0.7,0.6",
-        ),
-    ] = None,
-    keypoint_score: Annotated[
-        float, typer.Option(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
-    ] = 0.0,
     scheme: Annotated[
         str | None,
-        typer.Option(
+        data_option(
+            choices=("skope33", "apollo24", "carfusion14", "veri20", "skope3d"),
             help="Keypoint scheme of --predictions; the points that mean the same are scored.",
             show_default="the ground truth's",
         ),
     ] = None,
     max_images: Annotated[
-        int | None, typer.Option(help="Take only so many images of a split, by the rule of `skope train`.")
+        int | None,
+        data_option(least=1, help="Take only so many images of a split, by the rule of `skope train`."),
     ] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    labelled: Annotated[
+        str,
+        counts(choices=("visible", "all"), help="Keypoints that count; all: hidden ones inside the image too."),
+    ] = "visible",
+    boxes: Annotated[
+        str,
+        counts(
+            choices=("full", "visible", GIVEN),
+            help="Ground-truth boxes, whole or of visible pixels; given: keypoints on the ground truth's own boxes.",
+        ),
+    ] = "full",
+    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = 0.9,
+    alpha: Annotated[float, counts(help="A keypoint is correct within this share of the box's longer edge.")] = 0.1,
+    iou: Annotated[
+        list[str] | None,
+        counts(
+            metavar=LIST,
+            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            show_default="0.9,0.8,0.7,0.6",
+        ),
+    ] = None,
+    keypoint_score: Annotated[
+        float, counts(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+    ] = 0.0,
+    protocol: Annotated[
+        str | None,
+        output(
+            choices=_PROTOCOLS,
+            help="What the table shows.",
+            show_default="pooled, or paper beside the paper's rows",
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None,
+        output(choices=(PAPER,), help="Print the published rows below ours (splits easy, medium, hard)."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        output(metavar=DIR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
+    ] = None,
+    fast: Annotated[
+        bool, machine("--fast", help="Place keypoints only on detections above --score; no AP then.")
+    ] = False,
+    hardware: MachineOptions,
+    console: Console,
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
-    if goes_on(ctx):
-        return
-    from skope.eval.inference.settings import Settings
     from skope.eval.run import EvalJob, evaluate
     from skope.metrics import inputs
-    from skope.metrics.counts import PROTOCOLS, Options
-    from skope.metrics.match import BOX_KINDS, THRESHOLDS
+    from skope.metrics.counts import Options
+    from skope.metrics.match import THRESHOLDS
 
-    if compare is not None:
-        one_of("--compare", compare, (PAPER,))
-    protocol = one_of("--protocol", protocol or ("paper" if compare else "pooled"), PROTOCOLS)
-    one_of("--boxes", boxes, (*BOX_KINDS, GIVEN))
     options = Options(
         score=score,
         alpha=alpha,
@@ -117,16 +118,12 @@ def run(
         iou=_thresholds(iou) or THRESHOLDS,
         keypoint_score=keypoint_score,
     )
-    if max_images is not None and max_images < 1:
-        raise UserError(f"--max-images: expected a whole number from 1, got {max_images}")
     splits = _separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
     if fast and (predictions or boxes == GIVEN):
         raise UserError("--fast is for running a checkpoint that detects vehicles")
-    if scheme:
-        one_of("--scheme", scheme, inputs.SCHEMES)
-        if not predictions:
-            raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
+    if scheme and not predictions:
+        raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     out = out or _default_out(checkpoint, predictions)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
@@ -138,25 +135,28 @@ def run(
             truth=truth,
             out=out,
             options=options,
-            protocol=protocol,
+            protocol=protocol or (PAPER if compare else "pooled"),
             checkpoint=None if predictions else checkpoint or RUN,
             predictions=predictions,
-            settings=Settings(device=device, given=boxes == GIVEN, precision=precision, batch_size=batch_size),
+            settings=hardware.settings(given=boxes == GIVEN),
             fast=fast,
             max_images=max_images,
             scheme=scheme,
             beside_paper=compare == PAPER,
         ),
-        Console(quiet),
+        console,
         width=shutil.get_terminal_size((120, 24)).columns,
     )
 
 
 @app.command(name="compare")
 def compare_runs(
-    folders: Annotated[list[Path], typer.Argument(help="Folders that `skope eval` wrote (its --out).")],
-    protocol: Annotated[str, typer.Option(help="pooled or paper.")] = "pooled",
-    out: Annotated[Path | None, typer.Option(help="Also write everything to this JSON file.")] = None,
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="FOLDER", help="Folders that `skope eval` wrote (its --out).")
+    ],
+    console: Console,
+    protocol: Annotated[str, option(choices=_PROTOCOLS, help="What the table shows.")] = "pooled",
+    out: Annotated[Path | None, option(metavar=FILE, help="Also write everything to this JSON file.")] = None,
 ) -> None:
     """Put evaluations side by side, with paired intervals of their differences from the first."""
     from skope.eval.report import compare
@@ -167,32 +167,33 @@ def compare_runs(
     text = compare.render(document, protocol)
     if out:
         write_new(out, json_bytes(document))
-    typer.echo(text)
+    console.result(text)
 
 
 @app.command(name="calibrate")
 def calibrate_scores(
-    checkpoint: Annotated[Path, typer.Option(help="Checkpoint file, or run folder for its newest one.")] = RUN,
-    data: Annotated[Path, typer.Option(help="Dataset folder.")] = DATA,
+    *,
+    checkpoint: Annotated[
+        Path, option(metavar="PATH", help="Checkpoint file, or run folder for its newest one.")
+    ] = RUN,
+    data: Annotated[Path, option(metavar=DIR, help="Dataset folder.")] = DATA,
     split: Annotated[
-        str, typer.Option(help="Split to fit on; of train, the part that training kept for validation.")
+        str,
+        option(metavar="NAME", help="Split to fit on; of train, the part that training kept for validation."),
     ] = "train",
     last: Annotated[
-        float | None, typer.Option(help="Take this share of each recording, at its end.", show_default="see --split")
+        float | None, option(help="Take this share of each recording, at its end.", show_default="see --split")
     ] = None,
-    score: Annotated[float, typer.Option(help="Fit on the keypoints of detections above this.")] = 0.9,
-    max_images: Annotated[int | None, typer.Option(help="Take only so many images.")] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    precision: Annotated[str, typer.Option(help="float32, bfloat16 or auto.")] = "float32",
-    batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
-    quiet: QuietOption = False,
+    score: Annotated[float, option(help="Fit on the keypoints of detections above this.")] = 0.9,
+    max_images: Annotated[int | None, option(least=1, help="Take only so many images.")] = None,
+    hardware: MachineOptions,
+    console: Console,
 ) -> None:
     """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
     from skope.eval.inference.fit_calibration import CalibrationJob, calibrate
-    from skope.eval.inference.settings import Settings
 
     if not 0 <= score <= 1:
         raise UserError(f"--score: expected a number from 0 to 1, got {score}")
@@ -203,10 +204,10 @@ def calibrate_scores(
         last=last,
         score=score,
         max_images=max_images,
-        settings=Settings(device=device, precision=precision, batch_size=batch_size),
+        settings=hardware.settings(),
     )
-    path = calibrate(job, Console(quiet))
-    typer.echo(f"Wrote {path}; `skope eval` uses it from now on")
+    path = calibrate(job, console)
+    console.result(f"Wrote {path}; `skope eval` uses it from now on")
 
 
 app.command(name="predict")(footage.predict)

@@ -2,86 +2,130 @@
 
 import math
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.commands import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
+from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
+from skope.eval.cli.options import MachineOptions
 from skope.outputs import claim
 from skope.weights import REFERENCE
+
+if TYPE_CHECKING:
+    from skope.eval.pose.views import Scene
 
 _FITTED = ("auto", "fit")
 _HIGHEST = 10_000.0
 _MOST_PIXELS = 10_000.0
-PREDICTED = Path("runs/predict")
 
-FolderArgument = Annotated[Path | None, typer.Argument(help="Folder that `skope eval predict` wrote.")]
-AnnotationsOption = Annotated[
-    Path | None, typer.Option(help="COCO file with images and cameras instead of a folder; its own keypoints count.")
-]
-PredictionsOption = Annotated[
-    Path | None, typer.Option(help="COCO results for the images, in place of the annotations' keypoints.")
-]
+data, counts, output = map(panel, ("Data", "What counts", "Output"))
+
+OutOption = Annotated[Path, output(metavar=DIR, help="Where to write.")]
 CameraOption = Annotated[
     Path | None,
-    typer.Option(
+    data(
+        metavar=FILE,
         help="Camera file: of `skope eval camera`, OpenCV (.yml, .xml), TUMTraf (.json), Rope3D (.txt), or an "
         "annotation file.",
         show_default="that of each image",
     ),
 ]
-GroundOption = Annotated[
-    str,
-    typer.Option(
-        help="Height of the level road in the camera's world, metres; fit: the plane that the vehicles show; auto: 0 "
-        "unless they clearly show another; none: unknown, size tells distance."
-    ),
-]
-ScoreOption = Annotated[float, typer.Option(help="Take detections above this.")]
+NoiseOption = Annotated[float, counts(help="Pixels of noise added to ground-truth keypoints.")]
+ScoreOption = Annotated[float, counts(help="Take detections above this.")]
 SigmaOption = Annotated[
     float | None,
-    typer.Option(help="Standard deviation of a keypoint, pixels.", show_default="2% of the box's longer edge"),
+    counts(help="Standard deviation of a keypoint, pixels.", show_default="2% of the box's longer edge"),
 ]
 
 
-def _claim(
-    out: Path, command: str, files: tuple[Path | None, Path | None, Path | None, Path | None], **options: Any
-) -> None:
-    """Take the output folder of `pose` or `track` for a folder or annotations, predictions, and camera."""
-    folder, *others = files
-    inputs = [folder / FRAMES, folder / PREDICTIONS] if folder else []
-    claim(out, f"skope eval {command}", [*inputs, *(path for path in others if path)], options)
+@dataclass(frozen=True, kw_only=True)
+class KeypointOptions:
+    """Where the keypoints of vehicles come from: a folder of predictions, or files."""
+
+    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Folder that `skope eval predict` wrote.")] = (
+        None
+    )
+    annotations: Annotated[
+        Path | None,
+        data(metavar=FILE, help="COCO file with images and cameras instead of a folder; its own keypoints count."),
+    ] = None
+    predictions: Annotated[
+        Path | None, data(metavar=FILE, help="COCO results for the images, in place of the annotations' keypoints.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(KeypointOptions):
+    """Whose keypoints are taken to the road, and what is known of the camera, the road and the keypoints."""
+
+    camera: CameraOption = None
+    ground: Annotated[
+        str,
+        data(
+            metavar="[auto|fit|none|METRES]",
+            help="Height of the level road in the camera's world; fit: the plane that the vehicles show; auto: 0 "
+            "unless they clearly show another; none: unknown, size tells distance.",
+        ),
+    ] = "auto"
+    score: ScoreOption = 0.5
+    sigma: SigmaOption = None
+
+    def scene(self, *noise: float, console: Console) -> "Scene":
+        """The vehicles' views and the road, fitted if it shall be; says so then.
+
+        `noise` are the levels that will be added, of which the first one counts here.
+        """
+        from skope.eval.pose.fit_ground import settled
+        from skope.eval.pose.views import read_scene
+
+        _probability("--score", self.score)
+        _pixels("--noise", *noise)
+        _pixels("--sigma", self.sigma)
+        scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
+        if self.ground in _FITTED:
+            scene, words = settled(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
+            if words:
+                console.result(words)
+        return scene
+
+    def claim(self, out: Path, command: str, **options: Any) -> None:
+        """Take the output folder of a command for these options and `options`."""
+        inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
+        inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
+        claim(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
 
 
 def predict(
     source: Annotated[
-        str, typer.Argument(help="Image, folder, glob (quoted), video file or rtsp:// / http:// stream.")
+        str,
+        typer.Argument(metavar="SOURCE", help="Image, folder, glob (quoted), video file or rtsp:// / http:// stream."),
     ],
+    *,
     checkpoint: Annotated[
-        Path, typer.Option(help="Checkpoint file, run folder for its newest one, or weights that come with skope.")
+        Path,
+        data(metavar="PATH", help="Checkpoint file, run folder for its newest one, or weights that come with skope."),
     ] = Path(REFERENCE),
-    out: Annotated[
-        Path | None, typer.Option(help="Where to write.", show_default="runs/predict/ and the source's name")
-    ] = None,
     camera: CameraOption = None,
-    every: Annotated[int, typer.Option(help="Take every so many-th frame.")] = 1,
-    start: Annotated[float, typer.Option(help="Begin at this second of a video.")] = 0.0,
-    end: Annotated[float | None, typer.Option(help="End at this second of a video.", show_default="its end")] = None,
-    score: Annotated[float, typer.Option(help="Keep detections above this.")] = 0.5,
-    overlay: Annotated[bool, typer.Option("--overlay", help="Draw what was found: a video, or images.")] = False,
-    blur: Annotated[bool, typer.Option("--blur", help="Blur plates and glass in the overlay.")] = False,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto",
-    precision: Annotated[str, typer.Option(help="float32, bfloat16 or auto.")] = "float32",
-    batch_size: Annotated[int | None, typer.Option(help="Images that go through the network together.")] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    every: Annotated[int, data(help="Take every so many-th frame.")] = 1,
+    start: Annotated[float, data(help="Begin at this second of a video.")] = 0.0,
+    end: Annotated[float | None, data(help="End at this second of a video.", show_default="its end")] = None,
+    score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
+    overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
+    blur: Annotated[bool, output("--blur", help="Blur plates and glass in the overlay.")] = False,
+    out: Annotated[
+        Path | None,
+        output(metavar=DIR, help="Where to write.", show_default=f"{PREDICTED}/ and the source's name"),
+    ] = None,
+    hardware: MachineOptions,
+    console: Console,
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
     from skope.eval.inference.footage import Cut, open_footage
-    from skope.eval.inference.settings import Settings
     from skope.eval.pose.views import read_camera
 
     _probability("--score", score)
@@ -90,13 +134,12 @@ def predict(
         raise UserError("--blur is for the overlay: give --overlay too")
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
-    settings = Settings(device=device, precision=precision, batch_size=batch_size, min_score=score)
+    settings = hardware.settings(min_score=score)
     out = out or PREDICTED / (Path(footage.name).stem or "images")
     fixed = read_camera(camera)[0] if camera else None
 
     from skope.eval.inference.predict_footage import PredictJob, predict
 
-    console = Console(quiet)
     job = PredictJob(
         footage=footage,
         checkpoint=checkpoint,
@@ -118,39 +161,22 @@ def predict(
 
 
 def pose(
-    folder: FolderArgument = None,
-    annotations: AnnotationsOption = None,
-    predictions: PredictionsOption = None,
-    camera: CameraOption = None,
-    ground: GroundOption = "auto",
+    options: SceneOptions,
+    console: Console,
     noise: Annotated[
-        str, typer.Option(help="Pixels of noise added to ground-truth keypoints; several: measure each.")
+        str,
+        counts(metavar=LIST, help="Pixels of noise added to ground-truth keypoints; several: measure each."),
     ] = "0",
-    score: ScoreOption = 0.5,
-    sigma: SigmaOption = None,
-    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("runs/pose"),
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    out: OutOption = POSES,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
     from skope.eval.pose.errors import measure, summary, table
-    from skope.eval.pose.fit_ground import settled
     from skope.eval.pose.records import locate_view, records, write_poses
-    from skope.eval.pose.views import read_scene
     from skope.files import write_json
 
-    _probability("--score", score)
-    levels = _numbers("--noise", noise)
-    _pixels("--noise", *levels)
-    _pixels("--sigma", sigma)
-    scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
-    console = Console(quiet)
-    if ground in _FITTED:
-        scene, words = settled(scene, ground, score=score, noise=levels[0], sigma_px=sigma)
-        if words:
-            console.result(words)
-    files = (folder, annotations, predictions, camera)
-    _claim(out, "pose", files, ground=ground, noise=levels, score=score, sigma=sigma)
+    levels, score, sigma = _numbers("--noise", noise), options.score, options.sigma
+    scene = options.scene(*levels, console=console)
+    options.claim(out, "skope eval pose", noise=levels)
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
@@ -173,61 +199,41 @@ def pose(
 
 
 def track(
-    folder: FolderArgument = None,
-    annotations: AnnotationsOption = None,
-    predictions: PredictionsOption = None,
-    camera: CameraOption = None,
-    ground: GroundOption = "auto",
-    fps: Annotated[
-        float | None, typer.Option(help="Frames a second.", show_default="the times that the frames carry")
-    ] = None,
-    noise: Annotated[float, typer.Option(help="Pixels of noise added to ground-truth keypoints.")] = 0.0,
-    score: ScoreOption = 0.5,
-    sigma: SigmaOption = None,
-    video: Annotated[bool, typer.Option("--video", help="Also a bird's-eye video.")] = False,
-    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("runs/tracks"),
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    options: SceneOptions,
+    console: Console,
+    fps: Annotated[float | None, data(help="Frames a second.", show_default="the times that the frames carry")] = None,
+    noise: NoiseOption = 0.0,
+    video: Annotated[bool, output("--video", help="Also a bird's-eye video.")] = False,
+    out: OutOption = TRACKS,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
-    from skope.eval.pose.fit_ground import settled
-    from skope.eval.pose.views import read_scene
     from skope.eval.tracking.run import TrackJob, run
 
-    _probability("--score", score)
-    _pixels("--noise", noise)
-    _pixels("--sigma", sigma)
     if fps is not None and not 0.001 <= fps <= 1000:
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
-    scene = read_scene(folder, annotations, predictions, camera, _ground(ground))
-    console = Console(quiet)
-    if ground in _FITTED:
-        scene, words = settled(scene, ground, score=score, noise=noise, sigma_px=sigma)
-        if words:
-            console.result(words)
-    files = (folder, annotations, predictions, camera)
-    _claim(out, "track", files, ground=ground, fps=fps, noise=noise, score=score, sigma=sigma)
-    job = TrackJob(scene=scene, fps=fps, noise=noise, score=score, sigma_px=sigma, video=video, out=out)
+    scene = options.scene(noise, console=console)
+    options.claim(out, "skope eval track", fps=fps, noise=noise)
+    job = TrackJob(scene=scene, fps=fps, noise=noise, score=options.score, sigma_px=options.sigma, video=video, out=out)
     for line in run(job, console):
         console.result(line)
 
 
 def camera(
-    folder: FolderArgument = None,
-    annotations: AnnotationsOption = None,
-    predictions: PredictionsOption = None,
+    keypoints: KeypointOptions,
+    console: Console,
     points: Annotated[
         Path | None,
-        typer.Option(help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres."),
+        data(
+            metavar=FILE,
+            help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres.",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the image that --points were marked in.")] = None,
-    vehicles: Annotated[int, typer.Option(help="Use at most so many vehicles.")] = 40,
-    noise: Annotated[float, typer.Option(help="Pixels of noise added to ground-truth keypoints.")] = 0.0,
+    size: Annotated[str | None, data(metavar=SIZE, help="Size of the image that --points were marked in.")] = None,
+    max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles."), Formerly("--vehicles")] = 40,
+    noise: NoiseOption = 0.0,
     score: ScoreOption = 0.9,
     sigma: SigmaOption = None,
-    out: Annotated[Path, typer.Option(help="Camera file to write.")] = Path("runs/camera.json"),
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
     """Find a camera's focal length, height and tilt from vehicles on a level road, or all of it from marked points.
 
@@ -238,17 +244,13 @@ def camera(
     _probability("--score", score)
     _pixels("--noise", noise)
     _pixels("--sigma", sigma)
-    console = Console(quiet)
     if points is not None:
-        if folder or annotations or predictions:
+        if keypoints.folder or keypoints.annotations or keypoints.predictions:
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
         lines = from_points(points, size, out)
     else:
-        if vehicles < 5:
-            raise UserError(f"--vehicles: expected a whole number from 5, got {vehicles}")
-        lines = from_vehicles(
-            (folder, annotations, predictions), vehicles, score=score, noise=noise, sigma_px=sigma, out=out
-        )
+        where = (keypoints.folder, keypoints.annotations, keypoints.predictions)
+        lines = from_vehicles(where, max_vehicles, score=score, noise=noise, sigma_px=sigma, out=out)
     for line in lines:
         console.result(line)
 

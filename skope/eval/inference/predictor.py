@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Container, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -108,15 +109,20 @@ class Predictor:
                 yield alike[image_id], found
 
     def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
-        pixels = [pixels for _, pixels in batch]
+        answers = self.detections([pixels for _, pixels in batch])
+        return [
+            result for (image, _), found in zip(batch, answers, strict=True) for result in found.to_results(image.id)
+        ]
+
+    def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
+        """What is found in each of several images (H, W, 3), which are decoded already."""
         least = self._settings.min_score
-        answers = detector.detect(
-            self._model, pixels, self._device, min_score=detector.MIN_SCORE if least is None else least
-        )
-        out = []
-        for (image, _), found in zip(batch, answers, strict=True):
-            out += detector.results(image.id, found.boxes_xyxy, found.scores, self._scored(found.keypoints))
-        return out
+        least = detector.MIN_SCORE if least is None else least
+        out: list[detector.Detections] = []
+        for _, alike in itertools.groupby(images, key=lambda pixels: pixels.shape):
+            while batch := list(itertools.islice(alike, self._batch)):
+                out += detector.detect(self._model, batch, self._device, min_score=least)
+        return [replace(found, keypoints=self._scored(found.keypoints)) for found in out]
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from skope.files import read_json
 from skope.metrics import inputs
 from skope.metrics.match import match
 from skope.schema import Annotation, AnnotationFile, Image, Result
+
+if TYPE_CHECKING:
+    from skope.detector import Detections
 
 Array = NDArray[np.float64]
 
@@ -131,6 +134,13 @@ def _labelled(
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
     cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
     return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, cut, kept)
+
+
+def view_of(detections: "Detections") -> View:
+    """An image by itself and what a detector found in it."""
+    width, height = detections.size
+    image = Image(id=1, file_name="image", width=width, height=height)
+    return _predicted(image, [(result, None) for result in detections.to_results(image.id)], None)
 
 
 def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigma: float | None) -> View:

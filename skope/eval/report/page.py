@@ -5,7 +5,6 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from skope import __version__
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import COLUMNS, evidence, published_row, row_of
@@ -16,6 +15,7 @@ from skope.page.charts import Axes, chart
 from skope.page.marks import bar, plain, share, table, tag
 from skope.page.outline import Point, outline
 from skope.page.stage import switches
+from skope.version import __version__
 
 _TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
 _PARTS: Final = {

@@ -45,7 +45,7 @@ class Detection:
     """None where it was refused."""
 
 
-def sights(image: Located) -> list[Detection]:
+def detections_of(image: Located) -> list[Detection]:
     """The vehicles of an image as a tracker sees them."""
     view, poses = image.view, image.poses
     out = []
@@ -65,17 +65,17 @@ def sights(image: Located) -> list[Detection]:
     return out
 
 
-def sight_to_dict(sight: Detection) -> dict[str, Any]:
-    """JSON values of a sight, not rounded."""
-    told = {"bbox": sight.bbox.tolist(), "score": sight.score, "truth_id": sight.truth_id, "pose": None}
-    if (pose := sight.pose) is not None:
+def detection_to_dict(detection: Detection) -> dict[str, Any]:
+    """JSON values of a detection, not rounded."""
+    told = {"bbox": detection.bbox.tolist(), "score": detection.score, "truth_id": detection.truth_id, "pose": None}
+    if (pose := detection.pose) is not None:
         arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
         told["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
     return told
 
 
-def sight_from_dict(told: Mapping[str, Any]) -> Detection:
-    """What `sight_to_dict` was given."""
+def detection_from_dict(told: Mapping[str, Any]) -> Detection:
+    """What `detection_to_dict` was given."""
     pose = told["pose"]
     if pose is not None:
         pose = PoseMeasurement(

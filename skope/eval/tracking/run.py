@@ -14,7 +14,7 @@ from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
 from skope.eval.tracking import birdseye, export
-from skope.eval.tracking.detections import Detection, sight_from_dict, sight_to_dict, sights
+from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.tracker import Track, follow
 from skope.files import replacing, write_text
 from skope.video import write_video
@@ -70,10 +70,10 @@ def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
     noted = itertools.islice(progress.rows(), progress.count)
     for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
         if (row := next(noted, None)) is not None:
-            yield [sight_from_dict(told) for told in row["sights"]]
+            yield [detection_from_dict(told) for told in row["sights"]]
             continue
-        found = sights(locate_view(view, job.scene))
-        progress.add({"sights": [sight_to_dict(sight) for sight in found]})
+        found = detections_of(locate_view(view, job.scene))
+        progress.add({"sights": [detection_to_dict(detection) for detection in found]})
         yield found
 
 

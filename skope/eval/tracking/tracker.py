@@ -125,7 +125,7 @@ class _Step:
     """(6, 6) from the frame before."""
     predicted: tuple[Array, Array]
     filtered: tuple[Array, Array]
-    sight: Detection | None = None
+    detection: Detection | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +174,9 @@ class _Open:
         for step in reversed(self.steps):
             if time_s - step.time_s > _BOX_S:
                 break
-            if step.sight is not None:
-                return step.sight.bbox
-        return self.steps[-2].sight.bbox if len(self.steps) > 1 and self.steps[-2].sight is not None else None
+            if step.detection is not None:
+                return step.detection.bbox
+        return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
 
 
 def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:
@@ -220,7 +220,7 @@ def _confirmed(track: _Open) -> bool:
 # ----------------------------------------------------------------------------------------------------- frame by frame
 
 
-def _born(frame: int, time_s: float, sight: Detection, pose: PoseMeasurement) -> _Open:
+def _born(frame: int, time_s: float, detection: Detection, pose: PoseMeasurement) -> _Open:
     mean = np.array([*pose.place, 0, 0, 0, 0], dtype=np.float64)
     spread = np.zeros((6, 6))
     spread[:2, :2] = pose.covariance
@@ -228,7 +228,7 @@ def _born(frame: int, time_s: float, sight: Detection, pose: PoseMeasurement) ->
     aside = math.hypot(_ASIDE, _SPEED * min(pose.heading_sigma, 1.0))
     spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
     spread[4:, 4:] = _BRAKES**2 * np.eye(2)
-    begin = _Step(frame, time_s, np.eye(6), (mean, spread), (mean, spread), sight)
+    begin = _Step(frame, time_s, np.eye(6), (mean, spread), (mean, spread), detection)
     return _Open([begin], pose, kinds=Counter([pose.kind]), last_pose_s=time_s)
 
 
@@ -255,17 +255,17 @@ def _predict(track: _Open, frame: int, time_s: float, F: Array, Q: Array) -> Non
 
 
 def _associate(live: list[_Open], image: Sequence[Detection], time_s: float) -> list[tuple[Detection, PoseMeasurement]]:
-    """Give sights to tracks, first by place, then by box; returns those with a pose that nobody took."""
-    posed = [(sight, sight.pose) for sight in image if sight.pose is not None]
+    """Give detections to tracks, first by place, then by box; returns those with a pose that nobody took."""
+    posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
     cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
     left = dict(enumerate(posed))
     for t, s in zip(*linear_sum_assignment(np.minimum(cost, _ELSEWHERE)), strict=True):
         if cost[t, s] < _NEW:
             _update(live[t], *posed[s])
             del left[s]
-    _by_box(live, [sight for sight in image if sight.pose is None], _OVERLAP, time_s)
-    for sight in _by_box(live, [sight for sight, _ in left.values()], _JUMP, time_s):
-        del left[next(s for s, (own, _) in left.items() if own is sight)]
+    _by_box(live, [detection for detection in image if detection.pose is None], _OVERLAP, time_s)
+    for detection in _by_box(live, [detection for detection, _ in left.values()], _JUMP, time_s):
+        del left[next(s for s, (own, _) in left.items() if own is detection)]
     return _without_twins(live, list(left.values()))
 
 
@@ -274,16 +274,16 @@ def _without_twins(
 ) -> list[tuple[Detection, PoseMeasurement]]:
     """New vehicles but those in the middle of which another one stands: detectors see many a vehicle twice.
 
-    A track that has not been seen in this image takes such a sight as its own.
+    A track that has not been seen in this image takes such a detection as its own.
     """
     out: list[tuple[Detection, PoseMeasurement]] = []
-    for sight, pose in sorted(new, key=lambda pair: -pair[0].score):
+    for detection, pose in sorted(new, key=lambda pair: -pair[0].score):
         hosts = [track for track in live if _inside(track, pose.place, pose.covariance)]
-        unseen = [track for track in hosts if track.steps[-1].sight is None]
+        unseen = [track for track in hosts if track.steps[-1].detection is None]
         if unseen:
-            _seen_elsewhere(unseen[0], sight)
+            _seen_elsewhere(unseen[0], detection)
         elif not hosts and not any(_within(other, pose.place - other.place, pose.covariance) for _, other in out):
-            out.append((sight, pose))
+            out.append((detection, pose))
     return out
 
 
@@ -335,19 +335,19 @@ def _join(host: _Open, twin: _Open) -> None:
     apart = [
         float(np.linalg.norm(step.filtered[0][:2] - own[step.frame].filtered[0][:2])) if step.frame in own else math.inf
         for step in before
-        if step.sight is not None
+        if step.detection is not None
     ]
     if not twin.parts and float(np.median(apart or [0.0])) < _APART:
         before = []
     for step in twin.steps[len(before) :]:
-        if step.sight is None:
+        if step.detection is None:
             continue
-        if step.sight.pose is not None:
-            twin.kinds[step.sight.pose.kind] -= 1
-        if (same := own.get(step.frame)) is not None and same.sight is None:
-            same.sight = replace(step.sight, pose=None)
+        if step.detection.pose is not None:
+            twin.kinds[step.detection.pose.kind] -= 1
+        if (same := own.get(step.frame)) is not None and same.detection is None:
+            same.detection = replace(step.detection, pose=None)
     twin.steps = before
-    posed = [step.time_s for step in before if step.sight is not None and step.sight.pose is not None]
+    posed = [step.time_s for step in before if step.detection is not None and step.detection.pose is not None]
     twin.last_pose_s = posed[-1] if posed else -math.inf
 
 
@@ -365,13 +365,14 @@ def _cost(track: _Open, pose: PoseMeasurement) -> float:
 
 
 def _by_box(live: list[_Open], rest: list[Detection], least: float, time_s: float) -> list[Detection]:
-    """Give sights to tracks that have none yet by the overlap with their last boxes; returns those that were given."""
-    free = [(track, box) for track in live if track.steps[-1].sight is None and (box := track.box(time_s)) is not None]
+    """Give detections to tracks that have none yet by the overlap with their last boxes; returns those it gave."""
+    unseen = [track for track in live if track.steps[-1].detection is None]
+    free = [(track, box) for track in unseen if (box := track.box(time_s)) is not None]
     if not free or not rest:
         return []
     overlap = box_math.iou(
         box_math.xywh_to_xyxy(np.array([box for _, box in free])),
-        box_math.xywh_to_xyxy(np.array([sight.bbox for sight in rest])),
+        box_math.xywh_to_xyxy(np.array([detection.bbox for detection in rest])),
     )
     given = []
     for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
@@ -381,23 +382,23 @@ def _by_box(live: list[_Open], rest: list[Detection], least: float, time_s: floa
     return given
 
 
-def _seen_elsewhere(track: _Open, sight: Detection) -> None:
-    """Note a sight by its box; where it keeps saying that the vehicle is elsewhere, believe it."""
-    track.jumps += sight.pose is not None
-    if sight.pose is None or track.jumps < _JUMPS:
-        track.steps[-1].sight = replace(sight, pose=None)
+def _seen_elsewhere(track: _Open, detection: Detection) -> None:
+    """Note a detection by its box; where it keeps saying that the vehicle is elsewhere, believe it."""
+    track.jumps += detection.pose is not None
+    if detection.pose is None or track.jumps < _JUMPS:
+        track.steps[-1].detection = replace(detection, pose=None)
         return
     step = track.steps[-1]
     mean, spread = step.filtered
-    away = sight.pose.place - mean[:2]
+    away = detection.pose.place - mean[:2]
     wider = spread.copy()
     wider[:2, :2] += away @ away * np.eye(2)
     wider[2:4, 2:4] += _SPEED**2 * np.eye(2)
     step.predicted = step.filtered = (mean, wider)
-    _update(track, sight, sight.pose)
+    _update(track, detection, detection.pose)
 
 
-def _update(track: _Open, sight: Detection, pose: PoseMeasurement) -> None:
+def _update(track: _Open, detection: Detection, pose: PoseMeasurement) -> None:
     step = track.steps[-1]
     mean, spread = step.filtered
     gain = np.linalg.solve(spread[:2, :2] + pose.covariance, spread[:2]).T
@@ -406,7 +407,7 @@ def _update(track: _Open, sight: Detection, pose: PoseMeasurement) -> None:
     # Joseph's form stays symmetric and positive over any number of steps.
     after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
     step.filtered = _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
-    step.sight = sight
+    step.detection = detection
     track.body = pose
     track.kinds[pose.kind] += 1
     track.last_pose_s = step.time_s
@@ -461,11 +462,11 @@ def _part(steps: Sequence[_Step], states: Array) -> _Part:
     sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
     truth_ids = np.full(count, -1, dtype=np.int64)
     for i, step in enumerate(steps):
-        if step.sight is None:
+        if step.detection is None:
             continue
-        boxes[i], scores[i] = step.sight.bbox, step.sight.score
-        truth_ids[i] = -1 if step.sight.truth_id is None else step.sight.truth_id
-        if (pose := step.sight.pose) is not None:
+        boxes[i], scores[i] = step.detection.bbox, step.detection.score
+        truth_ids[i] = -1 if step.detection.truth_id is None else step.detection.truth_id
+        if (pose := step.detection.pose) is not None:
             heights[i], headings[i], sizes[i] = pose.height, pose.heading, pose.size_lwh
             heading_sigmas[i] = pose.heading_sigma
     return _Part(

@@ -6,30 +6,35 @@ from typing import Annotated
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.commands import DIR, FILE, LIST, Formerly, option
+from skope.console import Console
 from skope.errors import UserError
+
+_WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
+_READ = ("coco", "cvat", "skope3d")
 
 
 def convert(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
+    console: Console,
     to: Annotated[
-        str | None, typer.Option(help="folder, shards, coco, cvat, kitti, mot, skope3d or yolo.", show_default="folder")
+        str | None, option(choices=_WRITTEN, help="Format to write.", show_default="folder"), Formerly("--format")
     ] = None,
     source: Annotated[
-        str | None, typer.Option("--from", help="coco, cvat or skope3d.", show_default="a dataset folder")
+        str | None, option("--from", choices=_READ, help="Format to read.", show_default="a dataset folder")
     ] = None,
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="JSON: what the keypoints of --from skope3d are in scheme skope33.")
+        Path | None,
+        option("--map", metavar=FILE, help="JSON: what the keypoints of --from skope3d are in scheme skope33."),
     ] = None,
     images: Annotated[
-        Path | None, typer.Option(help="Where the images of --from coco or cvat lie, if not beside the annotations.")
+        Path | None,
+        option(metavar=DIR, help="Where the images of --from coco or cvat lie.", show_default="beside the annotations"),
     ] = None,
     keypoints: Annotated[
-        str | None, typer.Option(help="Names of the keypoints of --to yolo, separated by commas.", show_default="all")
+        str | None, option(metavar=LIST, help="Names of the keypoints of --to yolo.", show_default="all")
     ] = None,
-    split: Annotated[str | None, typer.Option(help="Split for all that is read.")] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    split: Annotated[str | None, option(metavar="NAME", help="Split for all that is read.")] = None,
 ) -> None:
     """Write a dataset in another format, or make one of files of another format (see docs/formats.md)."""
     from skope.gen.formats.convert import ConversionOptions
@@ -38,7 +43,6 @@ def convert(
     *sources, out = paths
     if not sources:
         raise UserError(f"{out}: name what to read and then the new folder")
-    console = Console(quiet)
     options = ConversionOptions(
         map=map_file, images=images, split=split, keypoints=tuple(keypoints.split(",")) if keypoints else ()
     )
@@ -48,14 +52,12 @@ def convert(
 
 def merge(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Datasets, and last the new folder.")],
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    console: Console,
 ) -> None:
     """Join datasets: ids numbered anew, sites kept apart, splits as they are, licences united."""
     from skope.gen.formats.merge import merge as join
 
     *sources, out = paths
-    console = Console(quiet)
     join(sources, out, console)
     console.result(f"wrote {out}; next: {_check(out)}")
 

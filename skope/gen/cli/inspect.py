@@ -2,23 +2,23 @@
 
 import shlex
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
-from skope.gen.cli.workers import WorkersOption, hired
+from skope.commands import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
+from skope.console import Console
+from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
 from skope.outputs import look
 
 if TYPE_CHECKING:
     from skope.dataset import Dataset
 
-DatasetArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
-DEFAULT = Path("data/skope")
-SHOWN = Path("runs/show")
-REPORTED = Path("runs/gallery")
+layer = panel("What to draw")
+
+DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset folder.")]
 
 
 def _named(folder: Path, dataset: Path) -> Path:
@@ -32,12 +32,14 @@ def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractCo
 
 
 def check(
-    dataset: DatasetArgument = DEFAULT,
-    repair: Annotated[bool, typer.Option("--repair", help="Make what is broken again.")] = False,
-    against: Annotated[Path | None, typer.Option(help="Another dataset: say how the two differ instead.")] = None,
-    workers: WorkersOption = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    console: Console,
+    dataset: DatasetArgument = DATA,
+    repair: Annotated[bool, option("--repair", help="Make what is broken again.")] = False,
+    against: Annotated[
+        Path | None, option(metavar=DIR, help="Another dataset: say how the two differ instead.")
+    ] = None,
+    workers: Annotated[int | None, option(help="Worker processes of --repair.", show_default="one per core")] = None,
+    json: JsonOption = False,
 ) -> None:
     """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
     from skope.dataset import open_dataset
@@ -45,54 +47,69 @@ def check(
     from skope.gen.inspect.diff import differences
     from skope.gen.inspect.repair import repair as mend
 
-    console, folder = Console(quiet), open_dataset(dataset)
+    folder = open_dataset(dataset)
     findings = [] if against else list(find(folder))
     found = list(differences(folder, open_dataset(against))) if against else list(map(str, findings))
-    for line in found:
-        console.result(line)
-    one, what = len(found) == 1, "difference" if against else "finding"
-    console.result(f"{dataset}: {len(found) or 'no'} {what}{'' if one else 's'}{f' from {against}' if against else ''}")
-    if findings and repair:
-        hire, _ = hired("local", workers, None)
-        mend(folder, findings, hire, console)
+    if not json:
+        for line in found:
+            console.result(line)
+        noun = f"{'difference' if against else 'finding'}{'' if len(found) == 1 else 's'}"
+        console.result(f"{dataset}: {len(found) or 'no'} {noun}{f' from {against}' if against else ''}")
+    if repaired := bool(findings and repair):
+        hire, _ = WorkerOptions(workers=workers).hire()
+        mend(folder, findings, hire, replace(console, quiet=console.quiet or json))
+    if json:
+        told = {"against": str(against), "differences": found} if against else {"findings": list(map(asdict, findings))}
+        console.document({"dataset": str(dataset), **told, "repaired": repaired})
+    elif repaired:
         console.result(f"repaired {dataset}; next: skope gen check {shlex.quote(str(dataset))}")
-    elif found:
+    if found and not repaired:
         raise typer.Exit(1)
 
 
 def stats(
-    dataset: DatasetArgument = DEFAULT,
-    plots: Annotated[Path | None, typer.Option(help="Folder for plots (PNG).")] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    console: Console,
+    dataset: DatasetArgument = DATA,
+    plots: Annotated[Path | None, option(metavar=DIR, help="Folder for plots (PNG).")] = None,
+    json: JsonOption = False,
 ) -> None:
     """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
     from skope.dataset import open_dataset
     from skope.gen.inspect.stats import plot, split_stats, table
 
-    console, folder = Console(quiet), open_dataset(dataset)
-    for line in table({split: split_stats(folder, folder.read(split)) for split in folder.splits}):
-        console.result(line)
+    folder, drawn = open_dataset(dataset), None
+    splits = {split: split_stats(folder, folder.read(split)) for split in folder.splits}
+    if not json:
+        for line in table(splits):
+            console.result(line)
     if plots:
-        with _look(folder, "stats", plots, flag="--plots") as drawn:
-            path = plot(folder, drawn)
-        console.result(f"wrote {plots / path.name}")
+        with _look(folder, "stats", plots, flag="--plots") as temporary:
+            drawn = str(plots / plot(folder, temporary).name)
+    if json:
+        told = {split: numbers.to_dict() for split, numbers in splits.items()}
+        console.document({"dataset": str(dataset), "splits": told, "plots": drawn})
+    elif drawn:
+        console.result(f"wrote {drawn}")
 
 
 def show(
-    dataset: DatasetArgument = DEFAULT,
-    image: Annotated[int | None, typer.Option(help="Draw the image with this id.")] = None,
-    site: Annotated[str | None, typer.Option(help="A sheet of this site instead of one for each split.")] = None,
-    keypoints: Annotated[bool, typer.Option("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
-    boxes_3d: Annotated[bool, typer.Option("--boxes-3d", help="3D boxes.")] = False,
-    mask: Annotated[bool, typer.Option("--mask", help="Visible pixels.")] = False,
-    depth: Annotated[bool, typer.Option("--depth", help="Depth, by colour.")] = False,
-    occlusion: Annotated[bool, typer.Option("--occlusion", help="Hidden shares and reasons to ignore.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the pictures.", show_default="runs/show/ and the dataset's name")
+    console: Console,
+    dataset: DatasetArgument = DATA,
+    image: Annotated[int | None, option(help="Draw the image with this id.")] = None,
+    sites: Annotated[
+        str | None,
+        option(metavar=LIST, help="A sheet of each of these sites instead of one of each split."),
+        Formerly("--site"),
     ] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    keypoints: Annotated[bool, layer("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
+    boxes_3d: Annotated[bool, layer("--boxes-3d", help="3D boxes.")] = False,
+    mask: Annotated[bool, layer("--mask", help="Visible pixels.")] = False,
+    depth: Annotated[bool, layer("--depth", help="Depth, by colour.")] = False,
+    occlusion: Annotated[bool, layer("--occlusion", help="Hidden shares and reasons to ignore.")] = False,
+    out: Annotated[
+        Path | None,
+        option(metavar=DIR, help="Folder for the pictures.", show_default=f"{SHEETS}/ and the dataset's name"),
+    ] = None,
 ) -> None:
     """Draw labels on images: keypoints by default, and anything else of them."""
     from skope.dataset import open_dataset
@@ -100,48 +117,65 @@ def show(
 
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
     layers = [name for name, wanted in zip(LAYERS, flags, strict=True) if wanted] or ["keypoints"]
-    console, folder = Console(quiet), open_dataset(dataset)
-    out = out or _named(SHOWN, dataset)
+    folder = open_dataset(dataset)
+    out = out or _named(SHEETS, dataset)
     with _look(folder, "show", out, options={"layers": layers}) as drawn:
-        paths = [one_image(folder, image, layers, drawn)] if image is not None else sheets(folder, site, layers, drawn)
+        if image is not None:
+            paths = [one_image(folder, image, layers, drawn)]
+        else:
+            names = sites.split(",") if sites is not None else [None]
+            paths = [path for name in names for path in sheets(folder, name, layers, drawn)]
     for path in paths:
         console.result(f"wrote {out / path.name}")
 
 
 def report(
-    dataset: DatasetArgument = DEFAULT,
-    images: Annotated[int, typer.Option(help="At most so many images, spread over splits, sites and recordings.")] = 48,
+    console: Console,
+    dataset: DatasetArgument = DATA,
+    max_images: Annotated[
+        int,
+        option(least=1, help="At most so many images, spread over splits, sites and recordings."),
+        Formerly("--images"),
+    ] = 48,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the page.", show_default="runs/gallery/ and the dataset's name")
+        Path | None,
+        option(metavar=DIR, help="Folder for the page.", show_default=f"{GALLERIES}/ and the dataset's name"),
     ] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
 ) -> None:
     """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
     from skope.dataset import open_dataset
     from skope.gen.inspect.report import write_report
 
-    console, folder = Console(quiet), open_dataset(dataset)
-    out = out or _named(REPORTED, dataset)
+    folder = open_dataset(dataset)
+    out = out or _named(GALLERIES, dataset)
     with _look(folder, "report", out) as drawn:
-        page = write_report(folder, images, drawn / "index.html", console)
+        page = write_report(folder, max_images, drawn / "index.html", console)
     console.result(f"wrote {out / page.name}")
 
 
 def video(
-    site: Annotated[str, typer.Argument(help="A site of `skope gen sites`, or a site file.")],
-    fps: Annotated[float, typer.Option(help="Frames a second: 5, 8, 10, 12.5, 20, 25, 40 or 50.")] = 25.0,
-    seconds: Annotated[float, typer.Option(help="Length.")] = 30.0,
-    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT.")] = "1280x720",
-    fov: Annotated[float, typer.Option(help="Horizontal field of view, degrees.")] = 80.0,
-    weather: Annotated[str | None, typer.Option(help="Instead of the site's.")] = None,
-    time_of_day: Annotated[str | None, typer.Option(help="noon, low_sun, dawn, dusk or night.")] = None,
-    seed: Annotated[int, typer.Option(help="Same seed, same footage.")] = 0,
-    overlay: Annotated[bool, typer.Option("--overlay", help="Write a second video with the labels drawn.")] = False,
-    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
-    out: Annotated[Path, typer.Option(help="Folder for the video and its annotation file.")] = Path("runs/video"),
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    site: Annotated[str, typer.Argument(metavar="SITE", help="A site of `skope gen sites`, or a site file.")],
+    console: Console,
+    seconds: Annotated[float, traffic(help="Length.")] = 30.0,
+    fps: Annotated[float, traffic(help="Frames a second: 5, 8, 10, 12.5, 20, 25, 40 or 50.")] = 25.0,
+    seed: Annotated[int, traffic(help="Same seed, same footage.")] = 0,
+    size: Annotated[str, camera(metavar=SIZE, help="Image size.")] = "1280x720",
+    fov: Annotated[float, camera(help="Horizontal field of view, degrees.")] = 80.0,
+    weather: Annotated[
+        str | None,
+        camera(
+            choices=("clear", "cloudy", "overcast", "rain", "after_rain", "fog"),
+            help="Weather.",
+            show_default="the site's",
+        ),
+    ] = None,
+    time_of_day: Annotated[
+        str | None,
+        camera(choices=("noon", "low_sun", "dawn", "dusk", "night"), help="Time of day.", show_default="the site's"),
+    ] = None,
+    overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
+    out: Annotated[Path, output(metavar=DIR, help="Folder for the video and its annotation file.")] = VIDEOS,
+    renderer: RendererOption = "auto",
 ) -> None:
     """Make footage of a site, with labels of every frame."""
     from skope.files import sha256_of
@@ -150,7 +184,7 @@ def video(
     from skope.gen.pipeline.footage import plan_of, write_footage
     from skope.gen.render.choose import choose_renderer
     from skope.gen.scene.conditions import ranges
-    from skope.gen.simulation.simulate import versions
+    from skope.gen.scene.versions import versions
     from skope.gen.site_files.site_file import read_site
 
     chosen, driver, _ = choose_renderer(renderer)
@@ -175,7 +209,6 @@ def video(
         conditions={} if weather or time_of_day else plan.site.conditions,
     )
     ranges(here.weather, here.time_of_day)  # knows their names
-    console = Console(quiet)
     options = {
         "site": sha256_of(own.path) if own else site,
         "fps": fps,

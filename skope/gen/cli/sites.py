@@ -1,60 +1,89 @@
 """`skope gen sites`: the camera sites listed, and plans of their towns."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
-
-from skope.console import Console, QuietOption, VersionOption
+from skope.commands import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
+from skope.console import Console
 from skope.outputs import look
-
-DRAWN = Path("runs/sites")
 
 
 def sites(
-    maps: Annotated[bool, typer.Option("--map", help="Draw every town's plan to a PNG file.")] = False,
+    console: Console,
+    maps: Annotated[bool, option("--maps", help="Draw every town's plan to a PNG file."), Formerly("--map")] = False,
     site: Annotated[
-        Path | None, typer.Option(help="Check a site file, and draw its lanes over its photograph to a PNG file.")
+        Path | None,
+        option(metavar=FILE, help="Check a site file, and draw its lanes over its photograph to a PNG file."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for the pictures.", show_default="runs/sites/towns, or runs/sites/ and the site's name"
+        option(
+            metavar=DIR,
+            help="Folder for the pictures.",
+            show_default=f"{SITE_PLANS}/towns, or {SITE_PLANS}/ and the site's name",
         ),
     ] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    json: JsonOption = False,
 ) -> None:
     """A table of the camera sites: town, height over the road, pitch, split, what they see; their towns' plans."""
+    if site:
+        told, lines = _own_road(site, out)
+    elif maps:
+        told, lines = _plans(out or SITE_PLANS / "towns", console if not json else Console(quiet=True))
+    else:
+        told, lines = _table()
+    if json:
+        console.document(told)
+        return
+    for line in lines:
+        console.result(line)
+
+
+def _table() -> tuple[dict[str, Any], list[str]]:
+    """All sites, as a document and as the lines of a table."""
     from skope.gen.towns.layout import Layout
-    from skope.gen.towns.sites import sites as all_sites
     from skope.gen.towns.town import towns
 
-    console = Console(quiet)
-    if site:
-        _show(site, out, console)
-        return
-    if maps:
-        from skope import draw
-        from skope.gen.inspect.town_maps import town_map
-
-        out = out or DRAWN / "towns"
-        with look(out, "skope gen sites --map", "the towns") as drawn:
-            for town in towns():
-                draw.write(drawn / f"{town.name}.png", town_map(town))
-                console.say(f"drew {out / f'{town.name}.png'}")
-        console.result(f"wrote {len(towns())} plans to {out}")
-        return
-    console.result(f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees")
-    for town in towns():
-        layout = Layout.of(town)
-        for one in layout.sites:
-            height = one.position[2] - layout.road_below(one)
-            console.result(f"{one.name:<20} {town.name:<7} {height:5.1f} m {one.pitch_deg:4.0f}° {one.split:<7} {one.sees}")
-    console.result(f"{len(all_sites())} sites; plans of the towns: skope gen sites --map")
+    found = [
+        {
+            "name": one.name,
+            "town": town.name,
+            "height_m": float(one.position[2] - layout.road_below(one)),
+            "pitch_deg": float(one.pitch_deg),
+            "split": one.split,
+            "sees": one.sees,
+        }
+        for town in towns()
+        for layout in [Layout.of(town)]
+        for one in layout.sites
+    ]
+    rows = [
+        f"{row['name']:<20} {row['town']:<7} {row['height_m']:5.1f} m {row['pitch_deg']:4.0f}° {row['split']:<7} "
+        f"{row['sees']}"
+        for row in found
+    ]
+    head = f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees"
+    return {"sites": found}, [head, *rows, f"{len(found)} sites; plans of the towns: skope gen sites --maps"]
 
 
-def _show(path: Path, out: Path | None, console: Console) -> None:
+def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
+    """Draw the plan of every town; which files were written, as a document and as lines."""
+    from skope import draw
+    from skope.gen.inspect.town_maps import town_map
+    from skope.gen.towns.town import towns
+
+    paths = []
+    # Folders are recognised by this spelling of the command, which is older than --maps.
+    with look(out, "skope gen sites --map", "the towns") as drawn:
+        for town in towns():
+            paths.append(out / f"{town.name}.png")
+            draw.write(drawn / paths[-1].name, town_map(town))
+            console.say(f"drew {paths[-1]}")
+    return {"maps": list(map(str, paths))}, [f"wrote {len(paths)} plans to {out}"]
+
+
+def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """Check a site file and draw its lanes; what it says, as a document and as lines."""
     from skope import draw
     from skope.gen.site_files.overlay import overlay
     from skope.gen.site_files.site_file import read_site
@@ -62,16 +91,25 @@ def _show(path: Path, out: Path | None, console: Console) -> None:
 
     own = read_site(path)
     road, layout = own.road, Layout.of(own.site.town)
-    height = road.camera.position[2] - layout.road_level(road.camera.position[:2])
-    out = out or DRAWN / road.title
+    camera = road.camera
+    height = float(camera.position[2] - layout.road_level(camera.position[:2]))
+    out = out or SITE_PLANS / road.title
     picture = out / f"{road.title}.png"
     with look(out, "skope gen sites --site", path) as drawn:
         draw.write(drawn / picture.name, overlay(road))
-    for line in own.said:
-        console.result(line)
     traffic = "left" if layout.mirrored else "right"
-    console.result(
-        f"{road.title}: {road.camera.width}x{road.camera.height}, {height:.1f} m over the road, "
+    told = {
+        "site": road.title,
+        "size": [camera.width, camera.height],
+        "height_m": height,
+        "pitch_deg": float(own.site.pitch_deg),
+        "traffic": traffic,
+        "notes": list(own.said),
+        "picture": str(picture),
+    }
+    summary = (
+        f"{road.title}: {camera.width}x{camera.height}, {height:.1f} m over the road, "
         f"{own.site.pitch_deg:.0f} degrees down, traffic on the {traffic}; wrote {picture}; "
         f"next: skope gen --site {path}"
     )
+    return told, [*own.said, summary]

@@ -7,25 +7,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skope.console import Console, QuietOption, VersionOption
+from skope.commands import DIR, VEHICLE_SHEETS, Commands, option
+from skope.console import Console
 from skope.errors import UserError
+from skope.gen.cli.options import RendererOption
 from skope.names import name as check_name
 from skope.outputs import look
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
 
-app = typer.Typer(help="List, check, draw and add vehicle models.", no_args_is_help=True)
+app = Commands(help="List, check, draw and add vehicle models.", no_args_is_help=True)
 
-NameArgument = Annotated[str | None, typer.Argument(help="One model instead of all.")]
+NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One model instead of all.")]
 
 
 @app.command("list")
-def list_models(quiet: QuietOption = False, version: VersionOption = False) -> None:
+def list_models(console: Console) -> None:
     """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
     from skope.gen.vehicles import fleet
 
-    console = Console(quiet)
     console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
     total = sum(entry.share for entry in fleet().values())
     models, damaged = _readable(_names())
@@ -43,11 +44,11 @@ def list_models(quiet: QuietOption = False, version: VersionOption = False) -> N
 
 
 @app.command()
-def check(name: NameArgument = None, quiet: QuietOption = False, version: VersionOption = False) -> None:
+def check(console: Console, name: NameArgument = None) -> None:
     """Check keypoints, symmetry, dimensions, wheels, surfaces, parts and sidecars; exit code 1 with findings."""
     from skope.gen.inspect.vehicle_checks import findings
 
-    console, count = Console(quiet), 0
+    count = 0
     models, damaged = _readable(_names(name))
     for model, vehicle in models.items():
         for finding in findings(vehicle):
@@ -63,11 +64,10 @@ def check(name: NameArgument = None, quiet: QuietOption = False, version: Versio
 
 @app.command()
 def show(
+    console: Console,
     name: NameArgument = None,
-    out: Annotated[Path, typer.Option(help="Folder for the sheets.")] = Path("runs/vehicles"),
-    renderer: Annotated[str, typer.Option(help="gl, pybullet, or auto: gl where OpenGL can be had.")] = "auto",
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    out: Annotated[Path, option(metavar=DIR, help="Folder for the sheets.")] = VEHICLE_SHEETS,
+    renderer: RendererOption = "auto",
 ) -> None:
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
     from skope import draw
@@ -75,7 +75,6 @@ def show(
     from skope.gen.render.choose import choose_renderer
     from skope.gen.vehicles import added
 
-    console = Console(quiet)
     engine, driver, why = choose_renderer(renderer)
     console.say(why)
     models = {model: _loaded(model) for model in _names(name)}
@@ -88,19 +87,27 @@ def show(
 
 @app.command()
 def add(
-    model: Annotated[Path, typer.Argument(help="A .glb, .gltf or .obj file with 33 markers (see the README).")],
-    name: Annotated[str | None, typer.Option(help="What to call it; by default as the file is called.")] = None,
-    vehicle_type: Annotated[str, typer.Option("--type", help="Its vehicle_type in annotations.")] = "other",
+    model: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A .glb, .gltf or .obj file with 33 markers (see the README).")
+    ],
+    console: Console,
+    name: Annotated[str | None, option(metavar="NAME", help="What to call it.", show_default="as the file")] = None,
+    vehicle_type: Annotated[
+        str, option("--type", metavar="TYPE", help="Its vehicle_type in annotations, such as suv or bus.")
+    ] = "other",
     wheels: Annotated[
         str | None,
-        typer.Option(help="Objects of the wheels: front_right=A,front_left=B,rear_right=C,rear_left=D."),
+        option(
+            metavar="CORNER=OBJECT,..",
+            help="Objects of the wheels; the corners are front_right, front_left, rear_right and rear_left.",
+        ),
     ] = None,
-    up: Annotated[str | None, typer.Option(help="The file's axis that points up, such as +y.")] = None,
-    forward: Annotated[str | None, typer.Option(help="The file's axis that points forward, such as -z.")] = None,
-    scale: Annotated[float, typer.Option(help="Metres per unit of the file.")] = 1.0,
-    mass: Annotated[float | None, typer.Option(help="Kilograms; by default as dense as a car.")] = None,
-    quiet: QuietOption = False,
-    version: VersionOption = False,
+    up: Annotated[str | None, option(metavar="AXIS", help="The file's axis that points up, such as +y.")] = None,
+    forward: Annotated[
+        str | None, option(metavar="AXIS", help="The file's axis that points forward, such as -z.")
+    ] = None,
+    scale: Annotated[float, option(help="Metres per unit of the file.")] = 1.0,
+    mass: Annotated[float | None, option(help="Kilograms.", show_default="as dense as a car")] = None,
 ) -> None:
     """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
     from skope.errors import one_of
@@ -110,7 +117,7 @@ def add(
     from skope.gen.vehicles.markers import read_marked
     from skope.schema import VEHICLE_TYPES
 
-    console, called = Console(quiet), model.stem if name is None else name
+    called = model.stem if name is None else name
     if not re.fullmatch(r"\w[\w-]*", called, re.ASCII) or called in fleet():
         raise UserError(f"--name {called}: expected letters, digits, - (not at first) and _, and no model of the fleet")
     check_name("--name", called)

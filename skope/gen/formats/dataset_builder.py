@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import __version__, coco, schema, shards
+from skope import coco, schema, shards
 from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import link, read_bytes, write_bytes, write_json, write_text
@@ -17,6 +17,7 @@ from skope.gen.output import card_text
 from skope.gen.output.counts import Counts, kind_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
 """In every export: the dataset's licence."""

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,6 +48,16 @@ class SplitStats:
     brightness: float
     """Mean grey level, 0 to 255."""
     types: Mapping[str, int]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The numbers as JSON has them: null for those of which nothing was there to count."""
+        return {name: _without_nan(value) for name, value in asdict(self).items()}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_without_nan(one) for one in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:

@@ -58,7 +58,7 @@ class Parameters:
     """A user's own site, in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
-    """What the dataset is kept in, one of `pack.FORMATS`."""
+    """What the dataset is kept in, one of `skope.gen.output.writers.FORMATS`."""
     licence: str = licences.DEFAULT
     """What the images may be used under, as the card states it."""
 

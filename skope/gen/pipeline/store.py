@@ -216,7 +216,7 @@ class Store:
     # ------------------------------------------------------------------------------------------------------------ end
 
     def merge(self, takes: Iterable[Take], form: str) -> Counts:
-        """Write what holds the labels, in one of `pack.FORMATS`, and the manifest.
+        """Write what holds the labels, in one of `skope.gen.output.writers.FORMATS`, and the manifest.
 
         Ids count through the whole dataset in the order of the takes.
         """

@@ -3,7 +3,7 @@
 from contextlib import suppress
 from importlib import metadata
 
-import skope
+from skope.version import __version__
 
 
 def versions() -> dict[str, str]:
@@ -19,4 +19,4 @@ def versions() -> dict[str, str]:
     for name, package in packages.items():
         with suppress(metadata.PackageNotFoundError):  # what renders needs no traffic
             found[name] = metadata.version(package)
-    return {"skope": skope.__version__, **found}
+    return {"skope": __version__, **found}

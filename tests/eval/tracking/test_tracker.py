@@ -15,7 +15,7 @@ from skope import coco
 from skope.errors import UserError
 from skope.eval.pose.views import read_scene
 from skope.eval.tracking import run
-from skope.eval.tracking.detections import Detection, PoseMeasurement, sight_from_dict, sight_to_dict
+from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.tracker import Track, follow
 from skope.metrics import inputs
 from skope.schema import Result
@@ -26,7 +26,7 @@ Path2D = Callable[[float], tuple[float, float, float]]
 """Where a vehicle is and heads at a time: x, y, heading."""
 
 
-def sight(x: float, y: float, heading: float, *, sigma: float = 0.1, box: float = 0.0, truth: int = 1) -> Detection:
+def detection(x: float, y: float, heading: float, *, sigma: float = 0.1, box: float = 0.0, truth: int = 1) -> Detection:
     """A car seen at a place, its box `box` pixels from the left."""
     pose = PoseMeasurement(
         place=np.array([x, y]),
@@ -48,7 +48,7 @@ def seen(paths: Sequence[Path2D], times: Sequence[float], seed: int = 0) -> Iter
         for number, path in enumerate(paths, start=1):
             x, y, heading = path(time)
             dx, dy, turn = rng.normal(0, [0.1, 0.1, math.radians(2)])
-            image.append(sight(x + dx, y + dy, heading + turn, box=20 * x, truth=number))
+            image.append(detection(x + dx, y + dy, heading + turn, box=20 * x, truth=number))
         yield image
 
 
@@ -99,7 +99,7 @@ def test_a_pose_that_jumps_leaves_the_box_its_track_until_it_says_so_for_good() 
 
     def image(i: int) -> list[Detection]:
         elsewhere = 20 <= i < 22 or i >= 40
-        return [sight(0.8 * i, 30.0 if elsewhere else 0.0, 0.0, box=2.0 * i)]
+        return [detection(0.8 * i, 30.0 if elsewhere else 0.0, 0.0, box=2.0 * i)]
 
     (track,) = follow((image(i) for i in range(60)), times)
     assert track.seen.all()
@@ -120,7 +120,7 @@ def test_a_vehicle_that_is_detected_twice_is_followed_once(fps: float, twin_from
     times, rng = np.arange(0, 8, 1 / fps), np.random.default_rng(4)
 
     def image(time: float) -> list[Detection]:
-        own, twin = sight(4.0 * time, 0.0, 0.0), sight(4.0 * time + 0.3, 0.7, 0.1, box=30.0)
+        own, twin = detection(4.0 * time, 0.0, 0.0), detection(4.0 * time + 0.3, 0.7, 0.1, box=30.0)
         if time < twin_from_s:
             return [own]
         return [[own], [twin], [own, twin]][rng.integers(3)]
@@ -135,7 +135,7 @@ def test_two_tracks_that_come_together_are_one_vehicle() -> None:
     times = (np.arange(80) / 10).tolist()
 
     def image(i: int) -> list[Detection]:
-        return [sight(0.5 * i, 0.0, 0.0), sight(0.5 * i, max(3.0 - 0.1 * i, 0.4), 0.0, box=300.0, truth=2)]
+        return [detection(0.5 * i, 0.0, 0.0), detection(0.5 * i, max(3.0 - 0.1 * i, 0.4), 0.0, box=300.0, truth=2)]
 
     found = follow((image(i) for i in range(80)), times)
     longest, *others = sorted(found, key=lambda track: -len(track.frames))
@@ -150,7 +150,7 @@ def test_neighbours_in_a_car_park_are_each_followed() -> None:
     times, rng = (np.arange(60) / 10).tolist(), np.random.default_rng(3)
     image = [
         [
-            sight(
+            detection(
                 float(rng.normal(0, 0.3)),
                 2.6 * lane + float(rng.normal(0, 0.3)),
                 0.0,
@@ -193,9 +193,9 @@ def test_what_was_seen_long_ago_is_as_if_all_were_smoothed_at_once(monkeypatch: 
 
 
 def test_a_sight_is_the_same_after_it_was_written_down() -> None:
-    for one in (sight(1 / 3, 2 / 7, 0.1), replace(sight(1, 2, 3), pose=None, truth_id=None)):
-        told = sight_to_dict(one)
-        assert sight_to_dict(sight_from_dict(json.loads(json.dumps(told)))) == told
+    for one in (detection(1 / 3, 2 / 7, 0.1), replace(detection(1, 2, 3), pose=None, truth_id=None)):
+        told = detection_to_dict(one)
+        assert detection_to_dict(detection_from_dict(json.loads(json.dumps(told)))) == told
 
 
 def test_a_killed_run_goes_on_after_the_poses_it_has(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:

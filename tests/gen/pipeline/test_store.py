@@ -26,7 +26,9 @@ def made(out: Path, sites: str, frames: int, *, before: str = "") -> subprocess.
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
-DIES_BEFORE_THE_MANIFEST = "import os\nfrom skope.gen.output import writers\nwriters._Manifest.finish = lambda self: os._exit(9)"
+DIES_BEFORE_THE_MANIFEST = """import os
+from skope.gen.output import writers
+writers._Manifest.finish = lambda self: os._exit(9)"""
 
 
 def test_shards_that_were_begun_are_extended(tmp_path: Path) -> None:

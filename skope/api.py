@@ -1,0 +1,288 @@
+"""The functions of `import skope`: datasets, the detector, positions, tracks, scores and generated images.
+
+Each loads what it needs when it is called, so that reading a dataset does not wait for torch. What is wrong with a
+user's files raises a `skope.UserError` of one line that names file and field.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import coco, dataset
+from skope.camera import Camera
+from skope.dataset import Dataset
+from skope.errors import UserError
+from skope.schema import AnnotationFile, Result
+from skope.weights import REFERENCE
+
+if TYPE_CHECKING:
+    from skope.detector import Detections
+    from skope.eval.inference.predictor import Predictor
+    from skope.eval.pose.records import Located
+    from skope.eval.tracking.tracker import Track
+    from skope.train.data import DetectionDataset
+
+Pixels = NDArray[np.uint8]
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Open a dataset that `skope gen` made.
+
+    Args:
+        path: The dataset's folder.
+
+    Returns:
+        The dataset. Iterating over it gives `LabelledImage`s: an image's record, its camera, its annotations, and its
+        pixels when they are asked for. `dataset.read("train")` gives all records of a split at once.
+
+    Raises:
+        UserError: There is no finished dataset in the folder.
+    """
+    return dataset.open_dataset(Path(path))
+
+
+def torch_dataset(path: str | Path, split: str = "train", *, supervise: str = "visible") -> "DetectionDataset":
+    """The images of a split as torchvision's detection models take them, for `torch.utils.data.DataLoader`.
+
+    Args:
+        path: The dataset's folder.
+        split: One of `open_dataset(path).splits`.
+        supervise: "visible" for the keypoints that can be seen, "all" for hidden ones too.
+
+    Returns:
+        A `torch.utils.data.Dataset` of pairs: pixels (3, H, W) float32 from 0 to 1, and a dict of `boxes` (N, 4) xyxy
+        in pixels, `labels` (N,), `keypoints` (N, 33, 3) x, y, v, and `ignored_boxes` (M, 4), which count neither as
+        vehicles nor as background.
+
+    Raises:
+        UserError: There is no such dataset or split.
+    """
+    from skope.train.data import DetectionDataset
+
+    return DetectionDataset(open_dataset(path), split, supervise)
+
+
+class Detector:
+    """A detector that is ready to run; `load_detector` makes one."""
+
+    def __init__(self, predictor: "Predictor") -> None:
+        self._predictor = predictor
+
+    @property
+    def checkpoint(self) -> Path:
+        """The file that the weights were read from."""
+        return self._predictor.weights
+
+    def __call__(self, image: Pixels | str | Path) -> "Detections":
+        """Find the vehicles in an image.
+
+        Args:
+            image: (H, W, 3) RGB pixels of type uint8, or the path of an image file. OpenCV reads BGR: turn it round.
+
+        Returns:
+            Detections with `boxes_xyxy` (N, 4), `scores` (N,) and `keypoints` (N, 33, 3), in pixels of the image and
+            best score first; `detections.above(0.5)` keeps those with higher scores.
+
+        Raises:
+            UserError: The file cannot be read.
+            ValueError: The pixels are of another shape or type.
+        """
+        return self.many([image])[0]
+
+    def many(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
+        """Find the vehicles in several images, which go through the network together where they have one size."""
+        pixels = [one if isinstance(one, np.ndarray) else dataset.read_image(Path(one)) for one in images]
+        for one in pixels:
+            if one.ndim != 3 or one.shape[2] != 3 or one.dtype != np.uint8:
+                raise ValueError(f"expected (H, W, 3) pixels of type uint8, got {one.shape} of type {one.dtype}")
+        return self._predictor.detections(pixels)
+
+
+def load_detector(
+    checkpoint: str | Path = REFERENCE, *, device: str = "auto", precision: str = "float32", min_score: float = 0.05
+) -> Detector:
+    """Load a detector.
+
+    Args:
+        checkpoint: A checkpoint file, the folder of a training run, or the name of weights that come with skope.
+        device: "auto" (a GPU where there is one), "cpu", "cuda" or "cuda:1".
+        precision: "float32", "bfloat16", or "auto": bfloat16 where the processor has it.
+        min_score: Vehicles with lower scores are not reported, and cost no time.
+
+    Returns:
+        The detector, to be called with an image.
+
+    Raises:
+        UserError: There is no such checkpoint, it is damaged, or there is no such device.
+    """
+    from skope.console import Console
+    from skope.eval.inference.predictor import Predictor
+    from skope.eval.inference.settings import Settings
+
+    settings = Settings(device=device, precision=precision, min_score=min_score)
+    return Detector(Predictor(Path(checkpoint), settings, Console(quiet=True)))
+
+
+def read_camera(path: str | Path) -> Camera:
+    """Read a camera with its pose in the world.
+
+    Args:
+        path: What `skope eval camera` wrote, OpenCV's .yml or .xml, a TUMTraf or Rope3D calibration, or an annotation
+            file, of which the first image's camera is taken.
+
+    Raises:
+        UserError: The file cannot be read, or does not say where the camera hangs.
+    """
+    from skope.eval.pose import views
+
+    camera, posed = views.read_camera(Path(path))
+    if not posed:
+        raise UserError(f"{path}: does not say where the camera hangs; `skope eval camera` finds that out")
+    return camera
+
+
+def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0.0) -> "Located":
+    """Position, heading and size of the vehicles of one image, in metres.
+
+    Args:
+        detections: What the detector found; drop weak ones before, as in `detections.above(0.5)`.
+        camera: The image's camera, as `read_camera` reads it; of the image's size, or a multiple.
+        ground: Height of the level road in the camera's world, metres; None where it is unknown: then the size of
+            vehicles tells how far away they are, and less exactly.
+
+    Returns:
+        The vehicles in the order of the detections: `located.poses` holds `position` (N, 3), `yaw` (N,) in radians
+        counter-clockwise from world x, `size_lwh` (N, 3), `covariance` (N, 4, 4), `types`, and what to distrust in
+        `refusal` and `flags`; `located.good` (N,) says which vehicles have a pose.
+
+    Raises:
+        UserError: The camera's shape is not the image's.
+    """
+    from skope.eval.pose import views
+    from skope.eval.pose.records import Located
+    from skope.eval.pose.solver import locate as solve
+    from skope.eval.pose.types import Ground
+
+    own = views.sized(camera, detections.size, "image")
+    view = views.view_of(detections)
+    road = None if ground is None else Ground(height=ground)
+    poses = solve(own, view.found, sigma_px=view.sigma_px, ground=road, cut=view.cut)
+    return Located(view, own, poses)
+
+
+def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "list[Track]":
+    """Follow vehicles through the frames of one camera.
+
+    Args:
+        frames: What `locate` gave for each frame.
+        times_s: The time of each frame, seconds, rising.
+
+    Returns:
+        Tracks with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and `speed` (M,) in each of the
+        vehicle's M `frames`.
+
+    Raises:
+        ValueError: The times do not rise.
+    """
+    from skope.eval.tracking.detections import detections_of
+    from skope.eval.tracking.tracker import follow
+
+    if (np.diff(times_s) <= 0).any():
+        raise ValueError("times_s: expected times that rise from frame to frame")
+    return follow((detections_of(one) for one in frames), times_s)
+
+
+def score(
+    predictions: str | Path | Sequence[Result],
+    annotations: str | Path | AnnotationFile,
+    *,
+    min_score: float = 0.9,
+    alpha: float = 0.1,
+    iou: Sequence[float] = (0.9, 0.8, 0.7, 0.6),
+) -> Mapping[str, Any]:
+    """Measure detections against a ground truth.
+
+    Args:
+        predictions: A COCO results file, or its results.
+        annotations: A COCO annotation file, or its records (`dataset.read(split)`).
+        min_score: A detection counts when it scores above this.
+        alpha: A keypoint is correct within this share of the longer edge of its vehicle's box.
+        iou: Overlaps at which a detection matches a vehicle.
+
+    Returns:
+        A split's entry as in `metrics.json`: counts, and for each IoU ("0.6") `pck` and the precision and recall of
+        boxes and keypoints, `pooled` over all images and as the `paper` counts them. A ratio without anything to
+        divide by is None.
+
+    Raises:
+        UserError: A file cannot be read, or the predictions are of other images.
+    """
+    from skope.metrics import inputs
+    from skope.metrics.figures import Options, score_split
+
+    file = annotations if isinstance(annotations, AnnotationFile) else coco.read(Path(annotations))
+    results = inputs.read_results(Path(predictions), file) if isinstance(predictions, str | Path) else predictions
+    return score_split(file, results, Options(score=min_score, alpha=alpha, iou=tuple(iou)))
+
+
+def generate(
+    out: str | Path,
+    *,
+    preset: str = "demo",
+    sites: Sequence[str] | None = None,
+    site: str | Path | None = None,
+    frames: int | None = None,
+    interval: float | None = None,
+    size: str | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    quiet: bool = True,
+    **options: Any,
+) -> Dataset:
+    """Generate annotated images, or go on where a stopped call was; the same arguments give the same bytes.
+
+    Args:
+        out: The dataset's folder; a new one, or one that the same call began.
+        preset: What kind of dataset: "demo", "paper", "full", "extra" or "varied".
+        sites: Names of camera sites in place of the preset's (`skope gen sites` lists them).
+        site: A site file of your own road and camera in place of `sites`.
+        frames: Images for each site.
+        interval: Seconds between a recording's frames.
+        size: Width and height of the images, as in "1280x720".
+        seed: What everything that is random follows from.
+        workers: Processes; by default one for each core.
+        quiet: Print nothing on the way.
+        options: Any other option of `skope gen` by its name with underscores, as in `shape_jitter=True`.
+
+    Returns:
+        The finished dataset.
+
+    Raises:
+        UserError: An option is wrong, or the folder holds other work.
+    """
+    with suppress(ImportError):
+        # A program that goes on with torch crashes where Mesa's compiler (LLVM) was loaded before torchvision's.
+        import torchvision  # noqa: F401
+
+    from skope.console import Console
+    from skope.gen.cli.options import DatasetOptions, WorkerOptions
+    from skope.gen.pipeline.generate import produce
+
+    asked = DatasetOptions(
+        preset=preset,
+        sites=None if sites is None else ",".join(sites),
+        site=None if site is None else Path(site),
+        frames=frames,
+        interval=interval,
+        size=size,
+        seed=seed,
+        **options,
+    )
+    parameters, _ = asked.parameters()
+    hire, _ = WorkerOptions(workers=workers).hire()
+    produce(parameters, Path(out), hire, Console(quiet=quiet))
+    return open_dataset(out)

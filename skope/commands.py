@@ -1,0 +1,206 @@
+"""What commands of all groups share: their default folders, how options are written, and `--quiet` and `--version`."""
+
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final, TypeVar, get_args
+
+import typer
+
+from skope.console import Console
+from skope.errors import UserError, one_of
+from skope.version import __version__
+
+DATA: Final = Path("data/skope")
+"""Dataset that `skope gen` makes, `skope train` learns from and `skope eval` measures on."""
+RUN: Final = Path("runs/skope")
+"""Run that `skope train` makes and `skope eval` measures."""
+SHEETS: Final = Path("runs/show")
+GALLERIES: Final = Path("runs/gallery")
+SITE_PLANS: Final = Path("runs/sites")
+VEHICLE_SHEETS: Final = Path("runs/vehicles")
+VIDEOS: Final = Path("runs/video")
+PREDICTED: Final = Path("runs/predict")
+POSES: Final = Path("runs/pose")
+TRACKS: Final = Path("runs/tracks")
+CAMERA_FILE: Final = Path("runs/camera.json")
+
+DIR: Final = "DIR"
+FILE: Final = "FILE"
+LIST: Final = "A,B,.."
+SIZE: Final = "WIDTHxHEIGHT"
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Formerly:
+    """An older spelling of an option, in its annotation: still accepted, no longer shown."""
+
+    flag: str
+
+
+def option(*names: str, help: str, choices: tuple[str, ...] = (), least: int | None = None, **settings: Any) -> Any:
+    """A `typer.Option` for an annotation.
+
+    Args:
+        names: Spellings, if not the parameter's own name with dashes.
+        help: What `--help` says of it; brackets stand for themselves.
+        choices: Values that it takes, which `--help` shows; another one is a UserError.
+        least: Whole number under which a value is a UserError.
+        settings: Anything else that typer.Option takes.
+    """
+    if choices:
+        settings |= {
+            "metavar": f"[{'|'.join(choices)}]",
+            "autocompletion": lambda: list(choices),
+            "callback": _among(choices),
+        }
+    if least is not None:
+        settings["callback"] = _from(least)
+    # Rich would take what stands in brackets for markup, and leave it out.
+    return typer.Option(*names, help=help.replace("[", r"\["), **settings)
+
+
+def panel(title: str) -> Callable[..., Any]:
+    """`option` for options that `--help` shows under this title."""
+    return partial(option, rich_help_panel=title)
+
+
+def _among(choices: tuple[str, ...]) -> Callable[..., Any]:
+    def check(param: typer.CallbackParam, value: Any) -> Any:
+        return value if value is None else one_of(_flag(param), value, choices)
+
+    return check
+
+
+def _from(least: int) -> Callable[..., Any]:
+    def check(param: typer.CallbackParam, value: Any) -> Any:
+        if value is not None and value < least:
+            raise UserError(f"{_flag(param)}: expected a whole number from {least}, got {value}")
+        return value
+
+    return check
+
+
+def _flag(param: Any) -> str:
+    """The spelling of an option that errors name: its long one."""
+    return max(map(str, param.opts), key=len)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"skope {__version__}")
+        raise typer.Exit
+
+
+QuietOption = Annotated[bool, option("--quiet", "-q", help="Print results and errors only.")]
+VersionOption = Annotated[
+    bool, option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+]
+JsonOption = Annotated[bool, option("--json", help="Print one JSON document with the same content instead.")]
+
+
+class Commands(typer.Typer):
+    """A group whose commands, and itself where it is one, take `--quiet` and `--version` beside their own options.
+
+    A command's parameter of type `Console` is one that keeps quiet if that is asked for; a parameter whose type is a
+    dataclass stands for the options that are its fields. Where a group runs by itself, `skope gen` for example, its
+    function is not called when one of its commands follows.
+    """
+
+    def command(self, *args: Any, **settings: Any) -> Callable[[C], C]:
+        return _registering(super().command(*args, **settings))
+
+    def callback(self, *args: Any, **settings: Any) -> Callable[[C], C]:
+        return _registering(super().callback(*args, **settings))
+
+
+def _registering(register: Callable[[Any], Any]) -> Callable[[C], C]:
+    """Register what typer is to call in place of a function, which itself stays as it is."""
+
+    def decorate(function: C) -> C:
+        register(_for_typer(function))
+        return function
+
+    return decorate
+
+
+def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What typer calls for a function: it has the options of `Commands` and hands on what the function takes."""
+    own = inspect.signature(function).parameters
+    options = [one for parameter in own.values() for one in _options(parameter)]
+    renamed = [(one, older) for one in options if (older := _older(one))]
+
+    def run(context: typer.Context, **values: Any) -> None:
+        if context.invoked_subcommand is not None:
+            _refuse_flags(context)
+            return
+        values |= {one.name: values[older.name] for one, older in renamed if _given(context, older.name)}
+        function(**{name: _argument(parameter, context, values) for name, parameter in own.items()})
+
+    shared = (_keyword("quiet", QuietOption, False), _keyword("version", VersionOption, False))
+    everything = [*options, *(older for _, older in renamed), *shared]
+    signature = inspect.Signature([_keyword("context", typer.Context, inspect.Parameter.empty), *everything])
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    run.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
+    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    return run
+
+
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+
+
+def _options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
+    """The parameters that typer makes options and arguments of, for one of a function's parameters."""
+    if parameter.annotation is Console:
+        return
+    group = is_dataclass(parameter.annotation)
+    for one in inspect.signature(parameter.annotation).parameters.values() if group else (parameter,):
+        yield _keyword(one.name, one.annotation, one.default)
+
+
+def _older(parameter: inspect.Parameter) -> inspect.Parameter | None:
+    """The hidden parameter for the older spelling of an option; None where there was none."""
+    kind, *told = get_args(parameter.annotation) or (None,)
+    flags = [one.flag for one in told if isinstance(one, Formerly)]
+    if not flags:
+        return None
+    (info,) = (one for one in told if not isinstance(one, Formerly))
+    again = typer.Option(flags[0], hidden=True, callback=info.callback, autocompletion=info.autocompletion)
+    return _keyword(f"{parameter.name}_before", Annotated[kind, again], parameter.default)
+
+
+def _argument(parameter: inspect.Parameter, context: typer.Context, values: dict[str, Any]) -> Any:
+    """What a function is called with for one of its parameters."""
+    kind = parameter.annotation
+    if kind is Console:
+        return Console(quiet=_quiet(context))
+    if not is_dataclass(kind):
+        return values[parameter.name]
+    make: Any = kind
+    return make(**{one.name: values[one.name] for one in fields(kind)})
+
+
+def _quiet(context: Any) -> bool:
+    """Whether a command, or a group that it was called through, was told to be quiet."""
+    return bool(context.params.get("quiet")) or (context.parent is not None and _quiet(context.parent))
+
+
+def _given(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _refuse_flags(context: typer.Context) -> None:
+    """Raise a UserError where flags that only a group knows stand before one of its commands."""
+    for parameter in context.command.params:
+        if parameter.name != "quiet" and _given(context, parameter.name or ""):
+            raise UserError(
+                f"{parameter.opts[0]}: is a flag of `{context.command_path}` by itself; write those of "
+                f"`{context.invoked_subcommand}` after that word"
+            )

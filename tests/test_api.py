@@ -1,0 +1,183 @@
+"""`import skope`: light, and each function says what the command line says."""
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import skope as door
+from skope import coco
+from skope.detector import Detections, detect, load_weights
+from skope.errors import UserError
+from skope.eval.pose.records import records
+from tests import hostile
+from tests.eval.sightings import CAMERA, drive
+from tests.samples import make_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two splits of three images; the first keypoint of each vehicle is hidden."""
+    root = make_dataset(tmp_path_factory.mktemp("api") / "d", images=3)
+    for path in (root / "annotations").iterdir():
+        file = coco.read(path)
+        hidden = np.array([[1, 1, 0.5], *[[1, 1, 1]] * 32])
+        changed = tuple(replace(a, keypoints=a.keypoints * hidden) for a in file.annotations)
+        coco.write(path, replace(file, annotations=changed))
+    return root
+
+
+def test_importing_loads_nothing_else() -> None:
+    code = "import sys; before = set(sys.modules); import skope; print(*(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    others = {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names
+    assert others == {"skope"}
+    assert len(done.stdout.split()) < 30
+
+
+def test_every_name_is_there_and_no_other() -> None:
+    for name in door.__all__:
+        assert getattr(door, name) is not None
+        assert name in dir(door)
+    with pytest.raises(AttributeError, match="has no attribute 'lacate'"):
+        _ = door.lacate
+
+
+def test_a_dataset_is_gone_through(dataset: Path) -> None:
+    opened = door.open_dataset(str(dataset))
+    seen = list(opened)
+    assert [one.split for one in seen] == ["easy"] * 3 + ["train"] * 3
+    for one in seen:
+        assert one.pixels().shape == (one.record.height, one.record.width, 3)
+        assert len(one.annotations) == 2
+        assert {a.image_id for a in one.annotations} == {one.record.id}
+        assert one.camera is one.record.camera
+        assert one.depth() is None
+    assert len(list(opened.images("train"))) == 3
+    with pytest.raises(UserError, match="no split 'hard'"):
+        opened.images("hard")
+    with pytest.raises(UserError, match="no such dataset folder"):
+        door.open_dataset(dataset / "nothing")
+
+
+def test_torch_gets_what_torchvision_takes(dataset: Path) -> None:
+    from torchvision.models.detection import keypointrcnn_resnet50_fpn
+
+    images = door.torch_dataset(dataset, "train")
+    assert len(images) == 3
+    pixels, target = images[0]
+    first = next(door.open_dataset(dataset).images("train"))
+    np.testing.assert_allclose(pixels.permute(1, 2, 0).numpy() * 255, first.pixels(), atol=1e-3)
+    np.testing.assert_allclose(target["boxes"][0], [*first.annotations[0].bbox[:2], *sum_of(first.annotations[0].bbox)])
+    model = keypointrcnn_resnet50_fpn(weights=None, weights_backbone=None, num_keypoints=33, min_size=64)
+    losses = model.train()([pixels], [target])
+    assert all(math.isfinite(loss.item()) for loss in losses.values())
+    hidden = door.torch_dataset(dataset, "train", supervise="all")[0][1]["keypoints"]
+    assert (hidden[..., 2] > 0).sum() == (target["keypoints"][..., 2] > 0).sum() + 2
+    with pytest.raises(UserError, match="supervise"):
+        door.torch_dataset(dataset, "train", supervise="none")
+
+
+def sum_of(bbox: np.ndarray) -> np.ndarray:
+    return bbox[:2] + bbox[2:]
+
+
+def test_a_detector_answers_as_its_model(random_run: Path, dataset: Path) -> None:
+    detector = door.load_detector(random_run, device="cpu")
+    image = next(iter(door.open_dataset(dataset)))
+    found = detector(image.pixels())
+    model, _, _ = load_weights(detector.checkpoint, "cpu")
+    (expected,) = detect(model, [image.pixels()], "cpu")
+    assert len(found) == len(expected) > 0
+    np.testing.assert_array_equal(found.boxes_xyxy, expected.boxes_xyxy)
+    np.testing.assert_array_equal(found.keypoints, expected.keypoints)
+    assert found.size == (image.record.width, image.record.height)
+    again = detector(dataset / image.record.file_name)
+    np.testing.assert_array_equal(again.scores, found.scores)
+    best = float(np.sort(found.scores)[-2])
+    assert found.above(best).scores.tolist() == [s for s in found.scores.tolist() if s > best]
+    both = detector.many([image.pixels(), image.pixels()[:100]])
+    assert [one.size[1] for one in both] == [image.record.height, 100]
+    with pytest.raises(ValueError, match="uint8"):
+        detector(image.pixels().astype(np.float32))
+    with pytest.raises(UserError, match="no such checkpoint"):
+        door.load_detector("nowhere")
+
+
+def frames(count: int = 20) -> list[tuple[Detections, float]]:
+    """What a perfect detector finds of two sedans, at 10 frames a second."""
+    file = drive(count / 10, 10.0)
+    own, out = file.by_image(), []
+    for image in file.images:
+        bbox = np.array([a.bbox for a in own[image.id]]).reshape(-1, 4)
+        points = np.array([a.keypoints for a in own[image.id]]).reshape(-1, 33, 3)
+        points[..., 2] = points[..., 2] == 2
+        corners = np.concatenate([bbox[:, :2], bbox[:, :2] + bbox[:, 2:]], axis=1)
+        out.append((Detections(corners, np.ones(len(bbox)), points, (image.width, image.height)), image.time_s or 0.0))
+    return out
+
+
+def test_vehicles_are_located_and_followed() -> None:
+    file = drive(2.0, 10.0)
+    seen = frames()
+    located = [door.locate(detections, CAMERA) for detections, _ in seen]
+    middle = located[10]
+    truth = [a.box_3d.center[:2] for a in file.by_image()[11] if a.box_3d]
+    assert middle.good.all()
+    assert np.linalg.norm(middle.poses.position[:, :2] - truth, axis=1).max() < 0.3
+    assert [row["refused"] for row in records(middle)] == [None] * len(truth)
+    tracks = door.track(located, [time for _, time in seen])
+    assert sorted(round(float(np.median(track.speed))) for track in tracks) == [0, 12]
+    with pytest.raises(ValueError, match="rise"):
+        door.track(located, [0.0] * len(located))
+
+
+def test_without_a_known_ground_size_tells_the_distance() -> None:
+    detections, _ = frames()[10]
+    known, unknown = (door.locate(detections, CAMERA, ground=ground) for ground in (0.0, None))
+    assert np.abs(unknown.poses.position - known.poses.position).max() < 2.5
+    assert np.trace(unknown.poses.covariance[0]) > np.trace(known.poses.covariance[0])
+
+
+def test_a_camera_of_another_shape_is_refused() -> None:
+    detections, _ = frames(2)[1]
+    with pytest.raises(UserError, match="which a camera of"):
+        door.locate(replace(detections, size=(400, 400)), CAMERA)
+
+
+def test_scores_are_those_of_the_command(skope: Any, dataset: Path, tmp_path: Path) -> None:
+    labels = dataset / "annotations" / "easy.json"
+    file = coco.read(labels)
+    results = [
+        {"image_id": a.image_id, "category_id": 1, "bbox": a.bbox.tolist(), "score": 0.95,
+         "keypoints": (a.keypoints + [3, 0, 0]).ravel().tolist()}
+        for a in file.annotations
+    ]  # fmt: skip
+    path = tmp_path / "predictions.json"
+    path.write_text(json.dumps(results))
+    assert skope("eval", "--annotations", labels, "--predictions", path, "--out", "scored")[0] == 0
+    (entry,) = json.loads((tmp_path / "scored" / "metrics.json").read_text())["splits"].values()
+    scores = door.score(path, labels)
+    assert scores["iou"] == entry["iou"]
+    assert door.score(coco.read_results(path), file)["iou"] == scores["iou"]
+    assert door.score(path, labels, alpha=0.001)["iou"]["0.6"]["pck"] < scores["iou"]["0.6"]["pck"]
+
+
+def test_generating_is_the_command(skope: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("skope.gen.pipeline.workers.make_renderer", hostile.FlatRenderer)
+    asked = {"sites": ["t01_mill_corner"], "frames": 2, "size": "64x48", "workers": 1, "renderer": "pybullet"}
+    made = door.generate(tmp_path / "a", **asked, seed=3)
+    words = ["--sites", "t01_mill_corner", "--frames", 2, "--size", "64x48", "--workers", 1, "--seed", 3]
+    assert skope("gen", *words, "--renderer", "pybullet", "--out", "b")[0] == 0
+    for split in made.splits:
+        name = f"annotations/{split}.json"
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    with pytest.raises(UserError, match="--frames"):
+        door.generate(tmp_path / "c", **{**asked, "frames": 0})
+    assert not (tmp_path / "c").exists()
