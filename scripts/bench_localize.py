@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from skope import keypoints
 from skope.gen.labels.localize import transform, trilaterate
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.sidecar import wheel_plane
 
 

@@ -54,7 +54,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
     Nobody else is on the road.
     """
     from skope.gen.render.windows import hull_of, window_of
-    from skope.gen.vehicles import build
+    from skope.gen.vehicles.fleet import build
 
     keep: list[int] = []
     for frame in range(len(recording)):
@@ -167,7 +167,7 @@ class Peer:
         )
 
     def __call__(self, frame: int) -> None:
-        from skope.gen.vehicles import build
+        from skope.gen.vehicles.fleet import build
 
         moment, present = self.recording.moment(frame).labelled(), {}
         for i, vehicle in enumerate(moment.vehicles):

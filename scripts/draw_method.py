@@ -33,7 +33,7 @@ from skope.gen.render.choose import choose_renderer, make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Recording
 from skope.gen.simulation.simulate import simulate
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.sidecar import wheel_plane
 from skope.schema import Annotation
 

@@ -26,7 +26,7 @@ from skope.errors import UserError
 from skope.files import write_json
 from skope.gen.formats.archive import opened
 from skope.gen.formats.scenes import ArchiveVehicle, archives, scene_of
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 
 HALF_SIZE_M = np.array([2.25, 0.9, 0.8])

@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from skope import keypoints
 from skope.files import write_text
 from skope.gen.labels.raycast import Fan
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import Vehicle
 
 DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_sight.json"

@@ -17,7 +17,7 @@ from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.formats.scenes import ArchiveVehicle
 from skope.gen.formats.skope3d import CORNERS
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.samples import load_script

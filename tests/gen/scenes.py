@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 
 from skope.camera import Camera
-from skope.gen import bystanders
-from skope.gen.bystanders import Look
+from skope.gen.bystanders import bystander
+from skope.gen.bystanders.people import Look
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 
 
 def conditions(weather: str = "clear", **fields: float) -> Conditions:
@@ -64,7 +64,7 @@ def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], we
 
 def with_people(recording: Recording, places: list[tuple[float, float, float]]) -> Recording:
     """The frame with large people who stand at places (x, y, yaw)."""
-    body, count = bystanders.build("pedestrian", Look(height=1.95, girth=1.3).to_dict()), len(places)
+    body, count = bystander.build("pedestrian", Look(height=1.95, girth=1.3).to_dict()), len(places)
     chassis = np.array([pose(*place) for place in places])
     people = (
         RecordedVehicle(100 + i, "pedestrian", body.look.to_dict(), "black", labelled=False) for i in range(count)

@@ -10,7 +10,7 @@ from skope.gen import cache
 from skope.gen.mesh import Mesh
 from skope.gen.scenery import build as towns
 from skope.gen.towns.town import Town
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import simplified_parts
 
 

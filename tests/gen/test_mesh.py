@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skope.gen.mesh import Mesh, box, grid, merged, simplified
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from tests.gen.rays import cast
 
 

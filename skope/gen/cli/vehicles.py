@@ -25,7 +25,7 @@ NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One m
 @app.command("list")
 def list_models(console: Console) -> None:
     """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
-    from skope.gen.vehicles import fleet
+    from skope.gen.vehicles.fleet import fleet
 
     console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
     total = sum(entry.share for entry in fleet().values())
@@ -112,8 +112,8 @@ def add(
     """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
     from skope.errors import one_of
     from skope.gen.inspect.vehicle_checks import findings
-    from skope.gen.vehicles import fleet
     from skope.gen.vehicles.added import check_mass, save, vehicle_of
+    from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.markers import read_marked
     from skope.schema import VEHICLE_TYPES
 
@@ -154,16 +154,16 @@ def _corners(text: str | None) -> dict[str, str] | None:
 def _names(name: str | None = None) -> tuple[str, ...]:
     """All models of the fleet and those that were added, or the one of that name."""
     from skope.errors import one_of
-    from skope.gen.vehicles import fleet
     from skope.gen.vehicles.added import names
+    from skope.gen.vehicles.fleet import fleet
 
     everything = tuple(dict.fromkeys((*fleet(), *names())))
     return everything if name is None else (one_of("model", name, everything),)
 
 
 def _loaded(model: str) -> "Vehicle":
-    from skope.gen.vehicles import fleet
     from skope.gen.vehicles.added import load
+    from skope.gen.vehicles.fleet import fleet
 
     return fleet()[model].vehicle if model in fleet() else load(model)
 

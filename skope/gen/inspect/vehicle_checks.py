@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.gen.labels.localize import trilaterate
 from skope.gen.labels.raycast import Fan
-from skope.gen.vehicles import class_ranges
 from skope.gen.vehicles.added import AddedVehicle
+from skope.gen.vehicles.fleet import class_ranges
 from skope.gen.vehicles.model import Vehicle
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from skope.gen.render.choose import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording
 from skope.gen.scenery.build import STUDIO
-from skope.gen.vehicles import palette
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.paints import palette
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,9 @@ from skope.gen.labels.raycast import RayCaster
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.scene.bodies import body_of
 from skope.gen.scene.recording import Moment
-from skope.gen.vehicles import PAINTS, build
+from skope.gen.vehicles.fleet import build
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.paints import PAINTS
 from skope.schema import Annotation, Box3D
 
 Array = NDArray[np.float64]

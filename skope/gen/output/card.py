@@ -17,7 +17,7 @@ from skope.gen.output import card_text, licences
 from skope.gen.output.counts import Counts
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"

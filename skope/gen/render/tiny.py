@@ -29,8 +29,8 @@ from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS
-from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.paints import PAINTS
 
 Array = NDArray[np.float64]
 

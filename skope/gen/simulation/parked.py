@@ -12,8 +12,9 @@ from skope.gen.simulation.motion import Driven
 from skope.gen.towns.layout import Layout, rectangle
 from skope.gen.towns.parking import BAY, Bay
 from skope.gen.towns.town import Town
-from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.paints import draw_paint
 
 OCCUPIED: Final = 0.5
 """Share of the bays that are taken."""

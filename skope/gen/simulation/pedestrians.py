@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
-from skope.gen.bystanders import Bystander, Look, build
-from skope.gen.bystanders.people import lowered
+from skope.gen.bystanders.bystander import Bystander, build
+from skope.gen.bystanders.people import Look, lowered
 from skope.gen.traffic.sumo import SumoRider
 
 Array = NDArray[np.float64]

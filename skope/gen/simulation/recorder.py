@@ -17,7 +17,8 @@ from skope.gen.simulation.pedestrians import Present
 from skope.gen.simulation.physics import Pose, at_rest
 from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
-from skope.gen.vehicles import FleetEntry, build, fleet, jittered
+from skope.gen.vehicles.fleet import FleetEntry, build, fleet
+from skope.gen.vehicles.jitter import jittered
 from skope.gen.vehicles.model import Vehicle
 
 REACH: Final = 150.0

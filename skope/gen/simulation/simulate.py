@@ -16,7 +16,8 @@ from skope.gen.towns.layout import Layout
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import Traffic, step_for
-from skope.gen.vehicles import FleetEntry, added, fleet
+from skope.gen.vehicles import added
+from skope.gen.vehicles.fleet import FleetEntry, fleet
 
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""

@@ -11,8 +11,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.paints import draw_paint
 
 HEAVY: Final = 3500.0
 """Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""

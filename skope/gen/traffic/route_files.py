@@ -18,7 +18,8 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.gen.traffic.demand import RIDERS, Trip, drawn, driver_shares
-from skope.gen.vehicles import FleetEntry, draw_paint
+from skope.gen.vehicles.fleet import FleetEntry
+from skope.gen.vehicles.paints import draw_paint
 
 _LIGHT: Final = ("sedan", "hatchback", "city_car", "coupe", "wagon", "suv", "minivan", "pickup")
 _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {

@@ -18,7 +18,7 @@ import numpy as np
 from skope.errors import UserError
 from skope.gen.traffic.demand import RIDERS, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
-from skope.gen.vehicles import FleetEntry
+from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.shape import Dimensions
 
 STEP: Final = 0.025

@@ -18,7 +18,7 @@ from skope.eval.pose.records import locate_view
 from skope.eval.pose.shape_model import Shapes, fleet_shapes, read_shapes
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.schema import AnnotationFile, Image, Result
 from tests.eval.sightings import CAMERA, scene
 

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from skope.cli import app
 from skope.errors import UserError
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 
 
 def test_the_list_has_a_line_for_each_model() -> None:

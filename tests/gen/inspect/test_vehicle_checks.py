@@ -11,7 +11,8 @@ import pytest
 from skope import keypoints
 from skope.gen.inspect.vehicle_checks import distance_to_surface, findings
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles import build, fleet, jittered
+from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.jitter import jittered
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.sidecar import Sidecar
 from tests.gen.rays import distance_to_triangles

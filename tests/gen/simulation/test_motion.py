@@ -13,7 +13,7 @@ from skope.gen.simulation.motion import LOCK, SPREADS_S, Driven, drivable, reach
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
 from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoVehicle
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 
 CHASSIS = Chassis.of(fleet()["sedan"].vehicle.shape)
 

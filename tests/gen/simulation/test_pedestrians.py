@@ -8,8 +8,8 @@ from shapely import Point, Polygon
 
 from skope import keypoints
 from skope.camera import Camera
-from skope.gen.bystanders import KINDS, Look, build
-from skope.gen.bystanders.people import HIP
+from skope.gen.bystanders.bystander import KINDS, build
+from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose import make_renderer

@@ -14,7 +14,7 @@ from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS, STEP, Traffic
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from tests.gen.scenes import driven
 
 SEDAN = fleet()["sedan"].vehicle

@@ -44,7 +44,7 @@ from skope.gen.towns.sites import site, site_of
 from skope.gen.towns.town import Town, folder
 from skope.gen.traffic.demand import trips
 from skope.gen.traffic.route_files import scheduled, streams
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_road"
 FLIP = np.array([1.0, -1.0, 1.0])

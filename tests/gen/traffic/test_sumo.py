@@ -16,7 +16,7 @@ from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site, sites
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import in_town, ways
-from skope.gen.vehicles import build, fleet
+from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.model import Vehicle
 
 

@@ -12,8 +12,9 @@ from skope.dataset import open_dataset
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
-from skope.gen.vehicles import added, build, fleet
+from skope.gen.vehicles import added
 from skope.gen.vehicles.added import names
+from skope.gen.vehicles.fleet import build, fleet
 from tests.gen.vehicles.test_markers import nodes, renamed, swapped, without, written
 
 

@@ -7,7 +7,9 @@ from skope.errors import UserError
 from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
-from skope.gen.vehicles import Vehicle, build, class_ranges, fleet, jittered
+from skope.gen.vehicles.fleet import build, class_ranges, fleet
+from skope.gen.vehicles.jitter import jittered
+from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.sidecar import Sidecar
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles

@@ -10,7 +10,7 @@ import trimesh
 from skope import keypoints
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles import fleet
+from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.markers import CORNERS, read_marked
 
 SEDAN = fleet()["sedan"].vehicle

@@ -13,8 +13,8 @@ from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.windows import Window, hull_of, window_of
 from skope.gen.scene.bodies import body_of
 from skope.gen.scene.recording import Moment
-from skope.gen.vehicles import PAINTS
 from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.paints import PAINTS
 
 Array = NDArray[np.float64]
 

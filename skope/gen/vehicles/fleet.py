@@ -1,0 +1,180 @@
+"""The fleet: vehicle models by name, each a style and a point in its type's shape space."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.errors import UserError
+from skope.gen.cache import Arrays, cached, digest_of
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles.added import load
+from skope.gen.vehicles.bus import BusBody
+from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
+from skope.gen.vehicles.parts import SIGN_HEIGHT
+from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.truck import TruckBody
+from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
+
+Array = NDArray[np.float64]
+
+_BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
+
+
+@dataclass(frozen=True)
+class ParametricVehicle(Derived):
+    """A model of the fleet: a style and a point in its type's shape space."""
+
+    model: str
+    vehicle_type: str
+    shape: Shape
+    style: VehicleStyle
+    mass: float
+    """Kilograms, laden with a driver."""
+    substituted: tuple[str, ...] = ()
+    """Keypoints that stand for a part that this body lacks."""
+
+    @property
+    def size_lwh(self) -> tuple[float, float, float]:
+        s = self.shape
+        return s.length, s.width, s.height + (SIGN_HEIGHT if self.style.sign else 0.0)
+
+    @cached_property
+    def _body(self) -> Arrays:
+        """Surfaces and the left keypoints, by stem."""
+
+        def build() -> Arrays:
+            body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
+            return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
+
+        return self._kept("vehicle", build)
+
+    def _kept(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
+        """What is built of a model, on disk; a shape of a vehicle's own passes by once."""
+        entry = fleet().get(self.model)
+        if entry is None or entry.vehicle.shape != self.shape:
+            return build()
+        return cached(kind, digest_of(repr(self.shape), repr(self.style)), build)
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The body without wheels, closed, with its glass opaque."""
+        mesh = Mesh.from_arrays(self._body, "mesh")
+        # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
+        name = "indicator_left"
+        if name not in mesh.materials:
+            return mesh
+        right = mesh.vertices[mesh.triangles][:, :, 1].mean(axis=1) < 0
+        of = mesh.materials.index(name)
+        material = np.where((mesh.material == of) & right, len(mesh.materials), mesh.material)
+        return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (*mesh.materials, "indicator_right"), material)
+
+    @cached_property
+    def interior(self) -> Mesh:
+        """What is seen through the windows; it lies inside `mesh`."""
+        return Mesh.from_arrays(self._body, "interior")
+
+    @cached_property
+    def coarse(self) -> tuple[Mesh, ...]:
+        """The parts for pictures from afar."""
+        names = [f"part{i}" for i in range(len(self.parts))]
+
+        def build() -> Arrays:
+            parts = zip(names, simplified_parts(self.parts), strict=True)
+            return {key: array for name, part in parts for key, array in part.to_arrays(name).items()}
+
+        arrays = self._kept("coarse", build)
+        return tuple(Mesh.from_arrays(arrays, name) for name in names)
+
+    @cached_property
+    def wheel(self) -> Mesh:
+        """A left wheel about its centre; a right one is its mirror image."""
+        radius, width = self.shape.wheel_radius, self.shape.wheel_width
+        if self.style.family == "car":
+            return wheel_mesh(radius, width, self.style.spokes)
+        return steel_wheel(radius, width)
+
+    @cached_property
+    def points(self) -> Array:
+        """(33, 3) keypoints at rest, metres."""
+        left = self._body
+        wheels = self.shape.wheel_centers()
+        out = np.empty((keypoints.K, 3))
+        for i, name in enumerate(keypoints.NAMES):
+            stem = name.removesuffix("_left").removesuffix("_right")
+            if i in keypoints.WHEELS:
+                out[i] = wheels[i - keypoints.WHEELS[0]]
+            else:
+                out[i] = left[stem] * ([1, -1, 1] if name.endswith("_right") else [1, 1, 1])
+        return out
+
+
+@dataclass(frozen=True)
+class FleetEntry:
+    vehicle: Vehicle
+    share: float
+    """How often the model drives by, relative to the others."""
+    held_out: bool = False
+    """Kept for testing."""
+
+
+def _table(name: str) -> dict[str, Any]:
+    return tomllib.loads(resources.files("skope.gen.vehicles").joinpath(name).read_text(encoding="utf-8"))
+
+
+@cache
+def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
+    """What vehicles of a type measure, metres: least and greatest by dimension; nothing of those of no class."""
+    ranges = _table("classes.toml").get(vehicle_type, {}).get("range", {})
+    return {name: (low, high) for name, (low, high) in ranges.items()}
+
+
+@cache
+def fleet() -> Mapping[str, FleetEntry]:
+    """All models of the package, by name; none is built yet."""
+    classes = _table("classes.toml")
+    return {name: _entry(name, row, classes[row["vehicle_type"]]) for name, row in _table("fleet.toml").items()}
+
+
+def _entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
+    shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
+    choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
+    style = VehicleStyle(**choices)
+    vehicle = ParametricVehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
+    return FleetEntry(vehicle, row["share"], row.get("held_out", False))
+
+
+def parametric(model: str) -> ParametricVehicle:
+    """The model of the fleet with that name."""
+    vehicle = fleet()[model].vehicle
+    assert isinstance(vehicle, ParametricVehicle)
+    return vehicle
+
+
+@lru_cache(maxsize=256)
+def _build(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
+    base = parametric(model)
+    try:
+        return replace(base, shape=Shape(**dict(shape)))
+    except TypeError as error:
+        raise UserError(f"shape of {model}: {error}") from None
+
+
+def build(model: str, shape: Mapping[str, float]) -> Vehicle:
+    """The vehicle of a model with the given shape parameters (see `Shape`); equal ones are built once.
+
+    A model that was added has one shape only.
+    """
+    if model not in fleet():
+        return load(model)
+    return _build(model, tuple(sorted(shape.items())))
+
+
+assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())

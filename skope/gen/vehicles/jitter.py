@@ -1,0 +1,51 @@
+"""Shapes near a model's, so that no two vehicles of a dataset need to be alike."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Final
+
+import numpy as np
+
+from skope.errors import one_of
+from skope.gen.vehicles.fleet import class_ranges, fleet, parametric
+from skope.gen.vehicles.shape import Shape
+
+_ALONG: Final = frozenset(
+    (
+        *("length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length"),
+        "cab_length",
+    )
+)
+_ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
+_UP: Final = frozenset(
+    (
+        *("height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high"),
+        *("hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance"),
+    )
+)
+_STRETCH: Final = 0.025
+"""Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
+
+
+def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
+    """Shape parameters near a model's, within the ranges of its type: stretched along each axis, and slightly bent."""
+    one_of("model", model, tuple(fleet()))
+    vehicle = parametric(model)
+    ranges = class_ranges(vehicle.vehicle_type)
+    whole = vehicle.shape.to_dict()
+    scales = []
+    for names in (_ALONG, _ACROSS, _UP):
+        # One share for an axis, within what keeps all its dimensions in their ranges.
+        bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
+        low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
+        scales.append((names, float(np.clip(1 + _STRETCH * rng.standard_normal(), low, high))))
+    out = {}
+    for name, value in whole.items():
+        scale = next((scale for names, scale in scales if name in names), 1.0)
+        out[name] = float(value * scale)
+    for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
+        out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
+    return out
+
+
+assert {f.name for f in fields(Shape)} >= _ALONG | _ACROSS | _UP
