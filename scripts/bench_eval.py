@@ -24,11 +24,12 @@ from pycocotools import mask as coco_mask
 from skope import detector, keypoints
 from skope.boxes import xyxy_to_xywh
 from skope.console import Console
-from skope.dataset import open_dataset, read_image, take
+from skope.dataset import open_dataset, read_image
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.metrics.counts import Options
 from skope.metrics.figures import score_split
+from skope.sampling import take
 from skope.schema import Annotation, AnnotationFile, Image, Result
 
 T = TypeVar("T")

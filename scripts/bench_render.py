@@ -44,14 +44,14 @@ STAGES = {
     "annotation": ["frames.annotate"],
     "JPEG": ["Encoding.encoded"],
     "depth PNG": ["frames.depth_png"],
-    "files": ["Store.keep"],
+    "files": ["Store.write_frame"],
 }
 
 
 def with_vehicles(recording: Recording, count: int) -> Recording:
     """The recording with `count` of the vehicles in each image, spread evenly from the nearest to the farthest.
 
-    Nobody else is on the road.
+    No other road users are left.
     """
     from skope.gen.render.windows import hull_of, window_of
     from skope.gen.vehicles.fleet import build
@@ -90,7 +90,7 @@ class Skope:
         from skope.gen.output.frames import Encoding, frames_of
 
         for made in frames_of(self.recording, self.renderer, Rules(), Encoding(), [frame]):
-            self.store.keep(made)
+            self.store.write_frame(made)
 
 
 class Peer:

@@ -36,10 +36,10 @@ from torchvision.transforms import functional
 from skope import detector, keypoints
 from skope.dataset import open_dataset
 from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
-from skope.train.distributed import Team
+from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.recipe import RECIPES, Recipe, adjusted
-from skope.train.run_folder import Training
+from skope.train.run_folder import TrainingState
 
 Batches = Iterable[Any]
 
@@ -94,8 +94,8 @@ def recipe_of(options: argparse.Namespace) -> Recipe:
 def measured(options: argparse.Namespace) -> dict[str, Any]:
     """Rates and memory of one contender in this process."""
     torch.manual_seed(0)
-    with distributed.joined(torch.device(options.device)) as (team, device):
-        batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, team)
+    with distributed.process_group(torch.device(options.device)) as (processes, device):
+        batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, processes)
         seen = count_vehicle_regions(trained)
         passed: list[float] = []
         cpu = 0.0
@@ -111,19 +111,19 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
         synchronise(device)
         images = options.steps * options.batch_size
         return {
-            "images_per_s": images * team.size / (passed[-1] - passed[0]),
+            "images_per_s": images * processes.size / (passed[-1] - passed[0]),
             "cpu_s_per_image": (time.process_time() - cpu) / images,
             "peak_mb": peak_mb(device),
             "vehicle_regions": sum(seen) / max(1, len(seen)),
-            "processes": team.size,
+            "processes": processes.size,
         }
 
 
 def reference(
-    options: argparse.Namespace, device: torch.device, team: Team
+    options: argparse.Namespace, device: torch.device, processes: ProcessGroup
 ) -> tuple[Batches, Callable[..., None], Any]:
     """torchvision's references/detection: dataset, loader, and the body of engine.train_one_epoch."""
-    assert team.size == 1, "the reference is measured in one process"
+    assert processes.size == 1, "the reference is measured in one process"
     backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, trainable_layers=3)
     max_size = recipe_of(options).max_size
     model = KeypointRCNN(backbone, 2, num_keypoints=keypoints.K, min_size=options.min_size, max_size=max_size)
@@ -135,7 +135,7 @@ def reference(
     workers = 4 if options.workers is None and device.type == "cuda" else options.workers or 0
     loader = torch.utils.data.DataLoader(
         ReferenceDataset(options.data),
-        batch_sampler=order(options, team),
+        batch_sampler=order(options, processes),
         num_workers=workers,
         collate_fn=lambda batch: tuple(zip(*batch, strict=True)),
     )
@@ -188,9 +188,11 @@ class ReferenceDataset(torch.utils.data.Dataset[Any]):
         return tensor, {"boxes": boxes, "labels": torch.ones(len(boxes), dtype=torch.int64), "keypoints": points}
 
 
-def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tuple[Batches, Callable[..., None], Any]:
+def skope(
+    options: argparse.Namespace, device: torch.device, processes: ProcessGroup
+) -> tuple[Batches, Callable[..., None], Any]:
     """skope's own loading and step."""
-    recipe = dataclasses.replace(recipe_of(options), batch_size=options.batch_size * team.size)
+    recipe = dataclasses.replace(recipe_of(options), batch_size=options.batch_size * processes.size)
     checkpoint = str(options.checkpoint)
     model, config, origin = init_weights.initialise(
         checkpoint,
@@ -204,15 +206,15 @@ def skope(options: argparse.Namespace, device: torch.device, team: Team) -> tupl
     ignored_regions.prepare(model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
     if recipe.fold_norms:
         fold_norms(model)
-    training = Training(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
+    training = TrainingState(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
     source = splits.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
     images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
-    groups = [[(0, i, 0) for i in group] for group in order(options, team)]
+    groups = [[(0, i, 0) for i in group] for group in order(options, processes)]
     workers = configure.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers
     model.train()
 
     def learn(batch: Sequence[data.TrainingSample]) -> None:
-        step.take(training, batch, recipe, rate=1e-4, images=recipe.batch_size, team=team, wish=())
+        step.train_on_batch(training, batch, recipe, rate=1e-4, images=recipe.batch_size, processes=processes, votes=())
 
     return data.batches(images, groups, workers=workers, pin=device.type == "cuda"), learn, model
 
@@ -223,10 +225,10 @@ def count(root: Path) -> int:
     return len({a.image_id for a in file.annotations if not a.ignored})
 
 
-def order(options: argparse.Namespace, team: Team) -> list[list[int]]:
+def order(options: argparse.Namespace, processes: ProcessGroup) -> list[list[int]]:
     """The same draws of images with vehicles for both; of several processes each has its own."""
     number = (options.warm_up + options.steps + 1) * options.batch_size
-    generator = torch.Generator().manual_seed(team.rank)
+    generator = torch.Generator().manual_seed(processes.rank)
     drawn = torch.randint(count(options.data), (number,), generator=generator).tolist()
     return [drawn[i : i + options.batch_size] for i in range(0, number, options.batch_size)]
 

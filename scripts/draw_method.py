@@ -112,7 +112,7 @@ class Scene:
 
     recording: Recording
     view: RenderedFrame
-    located: WorldKeypoints
+    world: WorldKeypoints
     index: int
     annotation: Annotation
 
@@ -129,19 +129,19 @@ def hidden_vehicle(renderer: str) -> Scene:
     found = []
     for frame in range(len(recording)):
         view, moment = drawn.render(frame), recording.moment(frame)
-        located = locate(moment, "rigid")
+        world = locate(moment, "rigid")
         tracks = [vehicle.track_id for vehicle in moment.vehicles]
         for annotation in annotate(moment, view, recording.camera, Rules(), image_id=1)[0]:
             if not annotation.ignored and 0.2 < (annotation.occlusion or 0) < 0.5 and not annotation.truncation:
                 index = tracks.index(annotation.track_id)
-                found.append((annotation.bbox[3], Scene(recording, view, located, index, annotation)))
+                found.append((annotation.bbox[3], Scene(recording, view, world, index, annotation)))
     return max(found, key=lambda pair: pair[0])[1]
 
 
 def occlusion(scene: Scene) -> Figure:
     """A partly hidden vehicle, and what d_k - d_p says of each of its points."""
     camera, view = scene.recording.camera, scene.view
-    points = scene.located.tested[scene.index]
+    points = scene.world.tested[scene.index]
     gap, shown = (values[0] for values in behind(view, camera, points))
     own = shown == scene.index + 1
     seen = scene.annotation.keypoints[:, 2]

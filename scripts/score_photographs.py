@@ -26,18 +26,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, draw, keypoints, names
+from skope import coco, dataset, draw, keypoints, names, sampling
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import PRECISIONS, Settings
 from skope.files import read_json, sha256_of, write_json
 from skope.metrics.coco_ap import average_precision
-from skope.metrics.counts import Options, judge, lengths
+from skope.metrics.counts import Options, lengths, outcomes_at
 from skope.metrics.failures import OTHER_END, OTHER_SIDE
 from skope.metrics.inputs import for_images, read_results
 from skope.metrics.match import Matches, match
-from skope.outputs import claim
+from skope.outputs import claim_output
 from skope.schema import Annotation, AnnotationFile, Result
 
 IOU: Final = 0.5
@@ -154,7 +154,7 @@ def score_photographs(
 
     def figures(scenes: Sequence[str]) -> Figures:
         images = [image for image in file.images if image.site in scenes]
-        whole = dataset.part(file, [image for image in images if image.id in photographs.complete])
+        whole = sampling.part(file, [image for image in images if image.id in photographs.complete])
         return {
             "images": len(images),
             "boxes": box_figures(whole, for_images(results, whole), score),
@@ -184,23 +184,23 @@ def judge_vehicles(
 ) -> list[Vehicle]:
     """The vehicles of `file` that have labelled keypoints, beside the detections that score `score` or more."""
     matches = matched(file, [result for result in results if result.score >= score])
-    judged = judge(matches, IOU, OPTIONS)
-    found = judged.correct(OPTIONS.alpha).sum(axis=1)
-    inside = judge(matched(file, given or ()), IOU, OPTIONS).correct(OPTIONS.alpha).sum(axis=1)
+    outcomes = outcomes_at(matches, IOU, OPTIONS)
+    found = outcomes.correct(OPTIONS.alpha).sum(axis=1)
+    inside = outcomes_at(matched(file, given or ()), IOU, OPTIONS).correct(OPTIONS.alpha).sum(axis=1)
     scenes = {image.id: str(image.site) for image in file.images}
     return [
         Vehicle(
             id=vehicle.id,
             scene=scenes[vehicle.image_id],
             height_px=float(vehicle.bbox[3]),
-            labelled=int(judged.labelled[i].sum()),
-            matched=bool(judged.found[i]),
+            labelled=int(outcomes.labelled[i].sum()),
+            matched=bool(outcomes.found[i]),
             found=int(found[i]),
             in_given=int(inside[i]),
-            flip=flip_of(vehicle, matches.det_keypoints[judged.detection[i]]) if judged.found[i] else None,
+            flip=flip_of(vehicle, matches.det_keypoints[outcomes.detection[i]]) if outcomes.found[i] else None,
         )
         for i, vehicle in enumerate(matches.vehicles)
-        if judged.labelled[i].any()
+        if outcomes.labelled[i].any()
     ]
 
 
@@ -431,7 +431,7 @@ def run(options: argparse.Namespace) -> None:
 def claim_folder(options: argparse.Namespace, photographs: Photographs, scored: Iterable[Path]) -> None:
     """Take the output folder; a UserError where it holds other work than that of the labels and the files `scored`."""
     told = {"score": options.score, "number_format": options.precision if options.checkpoint else None}
-    claim(options.out, "score_photographs.py", [photographs.source, *scored], told)
+    claim_output(options.out, "score_photographs.py", [photographs.source, *scored], told)
 
 
 def predict(predictor: Predictor, photographs: Photographs) -> tuple[Result, ...]:

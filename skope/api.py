@@ -270,7 +270,7 @@ def generate(
 
     from skope.console import Console
     from skope.gen.cli.options import DatasetOptions, WorkerOptions
-    from skope.gen.pipeline.generate import produce
+    from skope.gen.pipeline.generate import generate_dataset
 
     asked = DatasetOptions(
         preset=preset,
@@ -283,6 +283,6 @@ def generate(
         **options,
     )
     parameters, _ = asked.parameters()
-    hire, _ = WorkerOptions(workers=workers).hire()
-    produce(parameters, Path(out), hire, Console(quiet=quiet))
+    start_pool, _ = WorkerOptions(workers=workers).pool_factory()
+    generate_dataset(parameters, Path(out), start_pool, Console(quiet=quiet))
     return open_dataset(out)

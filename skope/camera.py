@@ -258,7 +258,7 @@ class Camera:
         }
 
     def resized(self, size: tuple[int, int]) -> "Camera":
-        """The same view at another image size (width, height)."""
+        """A camera with the same view whose images have another size (width, height), pixels."""
         scale = np.array([[size[0] / self.width], [size[1] / self.height], [1.0]])
         return replace(self, width=size[0], height=size[1], K=self.K * scale)
 

@@ -31,15 +31,15 @@ _FISHEYE_NAMES: Final = ("fisheye", "equidistant")
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """What a file says of a camera; what it does not say is None."""
+    """A camera as a calibration file describes it; None for what the file does not say."""
 
     K: Array
     """(3, 3) intrinsic matrix in skope's pixels."""
     distortion: Distortion = field(default_factory=Distortion)
     size: tuple[int, int] | None = None
-    """Width and height of the image."""
+    """Width and height of the image, pixels."""
     T_camera_world: Array | None = None
-    """(4, 4)"""
+    """(4, 4) from the world's axes to the camera's (x right, y down, z forward), metres."""
 
 
 def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
@@ -127,13 +127,13 @@ def read_tumtraf(path: Path, *, raw: bool = False) -> CameraCalibration:
     if values.get(name) is None:
         raise UserError(f"{path}: {name}: missing")
     R, t = values.get("rotation_matrix"), values.get("translation_matrix")
-    known = R is not None and t is not None and not (np.asarray(R) == -1).all()
+    has_pose = R is not None and t is not None and not (np.asarray(R) == -1).all()
     width, height = values.get("image_width"), values.get("image_height")
     return CameraCalibration(
         _intrinsics(path, name, values[name]),
         Distortion() if undistorted else _distortion(path, values.get("dist_coefficients", ()), fisheye=False),
         _size(path, None if width is None else [width, height]),
-        _pose(path, R, t) if known else None,
+        _pose(path, R, t) if has_pose else None,
     )
 
 

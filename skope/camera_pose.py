@@ -1,4 +1,4 @@
-"""A camera's pose, and its focal length where that is unknown, from points that are known in image and world."""
+"""Fit a camera's pose, and its focal length where that is unknown, to points that are known in image and world."""
 
 import math
 from dataclasses import dataclass
@@ -14,20 +14,22 @@ from skope.errors import UserError
 Array = NDArray[np.float64]
 
 FEWEST: Final = 4
+"""Points that a camera needs."""
 _FOCAL: Final = np.geomspace(0.3, 8.0, 48)
 """Focal lengths that are tried first, as multiples of the image's width: fields of view from 118 to 7 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CameraFit:
     """A camera fitted to control points."""
 
     camera: Camera
     errors_px: Array
-    """(N,) how far each point is from where the camera projects it."""
+    """(N,) distance of each point in the image from where the camera projects it, pixels."""
 
     @property
     def rms_px(self) -> float:
+        """Root mean square of the errors, pixels."""
         return float(np.sqrt((self.errors_px**2).mean()))
 
 
@@ -38,11 +40,21 @@ def fit_camera(
     *,
     K: Array | None = None,
     distortion: Distortion | None = None,
-) -> Fit:
-    """The camera that projects world points (N, 3) to pixels (N, 2) with the least sum of squared distances.
+) -> CameraFit:
+    """Fit the camera that projects points to pixels with the least sum of squared distances in the image.
 
-    Without `K` the principal point is the image's middle and the focal length is estimated too. Raises UserError for
-    fewer than four points, points on one line, or points that no camera sees so.
+    SQPnP (Terzakis and Lourakis, 2020) gives the pose for each focal length that is tried, Levenberg and Marquardt's
+    method refines the best.
+
+    Args:
+        pixels: (N, 2) points in the image.
+        points_world: (N, 3) the same points in the world, metres.
+        size: Width and height of the image, pixels.
+        K: (3, 3) intrinsics. None: the principal point is the image's middle, and the focal length is estimated too.
+        distortion: The lens; None: without distortion.
+
+    Raises:
+        UserError: There are fewer than four points, they lie on one line, or no camera sees them so.
     """
     uv, xyz = np.asarray(pixels, dtype=np.float64), np.asarray(points_world, dtype=np.float64)
     lens = distortion or Distortion()
@@ -50,20 +62,19 @@ def fit_camera(
         raise UserError(f"control points: expected {FEWEST} or more, got {len(uv)}")
     if np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] < 1e-3:
         raise UserError("control points: they lie on one line")
-    known = K is not None
     tried = [K] if K is not None else [_centred(size, share * size[0]) for share in _FOCAL]
-    fits = [fit for own in tried if (fit := _posed(uv, xyz, size, own, lens)) is not None]
+    fits = [fit for intrinsics in tried if (fit := _posed(uv, xyz, size, intrinsics, lens)) is not None]
     if not fits:
         raise UserError("control points: no camera sees them so; are some swapped?")
     best = min(fits, key=lambda fit: fit.rms_px)
-    return _refined(best, uv, xyz, focal=not known)
+    return _refined(best, uv, xyz, focal=K is None)
 
 
 def _centred(size: tuple[int, int], focal: float) -> Array:
     return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
 
 
-def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: Distortion) -> Fit | None:
+def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: Distortion) -> CameraFit | None:
     """The best pose for given intrinsics; None when there is none."""
     rays, valid = Camera(*size, K, np.eye(4), distortion).rays(uv)
     if not valid.all():
@@ -86,12 +97,12 @@ def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: D
     return min(fits, key=lambda fit: fit.rms_px, default=None)
 
 
-def _measured(camera: Camera, uv: Array, xyz: Array) -> Fit | None:
+def _measured(camera: Camera, uv: Array, xyz: Array) -> CameraFit | None:
     pixels, _, valid = camera.project(xyz)
-    return Fit(camera, np.linalg.norm(pixels - uv, axis=1)) if valid.all() else None
+    return CameraFit(camera, np.linalg.norm(pixels - uv, axis=1)) if valid.all() else None
 
 
-def _refined(fit: Fit, uv: Array, xyz: Array, *, focal: bool) -> Fit:
+def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit:
     """Levenberg and Marquardt's method on the distances in the image, over pose and (with `focal`) focal length."""
     middle, weight = xyz.mean(axis=0), 1e-3
     for _ in range(200):

@@ -27,9 +27,13 @@ _ANNOTATION_FIELDS = tuple(Annotation.__dataclass_fields__)
 
 
 def read(path: Path) -> AnnotationFile:
-    """Read an annotation file, ours or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`.
+    """Read an annotation file.
 
-    Raises UserError, naming file, record and field, where something is missing, malformed or inconsistent.
+    Args:
+        path: A file that skope wrote, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`.
+
+    Raises:
+        UserError: Something is missing, malformed or inconsistent; it names file, record and field.
     """
     document = read_json(path)
     if not isinstance(document, dict):
@@ -45,12 +49,19 @@ def read(path: Path) -> AnnotationFile:
 def assembled(
     rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, split: str, scheme: Scheme
 ) -> AnnotationFile:
-    """An annotation file from the rows of its images, each with those of its annotations; `path` is for errors."""
+    """Make an annotation file of JSON rows.
+
+    Args:
+        rows: The row of each image, with the rows of its annotations.
+        path: What messages name as the file.
+        split: Name of the split.
+        scheme: What the keypoints are.
+    """
     images: list[Image] = []
     annotations: list[Annotation] = []
-    for image, own in rows:
+    for image, annotation_rows in rows:
         images += images_of(path, [image])
-        annotations += _parse_rows(path, "annotations", own, annotation_from_dict)
+        annotations += _parse_rows(path, "annotations", annotation_rows, annotation_from_dict)
     _check_ids(path, tuple(images), tuple(annotations))
     info = {"split": split, "keypoint_scheme": scheme.name, "schema_version": schema.VERSION}
     return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split, scheme=scheme)
@@ -141,8 +152,8 @@ def _camera(row: Any, width: int, height: int) -> Camera:
 
 
 @lru_cache(maxsize=256)
-def _known_camera(told: bytes) -> Camera:
-    row, width, height = parse_json(told)
+def _known_camera(row_and_size: bytes) -> Camera:
+    row, width, height = parse_json(row_and_size)
     return Camera.from_dict(row, width, height)
 
 
@@ -164,14 +175,22 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
 def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
     """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints.
 
-    Of a `foreign` scheme, one of `keypoints.FOREIGN_SCHEMES`, the points that mean the same as ours are taken over; the
-    others are 0.
+    Args:
+        path: A .json file with a list of results.
+        foreign: The keypoints' scheme where it is not ours, one of `keypoints.FOREIGN_SCHEMES`. Points that mean the
+            same as one of ours are taken over; our other points are 0.
+
+    Raises:
+        UserError: A result is malformed; it names file, result and field.
     """
     return tuple(iter_results(path, foreign))
 
 
 def iter_results(path: Path, foreign: str | None = None) -> Iterator[Result]:
-    """The results of `read_results` one by one; of a file with a line for each, as ours, no more is ever in memory."""
+    """The results of `read_results` one by one.
+
+    No more than one is in memory where the file has a line for each, as the files that skope writes.
+    """
     return _parsed(path, "results", _result_rows(path), lambda row: result_from_dict(row, foreign))
 
 
@@ -277,7 +296,12 @@ def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
 
 
 def write(path: Path, file: AnnotationFile) -> None:
-    """Write an annotation file, one record a line, the same bytes for the same records."""
+    """Write an annotation file, one record a line; the same records give the same bytes.
+
+    Args:
+        path: The .json file to write; it is replaced as a whole or not at all.
+        file: Images and annotations. Pixels are rounded to 0.01, metres to 0.0001.
+    """
     images, annotations = map(image_to_dict, file.images), map(annotation_to_dict, file.annotations)
     write_rows(path, file.info, images, annotations, file.scheme)
 

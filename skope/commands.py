@@ -1,4 +1,4 @@
-"""What commands of all groups share: their default folders, how options are written, and `--quiet` and `--version`."""
+"""Options that commands of all groups share: default folders, how options are declared, `--quiet`, `--version`."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -129,9 +129,9 @@ def _registering(register: Callable[[Any], Any]) -> Callable[[C], C]:
 
 
 def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
-    """What typer calls for a function: it has the options of `Commands` and hands on what the function takes."""
-    own = inspect.signature(function).parameters
-    options = [one for parameter in own.values() for one in _options(parameter)]
+    """The function that typer calls in place of `function`: it also has the options of `Commands`."""
+    parameters = inspect.signature(function).parameters
+    options = [one for parameter in parameters.values() for one in _options(parameter)]
     renamed = [(one, older) for one in options if (older := _older(one))]
 
     def run(context: typer.Context, **values: Any) -> None:
@@ -139,7 +139,7 @@ def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
             _refuse_flags(context)
             return
         values |= {one.name: values[older.name] for one, older in renamed if _given(context, older.name)}
-        function(**{name: _argument(parameter, context, values) for name, parameter in own.items()})
+        function(**{name: _argument(parameter, context, values) for name, parameter in parameters.items()})
 
     shared = (_keyword("quiet", QuietOption, False), _keyword("version", VersionOption, False))
     everything = [*options, *(older for _, older in renamed), *shared]
@@ -165,17 +165,17 @@ def _options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
 
 def _older(parameter: inspect.Parameter) -> inspect.Parameter | None:
     """The hidden parameter for the older spelling of an option; None where there was none."""
-    kind, *told = get_args(parameter.annotation) or (None,)
-    flags = [one.flag for one in told if isinstance(one, Formerly)]
+    kind, *annotations = get_args(parameter.annotation) or (None,)
+    flags = [one.flag for one in annotations if isinstance(one, Formerly)]
     if not flags:
         return None
-    (info,) = (one for one in told if not isinstance(one, Formerly))
+    (info,) = (one for one in annotations if not isinstance(one, Formerly))
     again = typer.Option(flags[0], hidden=True, callback=info.callback, autocompletion=info.autocompletion)
     return _keyword(f"{parameter.name}_before", Annotated[kind, again], parameter.default)
 
 
 def _argument(parameter: inspect.Parameter, context: typer.Context, values: dict[str, Any]) -> Any:
-    """What a function is called with for one of its parameters."""
+    """The value that a function is called with for one of its parameters."""
     kind = parameter.annotation
     if kind is Console:
         return Console(quiet=_quiet(context))

@@ -19,14 +19,17 @@ import torch
 from torch import Tensor
 
 BYTES: Final = 33_500_000
-"""What the rounded weights of a detector take at most."""
+"""Bytes that the rounded weights of a detector take at most."""
 
 WAYS: Final = ("integers", "half", "exact")
 """How a weight is kept: rounded, as float16, or as it is."""
 
 _DELICATE: Final = (
-    *("backbone.body.conv1.", "rpn.head.cls_logits.", "rpn.head.bbox_pred."),
-    *("roi_heads.box_predictor.", "roi_heads.keypoint_predictor."),
+    "backbone.body.conv1.",
+    "rpn.head.cls_logits.",
+    "rpn.head.bbox_pred.",
+    "roi_heads.box_predictor.",
+    "roi_heads.keypoint_predictor.",
 )
 _LARGEST: Final = 127
 _FINEST: Final = 2.0**-12
@@ -44,7 +47,7 @@ Kept = Mapping[str, Any]
 
 
 class DamagedError(ValueError):
-    """What is wrong with packed weights, in a few words."""
+    """Packed weights are damaged; says how, in a few words."""
 
 
 # -------------------------------------------------------------------------------------------------------------- packing
@@ -91,7 +94,7 @@ class _Weight:
         return torch.maximum(factor * self._mean_square, self._finest)
 
     def integers(self, factor: float) -> Tensor:
-        """int8 of the weight's shape."""
+        """The weights rounded to multiples of the steps: int8 of the weights' shape."""
         return _integers(self._tensor, self.steps(factor))
 
     def bits(self, factor: float) -> float:

@@ -1,4 +1,4 @@
-"""What commands say while they work."""
+"""Messages, results and progress bars of commands."""
 
 import io
 import json
@@ -24,16 +24,16 @@ class Console:
     quiet: bool = False
 
     def say(self, text: str) -> None:
-        """A line of commentary."""
+        """Print a line of commentary, unless quiet."""
         if not self.quiet:
             typer.echo(text)
 
     def result(self, text: str) -> None:
-        """A line that the command was run for: always printed."""
+        """Print a line that the command was run for, always."""
         typer.echo(text)
 
     def document(self, value: Any) -> None:
-        """What the command was run for as one JSON document: always printed."""
+        """Print what the command was run for as one JSON document, always."""
         typer.echo(json.dumps(value, indent=1, allow_nan=False))
 
     def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
@@ -45,9 +45,12 @@ class Console:
 class _Lines(tqdm):  # type: ignore[misc]
     """A bar for logs: a plain line each tenth of the way, or each half minute."""
 
+    disable = True
+    """Until tqdm has begun: an interrupt may come before that, and `close` after it."""
+
     def __init__(self, *args: Any, **options: Any) -> None:
         self._told, self._told_at = 0, time.monotonic()
-        # What tqdm itself draws goes nowhere.
+        # tqdm must draw somewhere: here that is thrown away.
         super().__init__(*args, **{**options, "file": io.StringIO(), "mininterval": 0.5})
 
     def display(self, *_: Any, **__: Any) -> bool:

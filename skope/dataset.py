@@ -1,7 +1,7 @@
 """Read a dataset folder: its card, splits, images and depth."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +22,6 @@ MANIFEST: Final = "manifest.json"
 FRAMES: Final = "frames.json"
 PREDICTIONS: Final = "predictions.json"
 """What `skope eval predict` writes: the images, and what was found in them."""
-GAP_S: Final = 1.0
-"""Between what is learnt and what is validated on: a vehicle moves on by about its own length or more."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),
@@ -86,12 +84,12 @@ class Dataset:
 
     @property
     def scheme(self) -> Scheme:
-        """What the keypoints are."""
+        """Keypoint scheme of the dataset."""
         return keypoints.SCHEMES[self.card["keypoint_scheme"]]
 
     @property
     def licence(self) -> str:
-        """As the card states it, on one line."""
+        """The licence that the card states, on one line."""
         stated = self.card.get("licence") or self.card.get("license") or "not stated"
         return " ".join(str(stated).split())
 
@@ -114,8 +112,8 @@ class Dataset:
     def images(self, split: str) -> Iterator[LabelledImage]:
         """The images of a split with their annotations; a UserError lists the splits there are."""
         file = self.read(split)
-        own = file.by_image()
-        return (LabelledImage(self, split, image, tuple(own[image.id])) for image in file.images)
+        annotations = file.by_image()
+        return (LabelledImage(self, split, image, tuple(annotations[image.id])) for image in file.images)
 
     def _read_file(self, path: Path) -> AnnotationFile:
         file = coco.read(path)
@@ -179,106 +177,6 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
             names.relative(f"{path}: {part_name}", file_name)
         parts[part_name] = part_of
     return parts
-
-
-def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
-    """Some images of a file, with their annotations, in file order."""
-    wanted = {image.id for image in images}
-    return replace(
-        file,
-        images=tuple(image for image in file.images if image.id in wanted),
-        annotations=tuple(a for a in file.annotations if a.image_id in wanted),
-    )
-
-
-def recordings(file: AnnotationFile) -> list[list[Image]]:
-    """The images of each recording, in the order of its frames."""
-    groups: dict[tuple[str | None, str | None], list[Image]] = {}
-    for image in file.images:
-        groups.setdefault((image.site, image.recording), []).append(image)
-    return [sorted(own, key=_place) for own in groups.values()]
-
-
-def _place(image: Image) -> tuple[bool, int]:
-    return image.frame_index is None, image.frame_index or 0
-
-
-def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
-    """What is learnt and what is validated on, which is about `fraction` of the frames.
-
-    Of sites with several recordings whole ones are held back, the last of them; of others the last frames, after a gap
-    that is left out. See `ignoring`: many a vehicle of a recording's last frames was there before.
-    """
-    sites: dict[str | None, list[list[Image]]] = {}
-    for ordered in recordings(file):
-        sites.setdefault(ordered[0].site, []).append(ordered)
-    learnt: list[Image] = []
-    validated: list[Image] = []
-    due = 0.0
-    for own in sites.values():
-        if len(own) == 1:
-            before, last = _split(own[0], fraction)
-            learnt += before
-            validated += last
-            continue
-        due += fraction * sum(map(len, own))
-        # What a short recording keeps back too little, another site's keeps back more.
-        while len(own) > 1 and due >= len(own[-1]) / 2:
-            due -= len(own[-1])
-            validated += own.pop()
-        learnt += [image for recording in own for image in recording]
-    return part(file, learnt), part(file, validated)
-
-
-def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFile:
-    """`validated` with the vehicles (by recording and track) that were learnt from as ignored ones."""
-    seen = {track for image, a in _with_images(learnt) if not a.ignored and (track := _track(image, a)) is not None}
-    rows = (replace(a, iscrowd=1) if _track(image, a) in seen else a for image, a in _with_images(validated))
-    return replace(validated, annotations=tuple(rows))
-
-
-def _with_images(file: AnnotationFile) -> Iterator[tuple[Image, Annotation]]:
-    images = {image.id: image for image in file.images}
-    return ((images[a.image_id], a) for a in file.annotations)
-
-
-def _track(image: Image, annotation: Annotation) -> tuple[str | None, str | None, int] | None:
-    """Which vehicle it is in its whole recording; None where the file does not say."""
-    return None if annotation.track_id is None else (image.site, image.recording, annotation.track_id)
-
-
-def last_frames(file: AnnotationFile, fraction: float) -> AnnotationFile:
-    """The last `fraction` of each recording's frames, rounded."""
-    return part(file, (image for ordered in recordings(file) for image in _split(ordered, fraction)[1]))
-
-
-def _split(ordered: Sequence[Image], fraction: float) -> tuple[list[Image], list[Image]]:
-    """The frames of a recording before the gap, and its last `fraction`."""
-    first = len(ordered) - round(fraction * len(ordered))  # after the last one of a recording too short for it
-    return [image for i, image in enumerate(ordered[:first]) if not _near(image, i, ordered, first)], [*ordered[first:]]
-
-
-def _near(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
-    """Whether a frame lies in the gap before the first validated one: by time, or the last one where none is given."""
-    if first == len(ordered):
-        return False
-    begins = ordered[first].time_s
-    if image.time_s is None or begins is None:
-        return i == first - 1
-    return begins - image.time_s < GAP_S
-
-
-def take(file: AnnotationFile, n: int) -> AnnotationFile:
-    """At most `n` images that have a ground-truth (not ignored) vehicle, evenly spread, with only their annotations.
-
-    Training and evaluation choose by the same rule, so that the same number means the same images.
-    """
-    if n < 1:
-        raise UserError(f"--max-images: expected a whole number from 1, got {n}")
-    occupied = {annotation.image_id for annotation in file.annotations if not annotation.ignored}
-    candidates = [image for image in file.images if image.id in occupied]
-    count = min(n, len(candidates))
-    return part(file, (candidates[i * len(candidates) // count] for i in range(count)))
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:

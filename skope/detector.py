@@ -35,12 +35,14 @@ NORMS: Final = ("frozen", "batch")
 MAX_DETECTIONS: Final = 300
 """Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
 MIN_SCORE: Final = 0.05
+"""Detections that score less are not reported."""
 
 HEADER: Final = "skope"
 _PACKED: Final = "packed"
 _CHECKSUM: Final = "sha256"
 _FORMAT_VERSION: Final = 1
 _REGIONS_AT_ONCE: Final = 128
+"""Given boxes that go through the keypoint head together, so that memory stays small."""
 
 
 # ---------------------------------------------------------------------------------------------------------- building
@@ -53,11 +55,11 @@ class DetectorConfig:
     norm: str
     """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
     norm_eps: float
-    """Added to each variance; 0 in the weights trained on COCO."""
+    """Number that normalisation adds to each variance; 0 in the weights trained on COCO."""
     min_size: int
-    """Short side of the image inside the network, pixels ..."""
+    """Short side of the image inside the network, pixels, unless its long side would then exceed `max_size`."""
     max_size: int
-    """... unless the long side would exceed this."""
+    """Largest long side of the image inside the network, pixels."""
     scheme: str = keypoints.SCHEME
     """What the keypoints are: a name in `keypoints.SCHEMES`."""
 
@@ -108,11 +110,14 @@ def choose_device(name: str) -> torch.device:
 
 
 def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointRCNN:
-    """Keypoint R-CNN (ResNet50-FPN) for one class and 33 keypoints, weights drawn from torch's random state.
+    """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for one class, with weights drawn from torch's random state.
 
-    `trainable_layers` (0 to 5) counts the backbone's stages that learn, from the last one, where normalisation is
-    frozen; with normalisation that learns all of them do, as in torchvision. Another `num_keypoints` is for weights
-    that were trained on such a scheme and whose predictor is replaced next.
+    Args:
+        config: Normalisation and size of the images inside the network.
+        trainable_layers: How many of the backbone's stages learn, 0 to 5 from the last one, where normalisation is
+            frozen; with normalisation that learns all of them do, as in torchvision.
+        num_keypoints: Another number than 33 is for weights that were trained on such a scheme and whose predictor is
+            replaced next.
     """
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
     backbone = resnet_fpn_backbone(
@@ -135,7 +140,14 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 
 
 def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
-    """Write a checkpoint, whose tensors are those of torchvision's own model: they load there with `strict=True`."""
+    """Write a checkpoint, whose tensors are those of torchvision's own model: they load there with `strict=True`.
+
+    Args:
+        path: The .safetensors file to write.
+        model: The weights.
+        config: What the weights do not tell about the model.
+        metadata: JSON values, which `load_weights` gives back.
+    """
     write_bytes(path, checkpoint_bytes(model, config, metadata))
 
 
@@ -161,16 +173,25 @@ def checkpoint_bytes(
     if packed:
         state, header[_PACKED] = compact.pack(state)
         header[_CHECKSUM] = compact.digest(state, header)
-    # One field only: several come in any order.
+    # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
     return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
 
 
 def load_weights(
     path: Path, device: torch.device | str, *, trainable_layers: int = 5
 ) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
-    """Model in evaluation mode on `device`, config and metadata of a checkpoint that `save_weights` wrote.
+    """Load a checkpoint that `save_weights` wrote.
 
-    Raises UserError, naming the file, where it is no such checkpoint or one of an unknown keypoint scheme.
+    Args:
+        path: The .safetensors file.
+        device: Where the model shall be.
+        trainable_layers: As in `build`.
+
+    Returns:
+        The model in evaluation mode, its config, and the metadata.
+
+    Raises:
+        UserError: The file, which it names, is no such checkpoint, or one of an unknown keypoint scheme.
     """
     header, state = read_checkpoint(path)
     try:
@@ -205,8 +226,8 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
 
 
 def _unpacked(path: Path, header: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    told = {name: value for name, value in header.items() if name != _CHECKSUM}
-    if compact.digest(tensors, told) != header.get(_CHECKSUM):
+    digested = {name: value for name, value in header.items() if name != _CHECKSUM}
+    if compact.digest(tensors, digested) != header.get(_CHECKSUM):
         raise UserError(f"{path}: {_CHECKSUM} differs: the file is damaged, or was changed after it was written")
     try:
         return compact.unpack(tensors, header[_PACKED])
@@ -302,19 +323,19 @@ class Detections:
         return len(self.scores)
 
     def above(self, score: float) -> Self:
-        """Those that score higher."""
+        """The detections that score higher than `score`, which is from 0 to 1."""
         kept = self.scores > score
         return replace(self, boxes_xyxy=self.boxes_xyxy[kept], scores=self.scores[kept], keypoints=self.keypoints[kept])
 
     def to_results(self, image_id: int) -> list[Result]:
-        """As COCO results of the image with that id, for `skope.coco.write_results` and `skope.score`."""
+        """The detections as COCO results of image `image_id`, for `skope.coco.write_results` and `skope.score`."""
         return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
 
 
 def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
-    """Detections in an image, (N, 4), (N,) and (N, 33, 3), as N results."""
+    """Detections in an image, (N, 4), (N,) and (N, 33, 3) as in `Detections`, as N COCO results."""
     rows = zip(boxes.xyxy_to_xywh(boxes_xyxy), np.asarray(scores), np.asarray(points), strict=True)
-    return [Result(image_id=image_id, bbox=box, score=float(score), keypoints=own) for box, score, own in rows]
+    return [Result(image_id=image_id, bbox=box, score=float(score), keypoints=found) for box, score, found in rows]
 
 
 def detect(
@@ -325,9 +346,19 @@ def detect(
     min_score: float = MIN_SCORE,
     max_detections: int = MAX_DETECTIONS,
 ) -> list[Detections]:
-    """Find vehicles in `images`, each (H, W, 3) sRGB; they go through the network as one batch.
+    """Find vehicles in images, which go through the network as one batch.
 
     In an image that is less than a pixel wide or high inside the network there are none.
+
+    Args:
+        model: The detector.
+        images: (H, W, 3) uint8 sRGB each, of any sizes.
+        device: Where the model is.
+        min_score: Only detections that score above this are made.
+        max_detections: The best of an image, at most so many.
+
+    Returns:
+        The detections of each image.
     """
     seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
@@ -337,7 +368,7 @@ def detect(
 
 
 def _detections(answer: Mapping[str, torch.Tensor] | None, image: NDArray[np.uint8]) -> Detections:
-    """What torchvision answers for an image, or nothing where it was too narrow to be asked about."""
+    """Detections in an image from torchvision's output; none where the image was too narrow for the network."""
     size = (image.shape[1], image.shape[0])
     if answer is None:
         return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), size)
@@ -346,7 +377,7 @@ def _detections(answer: Mapping[str, torch.Tensor] | None, image: NDArray[np.uin
 
 
 def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
-    """Of an image inside the network, pixels."""
+    """Length of an image's short side inside the network, pixels."""
     short, long = sorted(image.shape[:2])
     return float(short * min(model.transform.min_size[-1] / short, model.transform.max_size / long))
 
@@ -354,7 +385,17 @@ def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
 def detect_on_boxes(
     model: KeypointRCNN, image: NDArray[np.uint8], boxes_xyxy: ArrayLike, device: torch.device | str
 ) -> NDArray[np.float64]:
-    """(N, 33, 3) x, y, p of the vehicles in N given boxes (pixels of `image`): localisation apart from detection."""
+    """Find the keypoints of vehicles whose boxes are given: localisation apart from detection.
+
+    Args:
+        model: The detector.
+        image: (H, W, 3) uint8 sRGB.
+        boxes_xyxy: (N, 4) pixels of `image`.
+        device: Where the model is.
+
+    Returns:
+        (N, 33, 3) x, y in pixels of `image` and p, as in `Detections.keypoints`.
+    """
     boxes = torch.as_tensor(np.asarray(boxes_xyxy, dtype=np.float32).reshape(-1, 4), device=device)
     if not len(boxes):
         return np.zeros((0, keypoints.K, 3))

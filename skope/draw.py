@@ -27,8 +27,14 @@ Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
 
 PALETTE: Final[tuple[Color, ...]] = (
-    *((86, 180, 233), (230, 159, 0), (0, 200, 140), (240, 228, 66)),
-    *((90, 140, 255), (255, 110, 40), (230, 140, 190), (190, 230, 120)),
+    (86, 180, 233),
+    (230, 159, 0),
+    (0, 200, 140),
+    (240, 228, 66),
+    (90, 140, 255),
+    (255, 110, 40),
+    (230, 140, 190),
+    (190, 230, 120),
 )
 """Colours of vehicles, by track: Okabe and Ito's, brightened where they would drown in asphalt."""
 IGNORED: Final[Color] = (200, 200, 200)
@@ -57,7 +63,7 @@ def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1
 
 
 def number_of(vehicle: Annotation) -> int:
-    """What a vehicle is called: its track's number, or the annotation's id."""
+    """Label of a vehicle: its track's number, or the annotation's id."""
     return vehicle.id if vehicle.track_id is None else vehicle.track_id
 
 
@@ -194,7 +200,7 @@ class _Canvas:
         self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
         self._scale, self._scheme = scale, scheme
         self._unit = max(1.0, min(size) / 540)
-        """One at 960x540 and below, two at 1920x1080."""
+        """Width that lines and letters are multiples of: one pixel at 960x540 and below, two at 1920x1080."""
         self._line = round(self._unit)
 
     def vehicle(
@@ -226,7 +232,7 @@ class _Canvas:
                 self._polyline(piece, color, 2 * self._line if front else max(1, self._line))
 
     def dashed_box(self, bbox: ArrayLike, color: Color) -> None:
-        """The outline of a box in dashes."""
+        """Draw the outline of a box in dashes."""
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
         for start, end in itertools.pairwise(corners):

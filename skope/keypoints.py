@@ -11,17 +11,17 @@ from typing import Final
 SCHEME: Final = "skope33"
 
 NAMES: Final[tuple[str, ...]] = (
-    *("roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left"),
-    *("windscreen_base_right", "windscreen_base_left", "rear_window_base_right", "rear_window_base_left"),
-    *("headlight_outer_right", "headlight_outer_left", "taillight_outer_right", "taillight_outer_left"),
-    *("headlight_inner_right", "headlight_inner_left", "taillight_inner_right", "taillight_inner_left"),
-    *("wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left"),
-    *("bumper_front_right", "bumper_front_left", "bumper_rear_right", "bumper_rear_left"),
-    *("hood_front_right", "hood_front_left", "trunk_rear_right", "trunk_rear_left"),
-    *("mirror_right", "mirror_left"),
-    *("beltline_right", "beltline_left"),
+    "roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left",
+    "windscreen_base_right", "windscreen_base_left", "rear_window_base_right", "rear_window_base_left",
+    "headlight_outer_right", "headlight_outer_left", "taillight_outer_right", "taillight_outer_left",
+    "headlight_inner_right", "headlight_inner_left", "taillight_inner_right", "taillight_inner_left",
+    "wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left",
+    "bumper_front_right", "bumper_front_left", "bumper_rear_right", "bumper_rear_left",
+    "hood_front_right", "hood_front_left", "trunk_rear_right", "trunk_rear_left",
+    "mirror_right", "mirror_left",
+    "beltline_right", "beltline_left",
     "front_logo",
-)
+)  # fmt: skip
 """Names in file order; right and left are the vehicle's own.
 
 The roof's are where windscreen and rear window meet the roof. A bus has a strip of its body above them: there they are
@@ -117,25 +117,25 @@ def _foreign(*names: str | None) -> Map:
 # A foreign lamp that is one point (its middle, or one unnamed corner) has no counterpart among our outer and inner
 # points and is left out, as are exhausts, plates and centres.
 APOLLO24: Final = _foreign(
-    *("roof_front_right", "roof_front_left", None, None, "bumper_front_right", "bumper_front_left"),
-    *(None, "wheel_front_left", "wheel_rear_left", None, "roof_rear_left", "roof_rear_right"),
-    *(None, None, "bumper_rear_left", "bumper_rear_right", None, None),
-    *("wheel_rear_right", "wheel_front_right", None, None, "mirror_left", "mirror_right"),
-)
+    "roof_front_right", "roof_front_left", None, None, "bumper_front_right", "bumper_front_left",
+    None, "wheel_front_left", "wheel_rear_left", None, "roof_rear_left", "roof_rear_right",
+    None, None, "bumper_rear_left", "bumper_rear_right", None, None,
+    "wheel_rear_right", "wheel_front_right", None, None, "mirror_left", "mirror_right",
+)  # fmt: skip
 """ApolloCar3D's 24 points in OpenPifPaf's order."""
 
 CARFUSION14: Final = _foreign(
-    *("wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left"),
-    *(None, None, None, None, None),
-    *("roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left", None),
-)
+    "wheel_front_right", "wheel_front_left", "wheel_rear_right", "wheel_rear_left",
+    None, None, None, None, None,
+    "roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left", None,
+)  # fmt: skip
 """CarFusion's 14 points."""
 
 VERI20: Final = _foreign(
-    *("wheel_front_left", "wheel_rear_left", "wheel_front_right", "wheel_rear_right"),
-    *(None, None, None, None, "front_logo", None, "mirror_left", "mirror_right"),
-    *("roof_front_right", "roof_front_left", "roof_rear_left", "roof_rear_right", None, None, None, None),
-)
+    "wheel_front_left", "wheel_rear_left", "wheel_front_right", "wheel_rear_right",
+    None, None, None, None, "front_logo", None, "mirror_left", "mirror_right",
+    "roof_front_right", "roof_front_left", "roof_rear_left", "roof_rear_right", None, None, None, None,
+)  # fmt: skip
 """VeRi-776's 20 points (Wang et al. 2017)."""
 
 SKOPE3D: Final = _foreign(*NAMES[:4], *(None,) * 28, NAMES[32])
@@ -154,14 +154,15 @@ FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20":
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """What the keypoints of a dataset or detector are: K of them."""
+    """A keypoint scheme: what the K keypoints of a dataset or detector are."""
 
     name: str
     names: tuple[str, ...]
     flip: tuple[int, ...] | None
-    """As `FLIP`; None where the partners are not known, so that images cannot be mirrored."""
+    """(K,) index of each keypoint's mirror partner, as `FLIP`; None where they are not known, so that images cannot be
+    mirrored."""
     skeleton: tuple[tuple[int, int], ...]
-    """0-based edges."""
+    """Pairs of 0-based indices."""
     sigmas: tuple[float, ...]
     colors: tuple[tuple[int, int, int], ...]
 

@@ -1,4 +1,4 @@
-"""What files of others call things: a name is never a path, and a relative path never leaves its folder.
+"""Check names that come from files: a name is never a path, and a relative path never leaves its folder.
 
 Whatever a file says of sites, recordings, splits or other files is checked here before it becomes part of a path.
 """
@@ -11,7 +11,7 @@ from typing import Any, Final
 from skope.errors import UserError
 
 NAME_BYTES: Final = 100
-"""Of the longest name: two of them and a suffix fit into a file's name."""
+"""Bytes of the longest name: two names and a suffix fit into a file's name."""
 _PART_BYTES: Final = 255
 _PATH_BYTES: Final = 2000
 _REFUSED: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2028\u2029/\\]")

@@ -29,24 +29,33 @@ _CHOICE: Final = "choose another folder, or remove what is there"
 _OTHER_FILE: Final = "is there already, with other content; choose another file, or remove it"
 
 
-def claim(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Take `folder` for a command, or refuse to.
+def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Make `folder` the output folder of this work by writing its `work.json`, or refuse to.
 
-    Taken is a folder that is missing or empty, or whose `work.json` names the same command, contents of `inputs`
-    (files) and `options` (JSON values); what the folder holds is then gone on with, or made again.
+    A folder can be claimed that is missing or empty, or whose `work.json` names the same work: what it holds is then
+    gone on with, or made again.
 
-    Returns what `work.json` holds. Raises UserError for a file, and for a folder with other work or other files in it;
-    nothing is written then.
+    Args:
+        folder: The output folder.
+        command: The command that writes, as in "skope eval".
+        inputs: Files whose contents are part of what the work is.
+        options: JSON values that are part of what the work is.
+
+    Returns:
+        What `work.json` holds.
+
+    Raises:
+        UserError: `folder` is a file, or holds other work or other files; nothing is written then.
     """
     work = work_of(command, inputs, options)
-    found = _held(folder, "--out")
+    found = _recorded_work(folder, "--out")
     if found is not None and (different := differences(found, work)):
         raise UserError(f"--out: {folder} holds other work ({different}); {_CHOICE}")
-    return _signed(folder, work)
+    return _write_record(folder, work)
 
 
 @contextmanager
-def look(
+def replaceable_output(
     folder: Path,
     command: str,
     of: str | Path,
@@ -55,21 +64,32 @@ def look(
     options: Mapping[str, Any] | None = None,
     flag: str = "--out",
 ) -> Iterator[Path]:
-    """Yield an empty folder for pictures and pages to look at, which move to `folder` together when all are drawn.
+    """Write pictures and pages that may replace those of an earlier call: all together, when all are drawn.
 
-    They take the place of an earlier look of the same command at the same thing, and of nothing else; `of` is the
-    thing: the path of a file or folder, or what it is called. With `options` (JSON values) the earlier look's files
-    stay beside the new ones where it had the same `options`, contents of `inputs` and version of skope; else they go.
+    They take the place of what the same command drew of the same thing before, and of nothing else.
 
-    Raises UserError, naming `flag`, for a file, and for a folder with other work or other files in it; nothing is
-    changed then, nor where drawing fails.
+    Args:
+        folder: Where the files shall lie.
+        command: The command that draws, as `work.json` names it.
+        of: What is drawn: the path of a file or folder, or what it is called.
+        inputs: Files whose contents decide what is drawn.
+        options: JSON values. Where they are given, the earlier files stay beside the new ones if they were drawn with
+            the same `options`, contents of `inputs` and version of skope; else they go.
+        flag: The flag that `folder` was given by, for messages.
+
+    Yields:
+        An empty folder to draw into, whose files move to `folder` at the end.
+
+    Raises:
+        UserError: `folder` is a file, or holds other work or other files; nothing is changed then, nor where drawing
+            fails.
     """
     work = work_of(command, inputs, options or {})
-    # Beside each other, the two may be moved; where they lie on this machine is nobody's business.
+    # A relative path stays true where both are moved together, and tells nothing of this machine's folders.
     work["of"] = os.path.relpath(of.resolve(), folder.resolve()) if isinstance(of, Path) else of
-    found = _held(folder, flag)
+    found = _recorded_work(folder, flag)
     if found is not None and [found.get(name) for name in ("command", "of")] != [command, work["of"]]:
-        raise UserError(f"{flag}: {folder} holds other work ({_named(found)}); {_CHOICE}")
+        raise UserError(f"{flag}: {folder} holds other work ({_described(found)}); {_CHOICE}")
     earlier = {name for name in _files(found or {}) if (folder / name).is_file()}
     same = options is not None and found is not None and found.get("skope") == __version__
     stale = set() if same and not differences(found, work) else earlier
@@ -80,27 +100,27 @@ def look(
             if (folder / name).exists():
                 raise UserError(f"{flag}: {folder / name} is there already, and is no earlier look's; {_CHOICE}")
         # Whenever this is interrupted, the files that lie there are among those that the record names.
-        _signed(folder, {**work, "files": sorted(earlier | new)})
+        _write_record(folder, {**work, "files": sorted(earlier | new)})
         for name in stale - new:
             (folder / name).unlink(missing_ok=True)
         for name in new:
             (drawn / name).replace(folder / name)
-        _signed(folder, {**work, "files": sorted((earlier - stale) | new)})
+        _write_record(folder, {**work, "files": sorted((earlier - stale) | new)})
 
 
 def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """What says which work something is: the command, contents of `inputs` (files) and `options` (JSON values)."""
-    told = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
-    work: dict[str, Any] = parse_json(json_bytes(told))
+    """Identify a work by its command, contents of `inputs` (files) and `options` (JSON values), as `work.json` does."""
+    parts = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
+    work: dict[str, Any] = parse_json(json_bytes(parts))
     return work
 
 
 def differences(held: Any, wanted: Mapping[str, Any]) -> str:
-    """In words, what of `wanted` (as `work_of` gives it) is different in `held`; empty where they are the same work."""
+    """What of the work `wanted` (as `work_of` gives it) is different in `held`, in words; empty for the same work."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
-        return _named(held)
+        return _described(held)
     inputs, options = (held[name] if isinstance(held.get(name), dict) else {} for name in ("inputs", "options"))
-    # Files may have moved: what they hold decides.
+    # Files may have moved since: their contents decide, not their paths.
     words = [f"not of {path}" for path, digest in wanted["inputs"].items() if digest not in inputs.values()]
     if not words and len(inputs) != len(wanted["inputs"]):
         words.append("of more files")
@@ -149,7 +169,7 @@ def move_new(source: Path, target: Path) -> None:
         raise UserError(f"{target}: {_OTHER_FILE}")
 
 
-def _held(folder: Path, flag: str) -> Any:
+def _recorded_work(folder: Path, flag: str) -> Any:
     """What `work.json` says of a folder; None where the folder is missing or holds nothing else.
 
     Raises UserError for a file, and for a folder with files of which no `work.json` says what they are.
@@ -167,24 +187,24 @@ def _held(folder: Path, flag: str) -> Any:
     return found if isinstance(found, dict) else {}
 
 
-def _signed(folder: Path, work: Mapping[str, Any]) -> dict[str, Any]:
+def _write_record(folder: Path, work: Mapping[str, Any]) -> dict[str, Any]:
     """Write `work.json`; returns what it holds."""
     signed = {**work, "skope": __version__, "date": datetime.now(UTC).date().isoformat()}
     write_json(folder / WORK, signed)
     return signed
 
 
-def _named(held: Any) -> str:
-    """Whose work it is, in words."""
+def _described(held: Any) -> str:
+    """The work that `work.json` names, in words: of which command, of what."""
     command, of = (held.get(name) if isinstance(held, dict) else None for name in ("command", "of"))
     return (f"of `{command}`" if command else "of another command") + (f", a look at {of}" if of else "")
 
 
 def _files(held: Mapping[str, Any]) -> set[str]:
-    """Files of an earlier look; a record that leads out of its folder names none."""
-    told = held.get("files")
+    """Names of the files that an earlier call of `replaceable_output` wrote; a path that leads elsewhere is none."""
+    names = held.get("files")
     return (
-        {name for name in told if isinstance(name, str) and name == Path(name).name}
-        if isinstance(told, list)
+        {name for name in names if isinstance(name, str) and name == Path(name).name}
+        if isinstance(names, list)
         else set()
     )

@@ -22,29 +22,14 @@ VERSION: Final = 1
 CATEGORY_ID: Final = 1
 
 VEHICLE_TYPES: Final = (
-    *("city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck"),
-    *("bus", "truck", "other"),
-)
+    "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
+    "other",
+)  # fmt: skip
 COLORS: Final = (
-    *(
-        "white",
-        "black",
-        "grey",
-        "silver",
-        "blue",
-        "red",
-        "brown",
-        "green",
-        "orange",
-        "yellow",
-        "gold",
-        "purple",
-        "other",
-    ),
-)
+    "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
+)  # fmt: skip
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
 TIMES_OF_DAY: Final = ("noon", "low_sun", "dawn", "dusk", "night")
-SPLITS: Final = ("train", "easy", "medium", "hard", "extra")
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 Array = NDArray[np.float64]
@@ -136,7 +121,7 @@ class Box3D:
     size_lwh: Array
     """(3,) length, width, height."""
     yaw: float
-    """Heading, counter-clockwise from world x."""
+    """Heading, radians, counter-clockwise from world x."""
     R: Array
     """(3, 3) turns vehicle axes (x forward, y left, z up) into world axes."""
 
@@ -179,7 +164,7 @@ class Annotation:
     box_3d_pixels: Array | None = None
     """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
     velocity: Array | None = None
-    """(3,) world, m/s."""
+    """(3,) velocity in the world, m/s."""
     distance: float | None = None
     """Camera to the middle of the 3D box, metres."""
     occlusion: float | None = None
@@ -245,7 +230,7 @@ class AnnotationFile:
     name: str = ""
     """The split's name: the file's stem."""
     scheme: Scheme = SKOPE33
-    """What the keypoints are."""
+    """Keypoint scheme of the file."""
 
     def by_image(self) -> dict[int, list[Annotation]]:
         """Annotations of each image id, in file order; images without a vehicle have an empty list."""

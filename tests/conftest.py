@@ -1,24 +1,69 @@
+import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
+
+WORKER: Final = "PYTEST_XDIST_WORKER" in os.environ
+if WORKER:
+    # There are as many workers as cores: more threads would wait for each other, and burn time while they do.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 with suppress(ImportError):  # metrics and formats are worked on without it
     # Before OpenGL: torch crashes where Mesa's compiler was loaded before it.
     import torchvision  # noqa: F401
 
 
+LONGEST: Final = (
+    "train/test_learns.py",
+    "gen/pipeline/test_generate.py",
+    "test_scripts.py",
+    "test_examples.py",
+    "gen/towns/test_networks.py",
+    "gen/pipeline/test_store.py",
+    "train/test_distributed.py",
+    "gen/traffic/test_sumo.py",
+    "train/test_loop.py",
+    "test_reference.py",
+    "eval/cli/test_footage.py",
+    "test_score_photographs.py",
+    "train/test_run_folder.py",
+    "gen/inspect/test_check.py",
+    "test_detector.py",
+    "gen/labels/test_annotate.py",
+)
+"""Files that take longest: a worker that began one of them last would be waited for."""
+
+
+def pytest_configure() -> None:
+    """Keep the tests' scenery out of the user's cache; workers and subprocesses share it."""
+    if not WORKER:
+        os.environ["SKOPE_CACHE"] = tempfile.mkdtemp(prefix="skope-cache-")
+
+
+def pytest_unconfigure() -> None:
+    if not WORKER:
+        shutil.rmtree(os.environ.pop("SKOPE_CACHE"), ignore_errors=True)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files."""
+    here = Path(__file__).parent
+    place = {here / name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def cheap_scenery() -> Iterator[None]:
-    """Keep the tests' scenery out of the user's cache (subprocesses inherit it), and light it from few directions."""
+    """Light the tests' scenery from few directions."""
     from skope.gen.render.gl import light
 
-    with tempfile.TemporaryDirectory(prefix="skope-cache-") as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SKOPE_CACHE", folder)
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(light, "SAMPLES", 4)
         yield
 

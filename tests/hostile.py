@@ -22,7 +22,7 @@ from skope.gen.output.writers import Labels
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.generate import finish_rendering
 from skope.gen.pipeline.store import Store
-from skope.gen.pipeline.workers import local
+from skope.gen.pipeline.workers import local_pool
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording
@@ -89,7 +89,7 @@ def complete(root: Path) -> Path:
     """A whole dataset: a frame with a vehicle in each of the two splits."""
     store = Store(begun(root))
     labelled(store)
-    finish_rendering(store, "pybullet", partial(local, 1), Console(quiet=True))
+    finish_rendering(store, "pybullet", partial(local_pool, 1), Console(quiet=True))
     return root
 
 
@@ -112,7 +112,7 @@ def labelled(store: Store) -> None:
             sha256={path: checksum(data) for path, data in files.items()},
             tally=vars(RuleCounts()),
         )
-        store.keep(FrameFiles(files, labels))
+        store.write_frame(FrameFiles(files, labels))
 
 
 def respelt(path: Path, change: Callable[[Any], object]) -> None:

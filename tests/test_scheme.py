@@ -96,9 +96,9 @@ def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.M
 def test_schemes_are_not_learnt_together(published: Path, tmp_path: Path) -> None:
     ours = make_dataset(tmp_path / "ours")
     parts = [splits.read(root, exclude_types=(), val_fraction=0, max_images=None) for root in (ours, published, ours)]
-    assert splits.one_scheme(parts[::2]) is SKOPE33
+    assert splits.common_scheme(parts[::2]) is SKOPE33
     with pytest.raises(UserError, match=r"published: has keypoint scheme skope3d, .*ours has skope33"):
-        splits.one_scheme(parts)
+        splits.common_scheme(parts)
 
 
 def test_results_of_the_same_scheme_are_scored_point_by_point(skope: Any, tmp_path: Path) -> None:

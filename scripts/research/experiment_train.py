@@ -27,8 +27,9 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import detector
 from skope.console import Console
-from skope.dataset import CARD, open_dataset, take
+from skope.dataset import CARD, open_dataset
 from skope.files import read_json, write_json, write_text
+from skope.sampling import take
 from skope.schema import VEHICLE_TYPES
 from skope.train import loop, run_folder, splits, validate
 from skope.train.recipe import RECIPES, Recipe, adjusted
@@ -187,11 +188,11 @@ def figures(options: argparse.Namespace, model: KeypointRCNN, folder: Path, devi
     for split in options.splits:
         file = take(data.read(split), options.test_images)
         paths = [data.root / image.file_name for image in file.images]
-        answers = validate.answers(model, file, paths, device)
-        found[split] = validate.figures(file, answers)
+        results = validate.run_model(model, file, paths, device)
+        found[split] = validate.figures(file, results)
         pickups = splits.excluding(file, [name for name in VEHICLE_TYPES if name != "pickup"])
         if not all(annotation.ignored for annotation in pickups.annotations):
-            found[f"{split}, pickups"] = validate.figures(pickups, answers)
+            found[f"{split}, pickups"] = validate.figures(pickups, results)
     return found
 
 

@@ -1,4 +1,4 @@
-"""One evaluation: predict (or read results), match, measure, draw, write, print."""
+"""`skope eval`: predict (or read results), match, measure, draw, write, print."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from skope import coco, draw, keypoints, shards
 from skope.console import Console
-from skope.dataset import read_image, take
+from skope.dataset import read_image
 from skope.errors import UserError
 from skope.eval import report
 from skope.eval.inference.progress import Progress
@@ -17,9 +17,10 @@ from skope.eval.report import table
 from skope.files import write_json, write_text
 from skope.metrics import figures, inputs
 from skope.metrics.counts import Options
-from skope.metrics.inputs import Truth
+from skope.metrics.inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
-from skope.outputs import claim
+from skope.outputs import claim_output
+from skope.sampling import take
 from skope.schema import AnnotationFile, Result
 
 if TYPE_CHECKING:
@@ -27,14 +28,14 @@ if TYPE_CHECKING:
 
 REPORT: Final = "report.html"
 OVERLAYS: Final = 4
-"""Pictures a split."""
+"""How many pictures of each split are drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalJob:
     """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
 
-    truth: Truth
+    truth: GroundTruth
     out: Path
     options: Options
     protocol: str
@@ -52,7 +53,19 @@ class EvalJob:
 
 
 def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
-    """Evaluate, write everything under `job.out`, print the table `width` wide; returns what `metrics.json` holds."""
+    """Evaluate a detector or its results, and write everything under `job.out`.
+
+    Args:
+        job: What to evaluate, and how.
+        console: Where progress and the table are printed.
+        width: Width of the printed table, characters.
+
+    Returns:
+        What `metrics.json` holds.
+
+    Raises:
+        UserError: Images or boxes are missing, the output folder holds other work, or files are malformed.
+    """
     splits = [inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
         inputs.check_boxes(file, job.options.boxes)
@@ -60,7 +73,7 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
         _check_images(splits, job.truth.root)
     predictor = _predictor(job, console) if job.checkpoint else None
     results = {} if predictor else _read(job, splits)
-    work = _claimed(job, predictor)
+    work = _claim(job, predictor)
     results |= _predicted(job, predictor, splits) if predictor else {}
     calibrated = predictor.calibrated if predictor else None
     measured = [
@@ -103,18 +116,18 @@ def _predictor(job: EvalJob, console: Console) -> "Predictor":
     return predictor
 
 
-def _claimed(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
+def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
     """The output folder, taken for this evaluation; what `work.json` says of it."""
     scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
     options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
     settings = {name: getattr(job.settings, name) for name in ("given", "precision")}
     splits = [file.name for file in job.truth.splits]
     more = {"splits": splits, "fast": job.fast, "max_images": job.max_images}
-    return claim(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
+    return claim_output(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
 
 
 def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
-    """Results by split."""
+    """Run the detector on all splits; split name -> its results. Goes on after what a stopped run has found."""
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
@@ -126,7 +139,7 @@ def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[Annotation
         found = [coco.result_from_dict(row) for image in file.images for row in rows[image.id]]
         coco.write_results(path, found)
         progress.end()
-        # What is scored is what the file says (it rounds), so that scoring the file later gives the same figures.
+        # Results are read back from the file, which rounds them, so that scoring the file later gives the same figures.
         out[file.name] = coco.read_results(path)
     return out
 

@@ -1,4 +1,4 @@
-"""What takes long to work out, on disk, so that processes and later runs need not do it again.
+"""Cache on disk of built towns and vehicles, for other processes and later runs.
 
 Files are named by a digest of everything that they depend on, written beside their place and renamed into it, and the
 longest unused ones of a kind go when there are too many.
@@ -24,11 +24,11 @@ from skope.files import replacing
 Arrays = Mapping[str, NDArray[Any]]
 
 LIMIT_BYTES: Final = 2 * 1024**3
-"""Of each kind."""
+"""Largest size of the cache of each kind, bytes."""
 _DAY: Final = 86400.0
 _SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
 _LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
-"""What meshes are built with."""
+"""Libraries that meshes are built with; another version of one makes the cache invalid."""
 
 
 def folder() -> Path:
@@ -55,13 +55,13 @@ def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
 
 
 def digest_of(*parts: str) -> str:
-    """Names what the generator makes of some parts, and nothing else."""
+    """A digest of `parts` and of the generator's sources and libraries: a name for what the cache keeps of them."""
     return hashlib.sha256("\n".join([_program_digest(), *parts]).encode()).hexdigest()[:24]
 
 
 @cache
 def _program_digest() -> str:
-    """Of the sources that the generator consists of, and of the libraries that meshes are built with."""
+    """Digest of the generator's source files and of the versions of the libraries that meshes are built with."""
     digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
     root = Path(__file__).parents[1]
     files = [*root.glob("*.py"), *(path for path in (root / "gen").rglob("*") if path.suffix in _SOURCES)]
@@ -89,7 +89,7 @@ def _store(path: Path, arrays: Arrays) -> None:
 
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Keep other processes from making the same, where the file system has locks."""
+    """Keep other processes from building the same file, where the file system has locks."""
     lock = path.with_suffix(".lock")
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):

@@ -46,7 +46,7 @@ class Mesh:
         return Mesh(self.vertices, self.normals, self.triangles[chosen], self.materials, self.material[chosen])
 
     def to_arrays(self, name: str) -> dict[str, NDArray[Any]]:
-        """For a file: an array for each field, under `name` and the field's."""
+        """Arrays to be stored in a file: one for each field, called `name` and the field's name."""
         fields = {
             "vertices": self.vertices,
             "normals": self.normals,
@@ -115,7 +115,7 @@ def simplified(mesh: Mesh, share: float) -> Mesh:
 
 
 def _proper(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Which triangles have three corners."""
+    """(T,) which triangles have three different corners."""
     a, b, c = triangles.T
     return np.flatnonzero((a != b) & (b != c) & (c != a))
 

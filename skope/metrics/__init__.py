@@ -1,1 +1,1 @@
-"""What a detector's answers are worth against a ground truth; needs NumPy only."""
+"""Metrics of detections and keypoints against ground truth; they need NumPy only."""

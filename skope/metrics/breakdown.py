@@ -1,4 +1,4 @@
-"""The same figures for parts of the vehicles: by distance, size, type, weather and so on, and keypoint by keypoint.
+"""Recall and PCK of parts of the vehicles: by distance, size, type, weather and so on, and keypoint by keypoint.
 
 A false detection belongs to no distance or type, so that the parts have recall and PCK and no precision.
 """
@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import Judged, Mask, Options, judge, ratio
+from skope.metrics.counts import Mask, Options, Outcomes, outcomes_at, ratio
 from skope.metrics.match import Matches
 from skope.schema import Annotation, Image
 
@@ -20,59 +20,72 @@ HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)
 OCCLUSIONS: Final = (0.1, 0.4)
 TRUNCATIONS: Final = (0.1, 0.4)
 
-# The paper's own cell: vehicles that nothing hides, within 40 m.
+# Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
 _UNOCCLUDED: Final = 0.01
 _NEAR_M: Final = 40.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fleet:
-    """What a dataset's card says of its models; empty where there is no card."""
+class FleetInfo:
+    """What a dataset's card says of its vehicle models; empty where there is no card."""
 
     held_out: Collection[str] | None = None
-    """Models that no training image shows."""
+    """Models that no training image shows; None where the card does not say."""
     substituted: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """Model -> names of the keypoints that stand for a part that its body lacks."""
 
 
-def breakdown(images: Sequence[Image], matches: Matches, options: Options, fleet: Fleet) -> dict[str, Any]:
-    """The entry `by` of a split: quantity -> part -> IoU threshold -> counts and ratios."""
-    judged = {t: judge(matches, t, options) for t in options.iou}
+def breakdown(images: Sequence[Image], matches: Matches, options: Options, fleet: FleetInfo) -> dict[str, Any]:
+    """Measure parts of the vehicles, and each keypoint.
+
+    Args:
+        images: The images of the split, in the order of the file.
+        matches: The split's ground truth and detections.
+        options: What counts, and at which IoU thresholds.
+        fleet: What the dataset's card says of the vehicle models.
+
+    Returns:
+        The entry `by` of a split in `metrics.json`: quantity -> part -> IoU threshold -> counts and ratios.
+    """
+    outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
     parts = _parts(images, matches, fleet)
     out: dict[str, Any] = {
         quantity: {
-            name: {f"{t:g}": _figures(judged[t], mask, options.alpha) for t in judged} for name, mask in of.items()
+            name: {f"{t:g}": _vehicle_figures(outcomes[t], mask, options.alpha) for t in outcomes}
+            for name, mask in masks.items()
         }
-        for quantity, of in parts.items()
+        for quantity, masks in parts.items()
     }
     out["keypoint"] = {
-        options.scheme.names[k]: {f"{t:g}": _of_points(judged[t], _column(matches, k), options.alpha) for t in judged}
+        options.scheme.names[k]: {
+            f"{t:g}": _point_figures(outcomes[t], _column(matches, k), options.alpha) for t in outcomes
+        }
         for k in options.points
     }
-    stand_ins = _stand_ins(matches.vehicles, fleet)
+    stand_ins = _substituted(matches.vehicles, fleet)
     if stand_ins.any():
         out["keypoint_kind"] = {
-            name: {f"{t:g}": _of_points(judged[t], mask, options.alpha) for t in judged}
+            name: {f"{t:g}": _point_figures(outcomes[t], mask, options.alpha) for t in outcomes}
             for name, mask in (("own", ~stand_ins), ("substituted", stand_ins))
         }
     return out
 
 
-def _parts(images: Sequence[Image], matches: Matches, fleet: Fleet) -> dict[str, dict[str, Mask]]:
+def _parts(images: Sequence[Image], matches: Matches, fleet: FleetInfo) -> dict[str, dict[str, Mask]]:
     vehicles = matches.vehicles
     weather = [images[i].weather for i in matches.gt_image]
     parts = {
-        "distance": _banded([v.distance for v in vehicles], DISTANCES_M),
-        "height": _banded((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
-        "occlusion": _banded([v.occlusion for v in vehicles], OCCLUSIONS, last="1"),
-        "truncation": _banded([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
-        "unoccluded_within_40_m": _sorted_out(vehicles, _paper_cell, {True: "yes", False: "no"}),
-        "vehicle_type": _named([v.vehicle_type for v in vehicles]),
-        "weather": _named(weather),
-        "parked": _sorted_out(vehicles, lambda v: v.parked, {True: "parked", False: "driving"}),
-        "model": _sorted_out(vehicles, lambda v: _unseen(v, fleet), {True: "unseen", False: "seen"}),
+        "distance": _by_band([v.distance for v in vehicles], DISTANCES_M),
+        "height": _by_band((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
+        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSIONS, last="1"),
+        "truncation": _by_band([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
+        "unoccluded_within_40_m": _by_yes_or_no(vehicles, _paper_cell, {True: "yes", False: "no"}),
+        "vehicle_type": _by_name([v.vehicle_type for v in vehicles]),
+        "weather": _by_name(weather),
+        "parked": _by_yes_or_no(vehicles, lambda v: v.parked, {True: "parked", False: "driving"}),
+        "model": _by_yes_or_no(vehicles, lambda v: _unseen(v, fleet), {True: "unseen", False: "seen"}),
     }
-    return {quantity: of for quantity, of in parts.items() if of}
+    return {quantity: masks for quantity, masks in parts.items() if masks}
 
 
 def _paper_cell(vehicle: Annotation) -> bool | None:
@@ -81,11 +94,11 @@ def _paper_cell(vehicle: Annotation) -> bool | None:
     return vehicle.occlusion < _UNOCCLUDED and vehicle.distance < _NEAR_M
 
 
-def _unseen(vehicle: Annotation, fleet: Fleet) -> bool | None:
+def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:
     return None if fleet.held_out is None or vehicle.model is None else vehicle.model in fleet.held_out
 
 
-def _banded(values: Sequence[float | None], edges: Sequence[float], last: str | None = None) -> dict[str, Mask]:
+def _by_band(values: Sequence[float | None], edges: Sequence[float], last: str | None = None) -> dict[str, Mask]:
     """Masks of [0, e0), [e0, e1), ... and from the last edge on; those without a vehicle are left out."""
     numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     bounds = (0.0, *edges, np.inf)
@@ -96,29 +109,29 @@ def _banded(values: Sequence[float | None], edges: Sequence[float], last: str | 
     return {name: mask for name, mask in out.items() if mask.any()}
 
 
-def _named(values: Sequence[str | None]) -> dict[str, Mask]:
+def _by_name(values: Sequence[str | None]) -> dict[str, Mask]:
     names = np.array([value or "" for value in values], dtype=object)
     return {str(name): names == name for name in sorted(set(names.tolist()) - {""})}
 
 
-def _sorted_out(
+def _by_yes_or_no(
     vehicles: Sequence[Annotation], which: Callable[[Annotation], bool | None], names: Mapping[bool, str]
 ) -> dict[str, Mask]:
     values = [which(vehicle) for vehicle in vehicles]
-    return _named([None if value is None else names[value] for value in values])
+    return _by_name([None if value is None else names[value] for value in values])
 
 
-def _figures(judged: Judged, part: Mask, alpha: float) -> dict[str, Any]:
-    points = _of_points(judged, part[:, None], alpha)
-    truth, matched = int(part.sum()), int((part & judged.found).sum())
+def _vehicle_figures(outcomes: Outcomes, part: Mask, alpha: float) -> dict[str, Any]:
+    points = _point_figures(outcomes, part[:, None], alpha)
+    truth, matched = int(part.sum()), int((part & outcomes.found).sum())
     return {"ground_truth": truth, "matched": matched, "box_recall": ratio(matched, truth), **points}
 
 
-def _of_points(judged: Judged, part: Mask, alpha: float) -> dict[str, Any]:
-    """Of the keypoints in `part`, a mask that broadcasts to (G, 33)."""
-    labelled_all = int((judged.labelled & part).sum())
-    labelled = int((judged.labelled & part)[judged.found].sum())
-    correct = int((judged.correct(alpha) & part).sum())
+def _point_figures(outcomes: Outcomes, part: Mask, alpha: float) -> dict[str, Any]:
+    """Counts and ratios of the keypoints in `part`, a mask that broadcasts to (G, 33)."""
+    labelled_all = int((outcomes.labelled & part).sum())
+    labelled = int((outcomes.labelled & part)[outcomes.found].sum())
+    correct = int((outcomes.correct(alpha) & part).sum())
     return {
         "labelled": labelled,
         "labelled_all": labelled_all,
@@ -134,7 +147,7 @@ def _column(matches: Matches, k: int) -> Mask:
     return mask
 
 
-def _stand_ins(vehicles: Sequence[Annotation], fleet: Fleet) -> Mask:
+def _substituted(vehicles: Sequence[Annotation], fleet: FleetInfo) -> Mask:
     """(G, 33) keypoints that stand for a part that the vehicle's body lacks."""
     mask = np.zeros((len(vehicles), keypoints.K), dtype=bool)
     for i, vehicle in enumerate(vehicles):

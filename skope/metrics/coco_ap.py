@@ -20,11 +20,19 @@ NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypo
 
 
 def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
-    """AP over IoU (or OKS) 0.50 to 0.95 and at 0.50, of all results whatever they score; None without ground truth.
+    """COCO's average precision of boxes (by IoU) and of keypoints (by object keypoint similarity).
 
-    An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. A vehicle without a
-    labelled keypoint is the same to the keypoint figures. Of `options` only labelled, boxes, points and scheme play a
-    part.
+    An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. To the keypoint figures a
+    vehicle without a labelled keypoint is one too.
+
+    Args:
+        file: The ground truth of a split.
+        results: All detections, whatever they score; `MAX_DETECTIONS` an image count.
+        options: Only labelled, boxes, points and scheme play a part.
+
+    Returns:
+        "box_ap" and "keypoint_ap", means over thresholds from 0.50 to 0.95, and "box_ap50" and "keypoint_ap50", at
+        0.50. None without ground truth.
     """
     left_out = ~np.isin(np.arange(keypoints.K), options.points)
     truth = [_truth_row(annotation, options, left_out) for annotation in file.annotations]
@@ -81,7 +89,7 @@ def _ap(
 ) -> tuple[float | None, float | None]:
     from pycocotools.cocoeval import COCOeval
 
-    # pycocotools prints as it goes, and squares whatever a stray keypoint is.
+    # pycocotools prints as it goes, and squares of far-off keypoints overflow in it.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
         evaluation.params.maxDets = [MAX_DETECTIONS]
@@ -109,5 +117,6 @@ def _index(images: list[dict[str, Any]], annotations: list[dict[str, Any]]) -> A
 
 
 def _mean(precision: Any) -> float | None:
-    known = precision[precision > -1]
-    return float(known.mean()) if known.size else None
+    """Mean of the precisions that pycocotools could tell; it writes -1 for the others."""
+    told = precision[precision > -1]
+    return float(told.mean()) if told.size else None

@@ -1,8 +1,8 @@
-"""What was found and how far off, image by image: counts that every figure is a quotient of sums of.
+"""Counts of each image, of whose sums every figure is a quotient; and what became of each vehicle.
 
 A figure is the sum of a numerator over images divided by that of a denominator, in both protocols (the paper's mean of
 per-image ratios sums ratios over the images that have ground truth), so that leaving images out, as intervals do, takes
-a subtraction. numpy alone.
+a subtraction.
 """
 
 import math
@@ -47,7 +47,9 @@ class Options:
     alpha: float = 0.1
     """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
     labelled: str = "visible"
+    """Which keypoints of the ground truth count, one of `LABELLED`."""
     boxes: str = "full"
+    """Which boxes of the ground truth detections are matched to, one of `BOX_KINDS`."""
     iou: tuple[float, ...] = THRESHOLDS
     """Thresholds at which detections match, in the order in which they are reported."""
     keypoint_score: float = 0.0
@@ -55,7 +57,7 @@ class Options:
     points: tuple[int, ...] = tuple(range(keypoints.K))
     """The keypoints that are scored: all, or those that another scheme shares."""
     scheme: Scheme = keypoints.SKOPE33
-    """What the ground truth's keypoints are."""
+    """Keypoint scheme of the ground truth."""
 
     def __post_init__(self) -> None:
         for flag, value in (("--score", self.score), ("--keypoint-score", self.keypoint_score)):
@@ -78,15 +80,15 @@ class Options:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
-    """The G vehicles of a split at one IoU threshold, each beside the detection that took it."""
+class Outcomes:
+    """What became of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
 
     detection: Integers
     """(G,) index of the detection in `Matches`, -1 for none."""
     labelled: Mask
-    """(G, 33)"""
+    """(G, 33) keypoints that are labelled, as `Options.labelled` says."""
     predicted: Mask
-    """(G, 33) keypoints that a detection predicts."""
+    """(G, 33) keypoints that the detection predicts."""
     offset: Floats
     """(G, 33) pixels from the prediction to the ground truth, infinite where no detection took the vehicle."""
     length: Floats
@@ -94,7 +96,7 @@ class Judged:
 
     @property
     def found(self) -> Mask:
-        """(G,)"""
+        """(G,) whether a detection took the vehicle."""
         return self.detection >= 0
 
     def correct(self, alpha: float) -> Mask:
@@ -117,8 +119,8 @@ def lengths(vectors: Floats) -> Floats:
         return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
 
 
-def judge(matches: Matches, threshold: float, options: Options) -> Judged:
-    """Hold each vehicle against the detection that took it at `threshold`, one of `matches.taken`."""
+def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcomes:
+    """Compare each vehicle with the detection that took it at the IoU `threshold`, one of `matches.taken`."""
     taken = matches.taken[threshold]
     matched = np.flatnonzero(taken >= 0)
     detection = np.full(len(matches.gt_image), -1, dtype=np.int64)
@@ -134,17 +136,19 @@ def judge(matches: Matches, threshold: float, options: Options) -> Judged:
     offset[found] = lengths(matches.det_keypoints[detection[found], :, :2] - matches.gt_keypoints[found, :, :2])
     box = matches.gt_boxes_xyxy
     length = (box[:, 2:] - box[:, :2]).max(axis=1, initial=0.0)
-    return Judged(detection=detection, labelled=labelled, predicted=shown, offset=offset, length=length)
+    return Outcomes(detection=detection, labelled=labelled, predicted=shown, offset=offset, length=length)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tally:
-    """Counts of each of N images at one IoU threshold, all (N,)."""
+    """Counts of each of N images at one IoU threshold, (N,) each."""
 
     ground_truth: Integers
-    """Vehicles."""
+    """Ground-truth vehicles."""
     detections: Integers
+    """Detections that count."""
     matched: Integers
+    """Detections that took a vehicle."""
     detections_ignored: Integers
     """Unmatched detections on ignored vehicles."""
     labelled: Integers
@@ -154,23 +158,33 @@ class Tally:
     detected: Integers
     """Keypoints of `labelled` that are predicted, anywhere."""
     correct: Integers
+    """Keypoints of `labelled` that are predicted within alpha times the longer edge of the box."""
     predicted: Integers
     """Predicted keypoints of all detections but those on ignored vehicles."""
     predicted_matched: Integers
     """Predicted keypoints of the matched detections."""
 
     def to_dict(self) -> dict[str, list[int]]:
-        """Columns by name."""
+        """Counts by name, each a list of N numbers."""
         return {field.name: getattr(self, field.name).tolist() for field in fields(self)}
 
 
 def tally(matches: Matches, threshold: float, options: Options) -> Tally:
-    """Count at one IoU threshold."""
-    judged = judge(matches, threshold, options)
+    """Count vehicles, detections and keypoints in each image.
+
+    Args:
+        matches: A split's ground truth and detections.
+        threshold: An IoU threshold of `matches.taken`.
+        options: What counts as labelled, predicted and correct.
+
+    Returns:
+        Counts of the images, in the order of the file.
+    """
+    outcomes = outcomes_at(matches, threshold, options)
     matched = matches.taken[threshold] >= 0
     left_out = ~matched & matches.det_on_ignored
     points = predicted(matches, options).sum(axis=1)
-    labelled = judged.labelled.sum(axis=1)
+    labelled = outcomes.labelled.sum(axis=1)
 
     def by_image(image: Integers, weights: NDArray[Any]) -> Integers:
         return np.bincount(image, weights=weights, minlength=matches.images).astype(np.int64)
@@ -186,10 +200,10 @@ def tally(matches: Matches, threshold: float, options: Options) -> Tally:
         detections=of_detections(np.ones_like(points)),
         matched=of_detections(matched),
         detections_ignored=of_detections(left_out),
-        labelled=of_vehicles(labelled * judged.found),
+        labelled=of_vehicles(labelled * outcomes.found),
         labelled_all=of_vehicles(labelled),
-        detected=of_vehicles((judged.labelled & judged.predicted).sum(axis=1)),
-        correct=of_vehicles(judged.correct(options.alpha).sum(axis=1)),
+        detected=of_vehicles((outcomes.labelled & outcomes.predicted).sum(axis=1)),
+        correct=of_vehicles(outcomes.correct(options.alpha).sum(axis=1)),
         predicted=of_detections(points * ~left_out),
         predicted_matched=of_detections(points * matched),
     )
@@ -200,9 +214,12 @@ Quotients = dict[Name, tuple[Floats, Floats]]
 
 
 def quotients(counts: Tally) -> Quotients:
-    """Numerators and denominators whose sums over images give each figure of `FIGURES`."""
+    """Numerators and denominators whose sums over images give each figure of `FIGURES`.
+
+    The figures are those of the SKoPe3D paper's table in its own protocol (`paper`) and pooled (`pooled`).
+    """
     c = counts
-    judged = c.ground_truth > 0
+    has_truth = c.ground_truth > 0
     pooled = {
         "box_precision": (c.matched, c.detections - c.detections_ignored),
         "box_recall": (c.matched, c.ground_truth),
@@ -223,7 +240,7 @@ def quotients(counts: Tally) -> Quotients:
     out: Quotients = {("pck", None): (c.correct.astype(np.float64), c.labelled.astype(np.float64))}
     for name in pooled:
         top, bottom = paper[name]
-        out[name, "paper"] = (top / np.maximum(bottom, 1) * judged, judged.astype(np.float64))
+        out[name, "paper"] = (top / np.maximum(bottom, 1) * has_truth, has_truth.astype(np.float64))
         top, bottom = pooled[name]
         out[name, "pooled"] = (top.astype(np.float64), bottom.astype(np.float64))
     return out

@@ -1,4 +1,4 @@
-"""What goes wrong, by kind: vehicles missed and false, and keypoints on the wrong side, at the wrong end or just off.
+"""Failures by kind: vehicles missed and false, and keypoints on the wrong side, at the wrong end or just off.
 
 The kinds follow Ronchi and Perona ("Benchmarking and Error Diagnosis in Multi-Instance Pose Estimation", 2017), with a
 vehicle's two symmetries in the place of a person's one.
@@ -9,13 +9,14 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import Floats, Integers, Judged, Options, lengths
+from skope.metrics.counts import Floats, Integers, Options, Outcomes, lengths
 from skope.metrics.match import Matches
 
 KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
 anywhere else."""
 RIGHT: Final = -1
+"""Stands in place of a kind for a keypoint that is not wrong."""
 LEFT_RIGHT, FRONT_REAR, JITTER = range(len(KINDS))
 
 _ENDS: Final = (
@@ -38,52 +39,64 @@ def _other_end(name: str) -> str:
 
 
 OTHER_SIDE: Final = keypoints.FLIP
+"""The counterpart of each keypoint at the vehicle's other side; itself where there is none."""
 OTHER_END: Final = tuple(keypoints.INDEX[_other_end(name)] for name in keypoints.NAMES)
 """The counterpart of each keypoint at the vehicle's other end; itself where there is none."""
 
 
-def wrong_points(matches: Matches, judged: Judged, options: Options) -> Integers:
-    """(G, 33) index in `KINDS` of each wrong keypoint, -1 for what is right, unlabelled, not predicted or not found.
+def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
+    """(G, 33) index in `KINDS` of each wrong keypoint; -1 where it is right, unlabelled, not predicted or not found.
 
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
     alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
     """
-    kinds = np.full(judged.labelled.shape, RIGHT, dtype=np.int64)
-    wrong = judged.labelled & judged.predicted & ~judged.correct(options.alpha)
+    kinds = np.full(outcomes.labelled.shape, RIGHT, dtype=np.int64)
+    wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)
     kinds[wrong] = JITTER
-    if options.scheme is not keypoints.SKOPE33:  # nobody knows its counterparts
+    if options.scheme is not keypoints.SKOPE33:  # which keypoints are counterparts is known of skope33 alone
         return kinds
-    side = _apart(matches, judged, OTHER_SIDE)
-    ends = np.minimum(_apart(matches, judged, OTHER_END), _apart(matches, judged, [OTHER_SIDE[k] for k in OTHER_END]))
-    reach = options.alpha * judged.length[:, None]
+    side = _apart(matches, outcomes, OTHER_SIDE)
+    ends = np.minimum(
+        _apart(matches, outcomes, OTHER_END), _apart(matches, outcomes, [OTHER_SIDE[k] for k in OTHER_END])
+    )
+    reach = options.alpha * outcomes.length[:, None]
     kinds[wrong & (side <= reach)] = LEFT_RIGHT
     kinds[wrong & (ends <= reach) & (ends < side)] = FRONT_REAR
     return kinds
 
 
-def _apart(matches: Matches, judged: Judged, counterpart: Any) -> Floats:
+def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Floats:
     """(G, 33) pixels from each prediction to its counterpart's place, infinite where there is none."""
     counterpart = np.asarray(counterpart)
     truth = matches.gt_keypoints[:, counterpart]
-    out = np.full(judged.labelled.shape, np.inf)
-    found = judged.found
-    out[found] = lengths(matches.det_keypoints[judged.detection[found], :, :2] - truth[found, :, :2])
-    known = (truth[..., 2] > 0) & (counterpart != np.arange(keypoints.K))
-    return np.where(known, out, np.inf)
+    out = np.full(outcomes.labelled.shape, np.inf)
+    found = outcomes.found
+    out[found] = lengths(matches.det_keypoints[outcomes.detection[found], :, :2] - truth[found, :, :2])
+    labelled = (truth[..., 2] > 0) & (counterpart != np.arange(keypoints.K))
+    return np.where(labelled, out, np.inf)
 
 
-def counts(matches: Matches, judged: Judged, options: Options) -> dict[str, int]:
-    """Vehicles missed and false, and wrong keypoints by kind, as `metrics.json` has them."""
-    kinds = wrong_points(matches, judged, options)
+def counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, int]:
+    """Count what went wrong at one IoU threshold.
+
+    Args:
+        matches: A split's ground truth and detections.
+        outcomes: What became of each vehicle at the threshold.
+        options: What counts, and how near a keypoint must be.
+
+    Returns:
+        The entry of `failures` in `metrics.json`: vehicles "missed", detections "false", and wrong keypoints by kind.
+    """
+    kinds = wrong_points(matches, outcomes, options)
     return {
-        "missed": int((~judged.found).sum()),
-        "false": int(false_detections(matches, judged).sum()),
+        "missed": int((~outcomes.found).sum()),
+        "false": int(false_detections(matches, outcomes).sum()),
         **{name: int((kinds == i).sum()) for i, name in enumerate(KINDS)},
     }
 
 
-def false_detections(matches: Matches, judged: Judged) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def false_detections(matches: Matches, outcomes: Outcomes) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """(D,) detections that took no vehicle and lie on no ignored one."""
     false = ~matches.det_on_ignored
-    false[judged.detection[judged.found]] = False
+    false[outcomes.detection[outcomes.found]] = False
     return false

@@ -1,4 +1,4 @@
-"""PCK, box and keypoint precision and recall over IoU thresholds, in the two protocols; numpy alone.
+"""PCK, box and keypoint precision and recall over IoU thresholds, in the two protocols.
 
 `pooled` divides sums over the whole split. `paper` is the mean, over the images that have ground truth, of each image's
 own figures, which is what the published table follows. Ratios without a denominator are None.
@@ -11,7 +11,7 @@ import numpy as np
 
 from skope import keypoints
 from skope.metrics import counts
-from skope.metrics.counts import Judged, Options, ratio
+from skope.metrics.counts import Options, Outcomes, ratio
 from skope.metrics.match import Matches, match
 from skope.schema import AnnotationFile, Result
 
@@ -34,10 +34,14 @@ def document(
     scheme: str = keypoints.SCHEME,
     work: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The whole of `metrics.json` around the figures of each split.
+    """What `metrics.json` holds: the options and the entry of each split.
 
-    `calibrated`: whether keypoint scores are calibrated probabilities, None where another program made them; `scheme`
-    is the detector's. `work`: what `outputs.claim` says of the files that were read, the version and the date.
+    Args:
+        options: What was measured.
+        splits: Split name -> its entry.
+        calibrated: Whether keypoint scores are calibrated probabilities; None where another program made them.
+        scheme: Keypoint scheme of the detector.
+        work: What `outputs.claim_output` says of the files that were read, the version and the date.
     """
     return {
         "version": VERSION,
@@ -55,12 +59,25 @@ def document(
 
 
 def score_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, Any]:
-    """One split's counts and, per IoU threshold, ratios: the beginning of its entry in `metrics.json`."""
+    """Match and measure a split: its counts and, for each IoU threshold, precision, recall and PCK.
+
+    Args:
+        file: The ground truth of the split.
+        results: What a detector found, each result in an image of `file`.
+        options: What counts, and at which thresholds.
+
+    Returns:
+        The beginning of the split's entry in `metrics.json`: "images", "ground_truth", "ignored", "detections" and,
+        under "iou", by threshold, the figures. Ratios are None where there is nothing to divide by.
+
+    Raises:
+        UserError: `options` ask for boxes that are not annotated.
+    """
     return summary(match_split(file, results, options), options)
 
 
 def match_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> Matches:
-    """Match as `options` say."""
+    """Match the results to the ground truth at the thresholds of `options`, as `skope.metrics.match.match` does."""
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
@@ -83,17 +100,17 @@ def figures(pooled: counts.Tally) -> dict[str, Any]:
     return {**sums, **counts.nested(ratios)}
 
 
-def localisation(judged: Judged) -> dict[str, Any]:
+def localisation(outcomes: Outcomes) -> dict[str, Any]:
     """How near the keypoints of matched vehicles are, beyond one alpha; all in units of the box's longer edge L."""
-    counted = judged.labelled & judged.found[:, None]
+    counted = outcomes.labelled & outcomes.found[:, None]
     # A vehicle whose box has no extent can have no error in its units but 0.
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.where(judged.offset > 0, judged.offset / judged.length[:, None], 0.0)
-    error = np.where(judged.predicted, error, np.inf)[counted]
+        error = np.where(outcomes.offset > 0, outcomes.offset / outcomes.length[:, None], 0.0)
+    error = np.where(outcomes.predicted, error, np.inf)[counted]
     labelled = int(counted.sum())
     return {
         "labelled": labelled,
-        "pck_0.05": ratio(judged.correct(STRICT_ALPHA).sum(), labelled),
+        "pck_0.05": ratio(outcomes.correct(STRICT_ALPHA).sum(), labelled),
         "pck_area": ratio(np.maximum(AREA_ALPHA - error, 0.0).sum() / AREA_ALPHA, labelled),
         "median_error": _finite(np.median(error)) if labelled else None,
     }

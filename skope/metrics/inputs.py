@@ -1,4 +1,4 @@
-"""What is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
+"""Read what is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -9,8 +9,9 @@ from typing import Any, Final
 from skope import coco, dataset, keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
-from skope.metrics.breakdown import Fleet
+from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
+from skope.sampling import take
 from skope.schema import AnnotationFile, Result
 
 SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
@@ -19,23 +20,23 @@ TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Truth:
+class GroundTruth:
     """Ground truth: splits in the order in which they are reported, and where their images lie."""
 
     splits: tuple[AnnotationFile, ...]
     root: Path
     """The folder that file names are relative to."""
-    fleet: Fleet
+    fleet: FleetInfo
     sources: tuple[Path, ...]
-    """The files that say what is true; those that name the checksums of all others where there are such."""
+    """The files that the ground truth comes from; of a folder with a manifest that alone, with its checksums."""
 
     @property
     def scheme(self) -> Scheme:
-        """What the keypoints are; of a dataset all splits have the same."""
+        """Keypoint scheme, which is the same for all splits."""
         return self.splits[0].scheme
 
 
-def read_dataset(root: Path, names: Sequence[str]) -> Truth:
+def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
     """The named splits of a dataset folder; without names, all test splits that it has."""
     data = dataset.open_dataset(root)
     wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
@@ -45,27 +46,27 @@ def read_dataset(root: Path, names: Sequence[str]) -> Truth:
     splits = tuple(data.read(name) for name in wanted)
     manifest = root / dataset.MANIFEST
     sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
-    return Truth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
+    return GroundTruth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
 
 
-def _fleet(root: Path, card: dict[str, Any]) -> Fleet:
-    """What a dataset's card says of its models; datasets of elsewhere say nothing."""
-    told = card.get("fleet")
-    if told is None:
-        return Fleet()
+def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
+    """What a dataset's card says of its vehicle models; datasets of other programs say nothing."""
+    entry = card.get("fleet")
+    if entry is None:
+        return FleetInfo()
     try:
-        substituted = {str(model): tuple(names) for model, names in told["substituted"].items()}
+        substituted = {str(model): tuple(names) for model, names in entry["substituted"].items()}
         unknown = {name for names in substituted.values() for name in names} - set(keypoints.NAMES)
         if unknown:
             raise UserError(f"{root / dataset.CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
-        return Fleet(held_out=frozenset(told["held_out"]), substituted=substituted)
+        return FleetInfo(held_out=frozenset(entry["held_out"]), substituted=substituted)
     except (KeyError, TypeError, AttributeError):
         raise UserError(f"{root / dataset.CARD}: fleet: expected held_out and substituted") from None
 
 
-def read_annotations(path: Path) -> Truth:
+def read_annotations(path: Path) -> GroundTruth:
     """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
-    return Truth(splits=(coco.read(path),), root=path.parent.parent, fleet=Fleet(), sources=(path,))
+    return GroundTruth(splits=(coco.read(path),), root=path.parent.parent, fleet=FleetInfo(), sources=(path,))
 
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
@@ -96,7 +97,7 @@ class ResultsFile:
 
 
 def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
-    """What `read_results` reads, all checked, in memory only where they do not lie in the order of the images."""
+    """The results of `read_results`, all checked; in memory only where they do not lie in the order of the images."""
     place = {image.id: i for i, image in enumerate(file.images)}
     places = (place[result.image_id] for result in _for_file(path, file, None))
     if all(a <= b for a, b in itertools.pairwise(places)):
@@ -111,14 +112,14 @@ def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[
         if result.image_id not in images:
             raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
         if categories and result.category_id not in categories:
-            known = ", ".join(map(str, sorted(categories)))
-            raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {known}")
+            expected = ", ".join(map(str, sorted(categories)))
+            raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {expected}")
         yield result
 
 
 def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
     """`file`, or the images of it that `--max-images` leaves."""
-    return file if max_images is None else dataset.take(file, max_images)
+    return file if max_images is None else take(file, max_images)
 
 
 def check_boxes(file: AnnotationFile, kind: str) -> None:

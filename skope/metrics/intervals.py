@@ -19,8 +19,11 @@ from skope.metrics.counts import Floats, Integers, Name, Quotients, nested, rati
 from skope.schema import Image
 
 BLOCK_S: Final = 10.0
+"""Length of a block of the only recording, seconds."""
 ENOUGH_SITES: Final = 3
+"""So many sites make sites the blocks."""
 LEVEL: Final = 0.95
+"""Probability that an interval claims to hold the figure."""
 
 Interval = tuple[float, float] | None
 
@@ -38,6 +41,7 @@ class Blocks:
 
     @property
     def count(self) -> int:
+        """Number of blocks."""
         return int(self.number.max(initial=-1)) + 1
 
     def to_dict(self) -> dict[str, Any]:
@@ -46,13 +50,14 @@ class Blocks:
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
-    """Sites where there are three or more, else recordings, else 10 s of the only one, else single images."""
-    known = [image.site for image in images if image.site is not None]
-    sites = len(set(known)) if images and len(known) == len(images) else None
+    """The blocks of a split: its sites where there are three or more, else recordings, else 10 s each of the only
+    recording, else single images."""
+    site_names = [image.site for image in images if image.site is not None]
+    sites = len(set(site_names)) if images and len(site_names) == len(images) else None
     recordings = {(image.site, image.recording) for image in images if image.recording is not None}
     keys: list[Any]
     if sites is not None and sites >= ENOUGH_SITES:
-        unit, keys = "site", known
+        unit, keys = "site", site_names
     elif len(recordings) > 1:
         unit, keys = "recording", [(image.site, image.recording) for image in images]
     elif images and all(image.time_s is not None for image in images):
@@ -75,10 +80,14 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
 
 
 def error_of(without: Floats) -> tuple[float, int]:
-    """A figure's standard error by (B,) its values with one block left out each, and the degrees of freedom."""
-    known = without[~np.isnan(without)]
-    count = len(known)
-    spread = float(((known - known.mean()) ** 2).sum()) if count else 0.0
+    """A figure's standard error by the jackknife, and the degrees of freedom.
+
+    `without` (B,) are the figure's values without one block each, NaN where a block says nothing of it. The formula is
+    Tukey's: (n - 1) / n times the sum of squared deviations from their mean.
+    """
+    values = without[~np.isnan(without)]
+    count = len(values)
+    spread = float(((values - values.mean()) ** 2).sum()) if count else 0.0
     return math.sqrt(max(count - 1, 0) / max(count, 1) * spread), count - 1
 
 
@@ -98,7 +107,10 @@ def share_interval(value: float | None, without: Floats) -> Interval:
 
 
 def student(freedom: int) -> float:
-    """What LEVEL of Student's t with so many degrees of freedom lie within, to 0.2% (G. W. Hill, 1970)."""
+    """Bound that |t| stays within with probability LEVEL, for Student's t with `freedom` degrees of freedom.
+
+    Exact for one and two degrees of freedom, else to 0.2% (G. W. Hill, 1970).
+    """
     outside, n = 1 - LEVEL, float(freedom)
     if freedom == 1:
         return math.tan(math.pi / 2 * LEVEL)
@@ -116,14 +128,32 @@ def student(freedom: int) -> float:
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
-    """Each figure's [low, high], or None, laid out as the figures are in `metrics.json`."""
+    """95% intervals of all figures, from the jackknife over blocks.
+
+    Args:
+        values: Figure -> (N,) numerators and (N,) denominators of the images, as `counts.quotients` gives them.
+        blocks: Which images are one piece of evidence.
+
+    Returns:
+        For each figure [low, high], or None where the data tell no interval, laid out as in `metrics.json`.
+    """
     without = left_out(values, blocks)
     found = {name: share_interval(_whole(columns), without[name]) for name, columns in values.items()}
     return nested({name: None if pair is None else list(pair) for name, pair in found.items()})
 
 
 def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interval:
-    """Interval of b - a, paired: the same block is left out of both."""
+    """95% interval of the difference b - a of a figure, paired: the same block is left out of both.
+
+    Args:
+        a: Numerators and denominators of the first detector's figures.
+        b: Those of the second detector's figures, over the same images.
+        blocks: Which images are one piece of evidence.
+        name: The figure.
+
+    Returns:
+        Low and high; None where the data tell no interval.
+    """
     ours, theirs = _whole(a[name]), _whole(b[name])
     gaps = left_out({name: b[name]}, blocks)[name] - left_out({name: a[name]}, blocks)[name]
     error, freedom = error_of(gaps)
@@ -134,5 +164,5 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
 
 
 def _whole(columns: tuple[Floats, Floats]) -> float | None:
-    """The figure of all images."""
+    """A figure over all images, from its numerators and denominators; None where there is nothing to divide by."""
     return ratio(*(float(column.sum()) for column in columns))

@@ -1,4 +1,4 @@
-"""Who found whom: greedy matching of detections to ground-truth vehicles, once per IoU threshold.
+"""Greedy matching of detections to ground-truth vehicles, once per IoU threshold.
 
 Metrics are pure functions of the `Matches` made here.
 """
@@ -26,37 +26,39 @@ Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _PAIRS_AT_ONCE: Final = 1 << 20
+"""Pairs of boxes that are compared at once, so that memory stays small."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matches:
-    """A split's ground truth (G vehicles), the detections that count (D), and which took which.
+    """A split's ground truth (G vehicles), the detections that count (D), and which detection took which vehicle.
 
     Images are numbered by their place in the file. Ground truth lies in order of image and id, detections in order of
     image, falling score and place in the results file.
     """
 
     images: int
+    """Number of images."""
     ignored: int
     """Number of ignored vehicles."""
     vehicles: tuple[Annotation, ...]
     """The G ground-truth vehicles."""
     gt_image: Integers
-    """(G,) image number."""
+    """(G,) number of the image that shows the vehicle."""
     gt_boxes_xyxy: Floats
-    """(G, 4) pixels."""
+    """(G, 4) boxes of the asked kind, pixels."""
     gt_keypoints: Floats
     """(G, 33, 3) x, y, v."""
     det_image: Integers
-    """(D,) image number."""
+    """(D,) number of the image that the detection is in."""
     det_result: Integers
-    """(D,) place in the results."""
+    """(D,) index in the results."""
     det_score: Floats
-    """(D,)"""
+    """(D,) scores, 0 to 1."""
     det_keypoints: Floats
     """(D, 33, 3) x, y, score."""
     det_on_ignored: Mask
-    """(D,) lies to half of its area or more inside one ignored vehicle's box."""
+    """(D,) whether the detection lies to half of its area or more inside the box of one ignored vehicle."""
     taken: Mapping[float, Integers]
     """IoU threshold -> (D,) the ground-truth vehicle that each detection took, -1 for none."""
 
@@ -77,10 +79,23 @@ def match(
     boxes: str = "full",
     thresholds: Sequence[float] = THRESHOLDS,
 ) -> Matches:
-    """Match the results that score above `score` to the vehicles of `file`, per image and greedily.
+    """Match detections to ground-truth vehicles, image by image and greedily.
 
-    In falling score order (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
-    lowest id), if that IoU reaches the threshold. Every result's image must be in the file.
+    In order of falling scores (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
+    lowest id), if that IoU reaches the threshold.
+
+    Args:
+        file: The ground truth of a split.
+        results: Detections, each in an image of `file`.
+        score: Detections count that score above this.
+        boxes: Which boxes of the ground truth are matched to, one of `BOX_KINDS`.
+        thresholds: IoU thresholds; the matching is made anew for each.
+
+    Returns:
+        Ground truth, detections and, for each threshold, which detection took which vehicle.
+
+    Raises:
+        UserError: `boxes` is no such kind, or a vehicle lacks its box of that kind.
     """
     one_of("--boxes", boxes, BOX_KINDS)
     number = {image.id: i for i, image in enumerate(file.images)}

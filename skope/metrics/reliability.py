@@ -1,4 +1,4 @@
-"""Can keypoint scores be trusted: reliability, visible against hidden, precision against recall.
+"""Whether keypoint scores can be trusted: reliability, visible against hidden, precision over recall.
 
 A keypoint's score claims the probability that it is visible and within alpha L. It is held against what is so for
 matched detections; that a whole vehicle is there is what the vehicle's own score claims.
@@ -8,23 +8,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Floats, Integers, Judged, Mask, Options, predicted, ratio
+from skope.metrics.counts import Floats, Integers, Mask, Options, Outcomes, predicted, ratio
 from skope.metrics.match import Matches
 
 BINS: Final = 10
+"""Bins of the reliability diagram."""
 CURVE_POINTS: Final = 101
+"""Recalls at which precision is told."""
 
 
-def confidence(matches: Matches, judged: Judged, options: Options) -> dict[str, Any]:
-    """The entry `confidence` of a split: all at the IoU threshold of `judged`, with counts.
+def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
+    """The entry `confidence` of a split in `metrics.json`, at the IoU threshold of `outcomes`.
 
     Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
     """
-    found = judged.found
+    found = outcomes.found
     points = np.array(options.points)
-    score = matches.det_keypoints[judged.detection[found]][:, points, 2]
+    score = matches.det_keypoints[outcomes.detection[found]][:, points, 2]
     v = matches.gt_keypoints[found][:, points, 2]
-    offset, reach = judged.offset[found][:, points], options.alpha * judged.length[found, None]
+    offset, reach = outcomes.offset[found][:, points], options.alpha * outcomes.length[found, None]
     right = (v == 2) & (offset <= reach)
     probabilities = bool(((score >= 0) & (score <= 1)).all())
     table = reliability(score.ravel(), right.ravel()) if probabilities else []
@@ -36,12 +38,20 @@ def confidence(matches: Matches, judged: Judged, options: Options) -> dict[str, 
         "auc_visible": auc(score[v == 2], score[v == 1]),
         "visible": int((v == 2).sum()),
         "hidden": int((v == 1).sum()),
-        **_average_precision(matches, judged, options),
+        **_average_precision(matches, outcomes, options),
     }
 
 
 def reliability(score: Floats, right: Mask) -> list[dict[str, Any]]:
-    """Per tenth of scores that occur: from, to, count, mean score and the share that is right."""
+    """Reliability diagram: for each tenth of scores that occurs, how many of its keypoints are right.
+
+    Args:
+        score: (N,) scores from 0 to 1.
+        right: (N,) whether the keypoint is visible and near enough.
+
+    Returns:
+        A row for each tenth: "from" and "to", "count", mean "score", and the share that is "right".
+    """
     place = np.minimum((score * BINS).astype(np.int64), BINS - 1)
     rows = []
     for i in np.unique(place):
@@ -59,7 +69,10 @@ def reliability(score: Floats, right: Mask) -> list[dict[str, Any]]:
 
 
 def calibration_error(table: list[dict[str, Any]]) -> float | None:
-    """Mean distance between claim and truth, weighted by count (expected calibration error)."""
+    """Expected calibration error (Naeini et al., 2015) of a table that `reliability` made; None for an empty one.
+
+    The mean distance between a tenth's mean score and the share that is right, weighted by count.
+    """
     total = sum(row["count"] for row in table)
     return ratio(sum(row["count"] * abs(row["score"] - row["right"]) for row in table), total)
 
@@ -73,18 +86,18 @@ def auc(positive: Floats, negative: Floats) -> float | None:
     return float(below.mean() / 2 / negative.size)
 
 
-def _average_precision(matches: Matches, judged: Judged, options: Options) -> dict[str, Any]:
+def _average_precision(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
     """Precision over recall of keypoints by falling score, false vehicles' keypoints being wrong ones.
 
     Recall is of all labelled keypoints, of missed vehicles too; keypoints that are not labelled are wrong, as in
     pooled keypoint precision.
     """
     right = np.zeros((len(matches.det_image), matches.gt_keypoints.shape[1]), dtype=bool)
-    right[judged.detection[judged.found]] = judged.correct(options.alpha)[judged.found]
+    right[outcomes.detection[outcomes.found]] = outcomes.correct(options.alpha)[outcomes.found]
     taken = np.zeros(len(right), dtype=bool)
-    taken[judged.detection[judged.found]] = True
+    taken[outcomes.detection[outcomes.found]] = True
     counted = predicted(matches, options) & (taken | ~matches.det_on_ignored)[:, None]
-    recall, precision = curve(matches.det_keypoints[..., 2][counted], right[counted], int(judged.labelled.sum()))
+    recall, precision = curve(matches.det_keypoints[..., 2][counted], right[counted], int(outcomes.labelled.sum()))
     return {
         "average_precision": float(precision.mean()) if recall.size else None,
         "precision_at_recall": precision.tolist(),
@@ -92,9 +105,15 @@ def _average_precision(matches: Matches, judged: Judged, options: Options) -> di
 
 
 def curve(score: Floats, right: Mask, total: int) -> tuple[Floats, Floats]:
-    """(101,) recalls 0, 0.01 ... 1 and the best precision at that recall or a higher one, as COCO has it.
+    """Precision over recall as COCO has it: at each recall the best precision there or at a higher one.
 
-    `total` is what could be recalled; both are empty where that is nothing. Equal scores stand or fall together.
+    Args:
+        score: (N,) scores of the predicted keypoints; equal ones are accepted together.
+        right: (N,) whether each is right.
+        total: Number of keypoints that could be recalled.
+
+    Returns:
+        (101,) recalls 0, 0.01, ... 1 and (101,) precisions; both empty where `total` is 0.
     """
     if not total:
         return np.zeros(0), np.zeros(0)

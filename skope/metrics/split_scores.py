@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from skope.metrics import counts, failures, figures, reliability
-from skope.metrics.breakdown import Fleet, breakdown
+from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
-from skope.metrics.counts import Judged, Options, Tally
+from skope.metrics.counts import Options, Outcomes, Tally
 from skope.metrics.intervals import Blocks, blocks_of, intervals
 from skope.metrics.match import Matches
 from skope.schema import AnnotationFile, Result
@@ -22,37 +22,45 @@ class SplitScores:
     file: AnnotationFile
     results: Sequence[Result]
     matches: Matches
-    judged: Mapping[float, Judged]
-    """By IoU threshold."""
+    outcomes: Mapping[float, Outcomes]
+    """IoU threshold -> what became of each vehicle."""
     tallies: Mapping[float, Tally]
-    """By IoU threshold."""
+    """IoU threshold -> counts of each image."""
     blocks: Blocks
     entry: dict[str, Any]
-    """Of `metrics.json`."""
+    """The split's entry in `metrics.json`."""
 
 
 def measure(
-    file: AnnotationFile, results: Sequence[Result], options: Options, fleet: Fleet, *, all_scores: bool = True
+    file: AnnotationFile, results: Sequence[Result], options: Options, fleet: FleetInfo, *, all_scores: bool = True
 ) -> SplitScores:
-    """Match once, then measure. AP is None unless the results have `all_scores`, down to where a detector stops."""
+    """Match a split once, then measure all that `metrics.json` holds of it.
+
+    Args:
+        file: The ground truth of the split.
+        results: What a detector found, each result in an image of `file`.
+        options: What counts, and at which IoU thresholds.
+        fleet: What the dataset's card says of the vehicle models.
+        all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
+    """
     matches = figures.match_split(file, results, options)
-    judged = {t: counts.judge(matches, t, options) for t in options.iou}
+    outcomes = {t: counts.outcomes_at(matches, t, options) for t in options.iou}
     tallies = {t: counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {
         **figures.summary(matches, options),
         "coco": average_precision(file, results, options) if all_scores else dict(NO_PRECISION),
         "by": breakdown(file.images, matches, options, fleet),
-        "localisation": {f"{t:g}": figures.localisation(judged[t]) for t in options.iou},
-        "failures": {f"{t:g}": failures.counts(matches, judged[t], options) for t in options.iou},
-        "confidence": reliability.confidence(matches, judged[options.loosest], options),
+        "localisation": {f"{t:g}": figures.localisation(outcomes[t]) for t in options.iou},
+        "failures": {f"{t:g}": failures.counts(matches, outcomes[t], options) for t in options.iou},
+        "confidence": reliability.confidence(matches, outcomes[options.loosest], options),
         "intervals": {
             **blocks.to_dict(),
             "iou": {f"{t:g}": intervals(counts.quotients(tallies[t]), blocks) for t in options.iou},
         },
     }
     return SplitScores(
-        file=file, results=results, matches=matches, judged=judged, tallies=tallies, blocks=blocks, entry=entry
+        file=file, results=results, matches=matches, outcomes=outcomes, tallies=tallies, blocks=blocks, entry=entry
     )
 
 
@@ -70,5 +78,5 @@ def to_tallies(measured: SplitScores) -> dict[str, Any]:
 def from_tallies(entry: Mapping[str, Any]) -> tuple[Blocks, dict[str, Tally]]:
     """The blocks and, by threshold, the counts of a split's entry in `tallies.json`."""
     blocks = Blocks(unit=entry["unit"], sites=entry["sites"], number=np.array(entry["blocks"], dtype=np.int64))
-    columns = {t: {name: np.array(c, dtype=np.int64) for name, c in of.items()} for t, of in entry["iou"].items()}
+    columns = {t: {name: np.array(c, dtype=np.int64) for name, c in table.items()} for t, table in entry["iou"].items()}
     return blocks, {t: Tally(**named) for t, named in columns.items()}

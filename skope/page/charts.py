@@ -29,12 +29,12 @@ class Line:
     x: Sequence[float]
     y: Sequence[float | None]
     notes: Sequence[str] = ()
-    """Said of each point besides its place."""
+    """Text for each point's tooltip, after its coordinates."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """What a chart's axes are; both begin at 0."""
+    """Labels and ends of a chart's axes, which begin at 0."""
 
     x_label: str
     y_label: str
@@ -42,7 +42,7 @@ class Axes:
     y_end: float = 1.0
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Position in the drawing."""
+        """Position of the point (x, y) in the drawing."""
         across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
         return round(LEFT + x / self.x_end * across, 1), round(TOP + (1 - y / self.y_end) * up, 1)
 

@@ -24,7 +24,7 @@ def share(value: float | None) -> str:
 
 
 def plain(value: float | None, digits: int = 3) -> str:
-    """A number, "–" where there is none."""
+    """A number with `digits` decimals, "–" for None."""
     return "–" if value is None else f"{value:.{digits}f}"
 
 
@@ -51,5 +51,5 @@ def bar(value: float | None) -> str:
 
 
 def details(summary: str, *children: str, opened: bool = False) -> str:
-    """What is shown when its summary is opened, or from the beginning."""
+    """A section that is shown when its summary is clicked, or, `opened`, from the beginning."""
     return tag("details", tag("summary", escape(summary)), *children, open="" if opened else None)

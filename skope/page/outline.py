@@ -46,11 +46,11 @@ class Point:
     """What the outline says of a keypoint."""
 
     share: float | None
-    """Shown in the drawing, in percent; None where there was nothing to divide by."""
+    """Share from 0 to 1, drawn in percent; None where there was nothing to divide by."""
     tip: str
-    """Said after its name."""
+    """Tooltip, which follows the keypoint's name."""
     cells: Sequence[str]
-    """Its row of the table."""
+    """Cells of the keypoint's row of the table, after its name."""
 
 
 def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str:

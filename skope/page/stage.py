@@ -53,7 +53,7 @@ def switches(legend: str, layers: dict[str, str], shown: Collection[str]) -> str
 
 
 def unit(width: int) -> float:
-    """What sizes inside a drawing are multiples of."""
+    """Unit of sizes inside a drawing over an image of `width` pixels."""
     return max(1.0, width / 640)
 
 
@@ -70,29 +70,36 @@ def path(d: str, class_: str) -> str:
 
 def points(
     at: Floats,
-    known: Flags,
+    placed: Flags,
     sure: Flags,
     joined: Flags,
     scale: float,
     skeleton: Sequence[tuple[int, int]],
     shown: Collection[int] = range(keypoints.K),
 ) -> str:
-    """(33, 2 or more) keypoints: the skeleton between joined ones, and the known ones as dots where sure, else rings.
+    """Keypoints of a vehicle as SVG paths.
 
-    Only those in `shown` are drawn; `scale` is `unit` of the drawing.
+    Args:
+        at: (33, 2 or more) x, y.
+        placed: (33,) which have a place and get a mark.
+        sure: (33,) which marks are dots; the others are rings.
+        joined: (33,) which keypoints the skeleton connects.
+        scale: `unit` of the drawing.
+        skeleton: Pairs of keypoints.
+        shown: Which keypoints are drawn at all.
     """
     edges = "".join(
         f"M{place(at[a])}L{place(at[b])}" for a, b in skeleton if a in shown and b in shown and joined[a] and joined[b]
     )
     r = 1.6 * scale
     ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
-    dots = "".join(f"M{place(at[k])}h0" for k in shown if known[k] and sure[k])
-    rings = "".join(f"M{place(at[k])}{ring}" for k in shown if known[k] and not sure[k])
+    dots = "".join(f"M{place(at[k])}h0" for k in shown if placed[k] and sure[k])
+    rings = "".join(f"M{place(at[k])}{ring}" for k in shown if placed[k] and not sure[k])
     return path(edges, "edges") + path(rings, "rings") + path(dots, "dots")
 
 
 def place(point: Floats) -> str:
-    """A position as paths have it."""
+    """A position (2 or more,), of which x and y count, as SVG paths have it."""
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 

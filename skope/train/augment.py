@@ -1,4 +1,4 @@
-"""What a traffic camera does to an image, done to training images: geometry, light, optics, compression, occluders.
+"""Augment training images by what traffic cameras do to images: geometry, light, optics, compression, occluders.
 
 Each step is a function of (pixels, vehicles, generator); those that move pixels move boxes and keypoints with them.
 Pixels are (H, W, 3) uint8 sRGB in and out.
@@ -29,27 +29,27 @@ class Augment:
     """How often each change is made to an image: probabilities from 0 to 1."""
 
     flip: float = 0.5
-    """Left and right exchanged."""
+    """Mirror the image: left and right exchanged."""
     crop: float = 0.0
     """Scale between 0.6 and 1.6 and another part of the view; the image keeps its size."""
     occluders: float = 0.0
     """Flat rectangles before parts of vehicles: the points under them are hidden."""
     color: float = 0.0
-    """Saturation, hue and white balance."""
+    """Change saturation, hue and white balance."""
     brightness: float = 0.0
     """Exposure within two stops, and gamma: from glare to night."""
     infrared: float = 0.0
-    """Grey, as night cameras see."""
+    """Make the image grey, as night cameras see."""
     rain: float = 0.0
-    """Bright streaks."""
+    """Draw bright streaks, as rain leaves."""
     blur: float = 0.0
-    """Focus or motion."""
+    """Blur as by wrong focus or by motion."""
     noise: float = 0.0
-    """Of the sensor, per channel or alike in all."""
+    """Noise of the sensor, of its own in each channel or alike in all."""
     resample: float = 0.0
-    """Scaled down and up again."""
+    """Scale the image down and up again."""
     jpeg: float = 0.0
-    """JPEG of quality 15 to 70."""
+    """Compress as JPEG of quality 15 to 70."""
     video: float = 0.0
     """Blocks of a video encoder that saves bits: some macroblocks much coarser than others."""
 
@@ -63,9 +63,9 @@ class Augment:
         """The image and its vehicles after the steps that the generator picks."""
         for name, step in STEPS.items():
             # Drawn for every step, so that one step's probability changes no other step.
-            chosen, own = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
+            chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
             if chosen:
-                pixels, vehicles = step(pixels, vehicles, own)
+                pixels, vehicles = step(pixels, vehicles, step_rng)
         return pixels, vehicles
 
 
@@ -192,7 +192,7 @@ def _recoded(pixels: Pixels, quality: int) -> Pixels:
 
 
 def _pixels(values: object) -> Pixels:
-    """What OpenCV made of pixels: pixels."""
+    """What OpenCV made of pixels, as uint8: its type stubs promise less."""
     return np.asarray(values, dtype=np.uint8)
 
 
@@ -216,5 +216,5 @@ STEPS: Final = MappingProxyType(
         "video": _photometric(_video),
     }
 )
-"""In the order of nature: the scene, its light, the lens and sensor, then the encoder."""
+"""The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
 assert tuple(STEPS) == tuple(field.name for field in fields(Augment))

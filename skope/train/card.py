@@ -6,7 +6,7 @@ from typing import Any
 from skope import keypoints
 from skope.dataset import Dataset
 from skope.detector import BEST
-from skope.train.run_folder import RunConfig, Training
+from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.validate import rank
 from skope.version import __version__
 
@@ -17,8 +17,10 @@ _WEIGHTS = (
 )
 
 
-def text(config: RunConfig, training: Training, datasets: Sequence[Dataset], counts: Sequence[tuple[int, int]]) -> str:
-    """Markdown; `counts` are images and vehicles that each dataset gave."""
+def text(
+    config: RunConfig, training: TrainingState, datasets: Sequence[Dataset], counts: Sequence[tuple[int, int]]
+) -> str:
+    """The model card as Markdown; `counts` are the numbers of images and vehicles that each dataset gave."""
     recipe = config.recipe
     lines = [
         "# Vehicle keypoint detector",

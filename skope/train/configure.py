@@ -1,4 +1,4 @@
-"""From flags to the configuration of a run, new or resumed, and what to say around it."""
+"""The configuration of a run, new or resumed, from the flags of `skope train`."""
 
 import os
 import shlex
@@ -18,7 +18,7 @@ from skope.train.run_folder import RunConfig, resumable
 
 _MOST_WORKERS = 8
 _RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "val_fraction")
-"""Flags that have a recipe's value of their name."""
+"""Flags that replace the recipe's value of the same name."""
 
 
 def multiplies_bfloat16() -> bool:
@@ -89,12 +89,12 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
 def loading_workers(*, gpu: bool) -> int:
     """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # of torchrun, which share this machine
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # torchrun starts so many on this machine
     return min(_MOST_WORKERS, max(1, usable // processes)) if gpu else 0
 
 
 def how_to_go_on(out: Path) -> str:
-    """What to do after an interruption."""
+    """What to do after an interruption, in words."""
     if resumable(out):
         return "the same command with --resume goes on from here"
     return "nothing was saved yet, so the same command begins again"

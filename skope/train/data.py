@@ -19,9 +19,9 @@ from skope.errors import UserError, one_of
 from skope.schema import Image
 from skope.train import ignored_regions
 from skope.train.augment import Augment
-from skope.train.interrupt import left_to_the_parent
+from skope.train.interrupt import ignore_signals
 from skope.train.recipe import SUPERVISE
-from skope.train.splits import SPLIT, Source
+from skope.train.splits import SPLIT, TrainingSource
 from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
@@ -30,7 +30,7 @@ Draw = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class TrainingSample:
-    """One image on its way into the network."""
+    """One image and its vehicles, as the network learns from them."""
 
     name: str
     pixels: torch.Tensor
@@ -44,7 +44,7 @@ class TrainingSample:
         return pixels, {key: value.to(device, non_blocking=True) for key, value in self.target.items()}
 
     def pin_memory(self) -> "TrainingSample":
-        """The same in memory that a GPU can copy from without waiting."""
+        """The sample in pinned memory, from which a GPU can copy without waiting."""
         return TrainingSample(self.name, self.pixels.pin_memory(), {k: v.pin_memory() for k, v in self.target.items()})
 
 
@@ -59,7 +59,7 @@ class _Frame:
 class TrainingSet(TorchDataset[TrainingSample | UserError]):
     """Images of all datasets with their vehicles, one dataset after the other; an index is a `Draw`."""
 
-    def __init__(self, sources: Sequence[Source], *, seed: int, augment: Augment, supervise: str) -> None:
+    def __init__(self, sources: Sequence[TrainingSource], *, seed: int, augment: Augment, supervise: str) -> None:
         self._seed, self._augment, self._supervise = seed, augment, supervise
         self._frames = [
             _Frame(number, source.dataset, image, vehicles)
@@ -67,7 +67,7 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
             for image, vehicles in zip(source.learnt.images, source.vehicles(), strict=True)
         ]
         self.sizes = tuple(len(source.learnt.images) for source in sources)
-        """Images of each dataset."""
+        """Number of images of each dataset."""
         if not any((frame.vehicles.supervised(supervise)[..., 2] > 0).any() for frame in self._frames):
             path = sources[0].dataset.root / "annotations" / f"{SPLIT}.json"
             least = "visible point (v = 2)" if supervise == "visible" else "labelled point (v > 0)"
@@ -114,7 +114,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:
-    """(H, W, 3) pixels and vehicles as tensors."""
+    """A training sample of (H, W, 3) pixels and their vehicles, as tensors."""
     target = {
         "boxes": torch.as_tensor(vehicles.boxes_xyxy, dtype=torch.float32),
         "labels": torch.ones(len(vehicles.boxes_xyxy), dtype=torch.int64),
@@ -166,9 +166,9 @@ def batches(
 
 
 def _begin_loading(worker: int) -> None:
-    """In a loading process: no threads of OpenCV's, since there are as many processes as the machine has cores for."""
-    left_to_the_parent(worker)
-    # Not 1, which waits for the end of threads that the fork has left in the parent.
+    """Prepare a loading process: no threads of OpenCV's, since there are as many processes as cores."""
+    ignore_signals(worker)
+    # 0 and not 1: setting 1 waits for threads that exist only in the parent of the fork.
     cv2.setNumThreads(0)
 
 

@@ -14,26 +14,28 @@ from torch import Tensor
 T = TypeVar("T")
 
 _PATIENCE = timedelta(hours=2)
-"""The others wait while the first one validates and writes."""
+"""How long processes wait for each other: the first one validates and writes while the others wait."""
 
 
 @dataclass(frozen=True)
-class Team:
-    """The processes of one training; by itself, one."""
+class ProcessGroup:
+    """The processes that train one model together: one, unless torchrun started several."""
 
     rank: int = 0
+    """Number of this process, from 0."""
     size: int = 1
+    """Number of processes."""
 
     @property
     def first(self) -> bool:
-        """Whether this process writes files and talks."""
+        """Whether this process is the one that writes files and prints."""
         return self.rank == 0
 
     def share(self, items: Sequence[T]) -> Sequence[T]:
         """This process's part of a batch; it may be empty."""
         return items[self.rank :: self.size]
 
-    def add_up(self, tensors: Sequence[Tensor]) -> None:
+    def sum_over_all(self, tensors: Sequence[Tensor]) -> None:
         """Replace float32 tensors by their sums over all processes, in one message."""
         if self.size == 1:
             return
@@ -45,23 +47,23 @@ class Team:
     def average_statistics(self, model: torch.nn.Module) -> None:
         """Give all processes the mean of their running statistics, which each gathers from its own images."""
         statistics = [buffer for buffer in model.buffers() if buffer.dtype == torch.float32]
-        self.add_up(statistics)
+        self.sum_over_all(statistics)
         for buffer in statistics if self.size > 1 else ():
             buffer.div_(self.size)
 
 
 @contextlib.contextmanager
-def joined(device: torch.device) -> Iterator[tuple[Team, torch.device]]:
-    """The team that torchrun's environment names, or this process alone, and the device that is this process's own."""
+def process_group(device: torch.device) -> Iterator[tuple[ProcessGroup, torch.device]]:
+    """Join the processes that torchrun's environment names, or none; yields them and the device of this process."""
     size = int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
-        yield Team(), device
+        yield ProcessGroup(), device
         return
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(device)
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE)
     try:
-        yield Team(dist.get_rank(), size), device
+        yield ProcessGroup(dist.get_rank(), size), device
     finally:
         dist.destroy_process_group()

@@ -35,7 +35,7 @@ OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 
 _OPSET: Final = 17
 _TRACED_SIZE: Final = (360, 640)
-"""Of the image that ONNX export follows through the network; the written model takes any."""
+"""Height and width of the image that ONNX export follows through the network; the written model takes any size."""
 
 
 class Deployed(nn.Module):
@@ -46,12 +46,12 @@ class Deployed(nn.Module):
         self.model = model
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """One (3, H, W) image."""
+        """Detect in one (3, H, W) image; returns `OUTPUTS`."""
         return _in_order(self.model([image])[0])
 
 
 class _Scripted(Deployed):
-    """The same around a scripted model, which answers with its losses too."""
+    """`Deployed` around a scripted model, which answers with its losses too."""
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return _in_order(self.model([image])[1][0])
@@ -79,7 +79,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of tracing and of the exporter's age: what matters is tested
+        warnings.simplefilter("ignore")  # about tracing and the old exporter; tests compare the results
         write_new(out, _torchscript(model) if to == "torchscript" else _onnx(model))
     return out
 

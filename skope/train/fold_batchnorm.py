@@ -12,7 +12,7 @@ from torchvision.ops import FrozenBatchNorm2d
 
 class _FoldedConv2d(nn.Conv2d):
     _norm: tuple[FrozenBatchNorm2d]
-    """In a tuple, so that the convolution does not own it as a module."""
+    """The norm that is multiplied into the weights; in a tuple, so that the convolution does not own it as a module."""
 
     def forward(self, x: Tensor) -> Tensor:
         (norm,) = self._norm

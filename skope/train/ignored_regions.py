@@ -19,8 +19,11 @@ KEY = "ignored_boxes"
 """Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
 
 _DISCARD = -1
+"""Label of what is neither vehicle nor background, which torchvision's samplers leave out."""
 _SHARE = 0.5
+"""Share of a box's area inside an ignored box from which it lies on the ignored vehicle."""
 _IOU = 0.5
+"""IoU with a vehicle from which a box is the vehicle's, whatever it lies on."""
 
 Target = dict[str, Tensor]
 
@@ -62,7 +65,10 @@ class _Transform(GeneralizedRCNNTransform):  # type: ignore[misc]
 
 class _RPNHead(RPNHead):  # type: ignore[misc]
     def forward(self, x: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        """In float32: torchvision decodes boxes in the precision of the offsets, bfloat16's being 4 px at 600 px."""
+        """torchvision's forward with results in float32.
+
+        torchvision decodes boxes in the precision of the offsets, and that of bfloat16 is 4 px at 600 px.
+        """
         logits, offsets = super().forward(x)
         return [each.float() for each in logits], [each.float() for each in offsets]
 
@@ -100,7 +106,7 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         if not self.training:
             return super().forward(features, proposals, image_shapes, targets)
         assert targets is not None
-        self._ignored = [target[KEY] for target in targets]  # the assignment is not given the targets
+        self._ignored = [target[KEY] for target in targets]  # assign_targets_to_proposals is not given the targets
         proposals, matched, labels, regression = self.select_training_samples(proposals, targets)
         logits, deltas = self.box_predictor(self.box_head(self.box_roi_pool(features, proposals, image_shapes)))
         loss_classifier, loss_box_reg = fastrcnn_loss(logits.float(), deltas.float(), labels, regression)

@@ -37,14 +37,26 @@ def initialise(
     seed: int,
     scheme: str = keypoints.SCHEME,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
-    """A model with its first weights, its config, and the choice in words.
+    """Build a detector with the weights from which training begins.
 
-    `auto` takes weights trained on COCO if their file lies in torchvision's cache, else the reference detector where it
-    comes with skope and has the same keypoints, else random ones, and never uses the network; `coco` and `imagenet`
-    download what is not there; anything else is what `detector.find_checkpoint` takes (see `_from_file`). As in
-    torchvision, trained weights come with frozen normalisation, and random ones with normalisation and all layers that
-    learn, unless `norm` says otherwise. `seed` draws what no file gives. A checkpoint of ours must have the keypoint
-    `scheme` that is to be learnt.
+    Args:
+        init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the reference detector
+            where it comes with skope and has the same keypoints, else random ones; never from the network. `coco` and
+            `imagenet`: downloaded where they are not there. `random`. Anything else is what `detector.find_checkpoint`
+            takes: a checkpoint of skope or of torchvision.
+        norm: Normalisation, one of `recipe.NORMS`. `given` is frozen for trained weights and learns for random ones, as
+            in torchvision.
+        min_size: Short side of the images inside the network, pixels.
+        max_size: Largest long side of the images inside the network, pixels.
+        trainable_layers: Stages of a trained backbone that learn on, 0 to 5 from the last.
+        seed: Draws what no file gives.
+        scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
+
+    Returns:
+        The model, its config, and the choice in words.
+
+    Raises:
+        UserError: There are no such weights, they are of another model or scheme, or cannot be downloaded.
     """
 
     def config(given_norm: str, eps: float) -> DetectorConfig:

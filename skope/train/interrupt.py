@@ -8,8 +8,8 @@ from typing import Any, Self
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Stop:
-    """While entered, the first signal only sets `asked`; a second one interrupts at once."""
+class StopRequest:
+    """Context in which the first SIGINT or SIGTERM only sets `asked`; a second one interrupts at once."""
 
     def __init__(self) -> None:
         self.asked: signal.Signals | None = None
@@ -32,7 +32,8 @@ class Stop:
         self.asked = signal.Signals(number)
 
 
-def left_to_the_parent(_worker: int) -> None:
-    """In a loading process: whoever ends a whole group of processes ends this one through its parent, not before it."""
+def ignore_signals(_worker: int) -> None:
+    """Ignore SIGINT and SIGTERM in a loading process: whoever ends a whole group of processes ends this one through its
+    parent, not before it."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)

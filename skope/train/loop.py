@@ -1,4 +1,4 @@
-"""Train a detector: one screen of stages, and the steps inside an epoch."""
+"""Train a detector: set the run up, learn epoch by epoch, validate and save."""
 
 import contextlib
 import math
@@ -17,11 +17,11 @@ from skope.files import write_text
 from skope.keypoints import SCHEMES
 from skope.train import card, data, distributed, ignored_regions, monitor, run_folder, splits, step, validate
 from skope.train.data import TrainingSample, TrainingSet
-from skope.train.distributed import Team
+from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.interrupt import Stop
-from skope.train.run_folder import RunConfig, Training
-from skope.train.splits import Source
+from skope.train.interrupt import StopRequest
+from skope.train.run_folder import RunConfig, TrainingState
+from skope.train.splits import TrainingSource
 
 CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
@@ -30,11 +30,14 @@ STATE_INTERVAL_S: Final = 600.0
 _CURVES_INTERVAL_S = 5.0
 """Drawing takes a third of a second: not after every epoch when epochs take seconds."""
 _LEAST_VALIDATED = 4
+"""Images that are validated on at least, where there are so many."""
 _VALIDATED_PART = 5
 """An epoch over few images is validated on no more than a fifth of their number: to look must not cost more than to
 learn."""
 _MEASURED_STEPS = 2
+"""Steps whose duration tells how long the run will take."""
 _LEAST_INSIDE = 0.8
+"""Share of the labelled keypoints that must lie inside their vehicle's box in the first batch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,40 +47,63 @@ class Saving:
     keep: int = 1
     """Checkpoints of epochs that stay, beside the best one."""
     checkpoint_interval_s: float = CHECKPOINT_INTERVAL_S
-    """After an epoch only when the last one is older than this."""
+    """A checkpoint is written after an epoch only when the last one is older than this, seconds."""
     state_interval_s: float = STATE_INTERVAL_S
-    """Within an epoch."""
+    """Within an epoch the state is saved so often, seconds."""
 
 
 def train(
     config: RunConfig, out: Path, *, device: torch.device, workers: int, resume: bool, console: Console, saving: Saving
 ) -> Path:
-    """Train as `config` says, with checkpoints in the run folder `out`; returns the last checkpoint.
+    """Train a detector.
 
-    A checkpoint is written after the last epoch, and after each other one as `saving` has it; SIGINT and SIGTERM save
-    the state before they raise KeyboardInterrupt. Raises UserError for a dataset without anything to learn from, a
-    broken image, a folder that holds another run or that another process writes to, a loss that is no longer finite,
-    and too little memory.
+    A checkpoint is written after the last epoch, and after each other one as `saving` has it.
+
+    Args:
+        config: Datasets, recipe and seed.
+        out: The run folder.
+        device: Where to train; of several processes each takes its own GPU.
+        workers: Processes that load images beside the training; 0: none.
+        resume: Go on with the run in `out`.
+        console: Where messages and progress go.
+        saving: When the state is written.
+
+    Returns:
+        The last checkpoint.
+
+    Raises:
+        UserError: A dataset holds nothing to learn from, an image is broken, the folder holds another run or another
+            process writes to it, the loss is no longer finite, or memory is too little.
+        KeyboardInterrupt: After SIGINT or SIGTERM, when the state is saved.
     """
-    with distributed.joined(device) as (team, device), Stop() as stop, _memory_is_told(config), _own_randomness(device):
-        console = console if team.first else Console(quiet=True)
+    with (
+        distributed.process_group(device) as (processes, device),
+        StopRequest() as stop,
+        _explain_out_of_memory(config),
+        _isolated_randomness(device),
+    ):
+        console = console if processes.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
-        config = config.of([part.dataset for part in parts], splits.one_scheme(parts))
+        config = config.of([part.dataset for part in parts], splits.common_scheme(parts))
         recipe = config.recipe
         training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
-        with run_folder.alone(out) if team.first else contextlib.nullcontext():
+        with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
             begin = run_folder.resume if resume else run_folder.start
             training = begin(out, config, [part.fingerprint for part in parts], device)
             ignored_regions.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
             if recipe.fold_norms:
                 fold_norms(training.model)
-            if team.first:
+            if processes.first:
                 run_folder.record(out, config)
-            _announce(config, training, training_set, f"on {device} x {team.size}, {workers} extra processes", console)
-            return _Run(config, out, training, training_set, parts, team, device, workers, saving, stop, console).go()
+            _announce(
+                config, training, training_set, f"on {device} x {processes.size}, {workers} extra processes", console
+            )
+            return _Run(
+                config, out, training, training_set, parts, processes, device, workers, saving, stop, console
+            ).go()
 
 
-def _read(root: Path, config: RunConfig) -> Source:
+def _read(root: Path, config: RunConfig) -> TrainingSource:
     recipe = config.recipe
     return splits.read(
         root, exclude_types=recipe.exclude_types, val_fraction=recipe.val_fraction, max_images=config.max_images
@@ -90,37 +116,37 @@ class _Run:
 
     config: RunConfig
     out: Path
-    training: Training
+    training: TrainingState
     training_set: TrainingSet
-    parts: Sequence[Source]
-    team: Team
+    parts: Sequence[TrainingSource]
+    processes: ProcessGroup
     device: torch.device
     workers: int
     saving: Saving
-    stop: Stop
+    stop: StopRequest
     console: Console
 
     def go(self) -> Path:
-        """All epochs that are left."""
+        """Train all epochs that are left; returns the last checkpoint."""
         epochs = self.config.recipe.epochs
         left = len(self.training_set) * (epochs - self.training.epochs_done)
         left -= self.training.steps_done * self.config.recipe.batch_size
         most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
-        self._file, self._paths = splits.for_validation(self.parts, most)
-        self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.team.first else None
+        self._file, self._paths = splits.validation_images(self.parts, most)
+        self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.processes.first else None
         self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:
             while self.training.epochs_done < epochs:
                 self._epoch()
-                if self.team.first:
-                    self._look_and_save()
+                if self.processes.first:
+                    self._validate_and_save()
         if self._board is not None:
             self._board.close()
         return self.out / checkpoint_name(self.training.epochs_done)
 
     @property
     def _steps(self) -> int:
-        """Of an epoch."""
+        """Steps of an epoch."""
         return math.ceil(len(self.training_set) / self.config.recipe.batch_size)
 
     @property
@@ -129,22 +155,22 @@ class _Run:
         return self.training.epochs_done * self._steps + self.training.steps_done
 
     def _epoch(self) -> None:
-        """What is left of one pass over the images, which ends with its mean losses in the history."""
+        """Train what is left of one pass over the images, which ends with its mean losses in the history."""
         training, recipe, seed = self.training, self.config.recipe, self.config.seed
         epoch = training.epochs_done
         draws = data.order(self.training_set.sizes, self.config.mix, seed=seed, epoch=epoch)
         groups = [draws[i : i + recipe.batch_size] for i in range(0, len(draws), recipe.batch_size)]
         todo = groups[training.steps_done :]
-        own = [self.team.share(group) for group in todo]
+        own = [self.processes.share(group) for group in todo]
         pin = self.device.type == "cuda"
         training.model.train()
         for group, batch in zip(todo, data.batches(self.training_set, own, workers=self.workers, pin=pin), strict=True):
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
-            step.seed(seed, epoch, training.steps_done, self.team)
+            step.seed(seed, epoch, training.steps_done, self.processes)
             rate = recipe.rate(epoch, self._step)
-            losses, (stops, saves) = step.take(
-                training, batch, recipe, rate=rate, images=len(group), team=self.team, wish=self._wishes()
+            losses, (stops, saves) = step.train_on_batch(
+                training, batch, recipe, rate=rate, images=len(group), processes=self.processes, votes=self._votes()
             )
             training.sums = {name: training.sums.get(name, 0.0) + value for name, value in losses.items()}
             training.steps_done += 1
@@ -158,23 +184,26 @@ class _Run:
         row = {"epoch": epoch + 1, **{name: value / self._steps for name, value in training.sums.items()}}
         training.epochs_done, training.steps_done, training.sums = epoch + 1, 0, {}
         training.history.append(row)
-        self.team.average_statistics(training.model)
+        self.processes.average_statistics(training.model)
 
-    def _wishes(self) -> tuple[float, float]:
-        """Whether this process was asked to stop, and whether it is time to save: all act on the sum alike."""
-        due = self.team.first and time.monotonic() - self._saved_at >= self.saving.state_interval_s
+    def _votes(self) -> tuple[float, float]:
+        """Whether this process was asked to stop, and whether it is time to save: 1 or 0 each.
+
+        All processes act on the sums of these votes, and so alike.
+        """
+        due = self.processes.first and time.monotonic() - self._saved_at >= self.saving.state_interval_s
         return float(self.stop.asked is not None), float(due)
 
     def _save_within(self, stopped: bool) -> None:
-        self.team.average_statistics(self.training.model)
-        if self.team.first:
+        self.processes.average_statistics(self.training.model)
+        if self.processes.first:
             run_folder.save_state(self.out, self.training)
         self._saved_at = time.monotonic()
         if stopped:
             raise KeyboardInterrupt
 
-    def _look_and_save(self) -> None:
-        """After an epoch: validation, curves, predictions to look at, and the checkpoint."""
+    def _validate_and_save(self) -> None:
+        """Validate after an epoch; write curves, predictions to look at, and the checkpoint."""
         training, recipe = self.training, self.config.recipe
         row = training.history[-1]
         if self._file.images:
@@ -183,7 +212,7 @@ class _Run:
             row["validation"] = figures
             self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
-            monitor.overlays(sheet, model, file, self._paths, row["epoch"], self.device)
+            monitor.prediction_sheet(sheet, model, file, self._paths, row["epoch"], self.device)
             if self._board is not None:
                 for name, value in figures.items():
                     if value is not None:
@@ -209,15 +238,15 @@ class _Run:
 
 
 @contextlib.contextmanager
-def _own_randomness(device: torch.device) -> Iterator[None]:
+def _isolated_randomness(device: torch.device) -> Iterator[None]:
     """Leave torch's random state outside as it was."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         yield
 
 
 @contextlib.contextmanager
-def _memory_is_told(config: RunConfig) -> Iterator[None]:
-    """Say what to lower when memory runs out."""
+def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
+    """Turn an error of too little memory into a UserError that says what to lower."""
     try:
         yield
     except RuntimeError as error:  # torch.OutOfMemoryError is one; the CPU's has no class of its own
@@ -233,7 +262,9 @@ def _memory_is_told(config: RunConfig) -> Iterator[None]:
         ) from None
 
 
-def _announce(config: RunConfig, training: Training, training_set: TrainingSet, where: str, console: Console) -> None:
+def _announce(
+    config: RunConfig, training: TrainingState, training_set: TrainingSet, where: str, console: Console
+) -> None:
     recipe = config.recipe
     console.say(f"{recipe.describe()}; {training.origin}; seed {config.seed}; {where}")
     names = " + ".join(config.data)
@@ -286,17 +317,17 @@ class _Progress:
         self._bar.close()
 
     def note(self, text: str) -> None:
-        """A line above the bar."""
+        """Print a line above the bar."""
         self._bar.clear()
         self._console.say(text)
 
     def tick(self, epoch: int, images: int, losses: Mapping[str, float]) -> None:
-        """A step over so many images is done."""
+        """Note that a step over `images` images is done."""
         values = {name.removeprefix("loss_"): f"{value:.3f}" for name, value in losses.items()}
         self._bar.set_postfix({"epoch": f"{epoch + 1}/{self._epochs}", **values}, refresh=False)
         self._bar.update(images)
         self._seen += 1
-        if self._seen == 1:  # the first step also sets up what the others find ready
+        if self._seen == 1:  # the first step is slower: libraries choose algorithms and ask for memory
             self._since, self._images = time.perf_counter(), 0
             return
         self._images += images

@@ -1,4 +1,4 @@
-"""What lets one see a model learn: curves, predictions beside ground truth, TensorBoard."""
+"""Pictures of how training goes: curves, predictions beside ground truth, TensorBoard."""
 
 import importlib.util
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
         figure.savefig(temporary)
 
 
-def overlays(
+def prediction_sheet(
     path: Path, model: KeypointRCNN, file: AnnotationFile, images: Sequence[Path], epoch: int, device: torch.device
 ) -> None:
     """Write predictions (right) beside ground truth (left) for the first images of `file` that hold vehicles."""
@@ -71,7 +71,7 @@ def overlays(
         if all(vehicle.ignored for vehicle in truth):
             continue
         pixels = read_image(place, size=(image.width, image.height))
-        found = validate.found(model, pixels, image.id, device, _SURE)
+        found = validate.detect_in_image(model, pixels, image.id, device, _SURE)
         pairs.append(
             draw.caption(draw.annotations(pixels, truth, scheme=file.scheme), f"{image.file_name}: ground truth")
         )
@@ -83,7 +83,7 @@ def overlays(
 
 
 class ScalarWriter(Protocol):
-    """What is used of TensorBoard's SummaryWriter."""
+    """The methods of TensorBoard's SummaryWriter that are used."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None: ...
     def close(self) -> None: ...

@@ -80,7 +80,7 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
             return float(value)
         if choice in (int, str, bool) and type(value) is choice:
             return value
-        if get_origin(choice) is tuple:  # of texts
+        if get_origin(choice) is tuple:  # all tuples are of texts
             items = value.split(",") if isinstance(value, str) else value
             if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
                 return tuple(item.strip() for item in items if item.strip())

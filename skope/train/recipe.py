@@ -33,7 +33,7 @@ class Recipe:
     gamma: float
     epochs: int
     batch_size: int
-    """Images a step, of all processes together."""
+    """Images that a step learns from, of all processes together."""
     images_at_once: int | None
     """Images of a step that one process takes through the network at a time; None: all of its share. Fewer save memory;
     each part's losses count by its images."""
@@ -86,6 +86,7 @@ class Recipe:
             raise UserError(f"{name}: expected {limits}, got {value}")
 
     def to_dict(self) -> dict[str, Any]:
+        """JSON values of the fields by name."""
         return {**asdict(self), "exclude_types": list(self.exclude_types)}
 
     @classmethod
@@ -98,7 +99,7 @@ class Recipe:
         return overrides.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
 
     def with_min_size(self, min_size: int) -> Self:
-        """Another short side; the same shapes of image reach it as before."""
+        """The recipe with another short side, pixels; the long side's limit changes in proportion."""
         return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
 
     def rate(self, epoch: int, step: int) -> float:
@@ -111,7 +112,7 @@ class Recipe:
         return self.step_size or (self.epochs + 1) // 2
 
     def describe(self) -> str:
-        """What was chosen, in one line."""
+        """The recipe in one line for people."""
         return (
             f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} "
             f"x {self.gamma:g} every {self._step_size}, short side {self.min_size} px, "
@@ -120,13 +121,13 @@ class Recipe:
 
 
 _PAPER: Final[dict[str, Any]] = {
-    # What the paper gives ...
+    # What the paper gives.
     "learning_rate": 0.001,
     "momentum": 0.9,
     "step_size": 3,
     "gamma": 0.2,
     "epochs": 10,
-    # ... and what it leaves open.
+    # What the paper leaves open.
     "init": "auto",
     "norm": "given",
     "weight_decay": 0.0,
@@ -180,14 +181,21 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
 )
 CHOICES: Final = ("auto", *RECIPES)
 _BASE: Final = "base"
-"""In a TOML recipe: the name of the recipe that it changes."""
+"""Key of a TOML recipe under which it names the recipe that it changes."""
 
 
 def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
-    """The recipe of a `--recipe` flag; `auto` is `paper` on a GPU and `laptop` on a CPU, a TOML file changes its base.
+    """The recipe that the flag `--recipe` names.
 
-    `bfloat16` says that this processor multiplies such numbers faster, which all recipes but `paper` make use of: on
-    two cores a step takes half the time. It is part of the recipe that the run records.
+    Args:
+        name: One of `CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop` on a
+            CPU.
+        gpu: Whether the run is on a GPU.
+        bfloat16: Whether this processor multiplies such numbers faster, which all recipes but `paper` make use of: on
+            two cores a step takes half the time. It is part of the recipe that the run records.
+
+    Raises:
+        UserError: There is no such recipe, or the file holds unknown names or wrong values.
     """
     if name.endswith(".toml"):
         path = Path(name)

@@ -51,10 +51,13 @@ class RunConfig:
     scheme: str = keypoints.SCHEME
     """The datasets' keypoint scheme."""
     licences: tuple[str, ...] = ()
-    """Of the datasets, in their order, as their cards state them."""
+    """Licences of the datasets, in their order, as their cards state them."""
 
     def of(self, datasets: Sequence[Dataset], scheme: Scheme) -> Self:
-        """With what the datasets say; images are not mirrored where nobody knows the keypoints' mirror partners."""
+        """The configuration completed by what the datasets say.
+
+        Images are not mirrored where the mirror partners of the scheme's keypoints are not known.
+        """
         recipe = self.recipe
         if scheme.flip is None:
             recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
@@ -89,8 +92,8 @@ class RunConfig:
 
 
 @dataclass
-class Training:
-    """A run in progress: what changes from step to step."""
+class TrainingState:
+    """The state of a run: model, optimiser, and how far it has come."""
 
     model: KeypointRCNN
     config: DetectorConfig
@@ -98,10 +101,10 @@ class Training:
     origin: str
     """Where the first weights came from, in words."""
     fingerprints: list[str]
-    """Of each dataset."""
+    """Digest of each dataset, in their order."""
     epochs_done: int
     steps_done: int
-    """In the epoch that is under way."""
+    """Steps done of the epoch that is under way."""
     sums: dict[str, float]
     """Losses so far of the epoch that is under way."""
     history: list[dict[str, Any]]
@@ -110,7 +113,7 @@ class Training:
     """The figures that decide which epoch is best."""
 
     def state(self) -> dict[str, Any]:
-        """What changes, as `resume.pt` holds it."""
+        """The state as `resume.pt` holds it."""
         return {
             "model": self.model.state_dict(),
             "detector": self.config.to_dict(),
@@ -128,7 +131,7 @@ def resumable(run: Path) -> bool:
 
 
 @contextlib.contextmanager
-def alone(run: Path) -> Iterator[None]:
+def exclusive(run: Path) -> Iterator[None]:
     """Keep other processes from training in the same folder; one that was made for it and stays empty goes again."""
     made = not run.exists()
     with contextlib.ExitStack() as held:
@@ -142,15 +145,15 @@ def alone(run: Path) -> Iterator[None]:
         finally:
             held.close()
             if made:
-                with contextlib.suppress(OSError):  # it holds the run
+                with contextlib.suppress(OSError):  # not empty any more: it holds the run
                     run.rmdir()
 
 
-def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
-    """Begin a run in a folder that holds none."""
+def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
+    """Begin a run in a folder that holds none. Raises UserError where it holds one, or other files."""
     if resumable(run) or detector.checkpoints(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
-    # Of several processes the first one may have begun to write the configuration.
+    # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
         raise UserError(f"{run}: holds other files and no run; choose another folder by --out, or remove what is there")
     recipe = config.recipe
@@ -164,7 +167,9 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         scheme=config.scheme,
     )
     model = placed(model, recipe, device)
-    return Training(model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None)
+    return TrainingState(
+        model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None
+    )
 
 
 def _begun(run: Path) -> bool:
@@ -176,8 +181,12 @@ def _begun(run: Path) -> bool:
     return True
 
 
-def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> Training:
-    """Take up the run in a folder where its state was saved last."""
+def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
+    """Go on with the run in a folder from where its state was saved last.
+
+    Raises UserError where nothing was saved, where a dataset has changed since (`fingerprints`), and where the run has
+    more epochs behind it than `config` asks for.
+    """
     path = run / _RESUME
     if not resumable(run):
         raise UserError(f"{run}: nothing saved yet to resume from ({_RESUME} is missing); leave out --resume")
@@ -203,23 +212,23 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         sgd.load_state_dict(saved["optimizer"])
     except (ValueError, KeyError) as error:
         raise UserError(f"{path}: does not fit the run's recipe ({error})") from None
-    return Training(model, detector_config, sgd, **plain)
+    return TrainingState(model, detector_config, sgd, **plain)
 
 
 def record(run: Path, config: RunConfig) -> None:
-    """Write what was asked for."""
+    """Write the configuration of a run into its folder."""
     write_json(run / _CONFIG, config.to_dict())
 
 
-def save_state(run: Path, training: Training) -> None:
-    """Write what `resume` reads."""
+def save_state(run: Path, training: TrainingState) -> None:
+    """Write the state that `resume` reads."""
     # Through memory: where there is no room for a file, torch's own writer ends the process.
     buffer = io.BytesIO()
     torch.save(training.state(), buffer)
     write_bytes(run / _RESUME, buffer.getbuffer())
 
 
-def save_epoch(run: Path, config: RunConfig, training: Training, *, keep: int) -> Path:
+def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: int) -> Path:
     """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
     checkpoint = run / detector.checkpoint_name(training.epochs_done)
     _save_weights(checkpoint, config, training)
@@ -232,12 +241,12 @@ def save_epoch(run: Path, config: RunConfig, training: Training, *, keep: int) -
     return checkpoint
 
 
-def save_best(run: Path, config: RunConfig, training: Training) -> None:
+def save_best(run: Path, config: RunConfig, training: TrainingState) -> None:
     """Write the weights of the epoch with the best validation so far."""
     _save_weights(run / BEST, config, training)
 
 
-def _save_weights(path: Path, config: RunConfig, training: Training) -> None:
+def _save_weights(path: Path, config: RunConfig, training: TrainingState) -> None:
     metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
     detector.save_weights(path, training.model, training.config, metadata)
 
@@ -249,7 +258,7 @@ def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> Keypoin
 
 
 def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
-    """Of the parameters that learn; one pass over memory a step."""
+    """Stochastic gradient descent on the parameters that learn, in one pass over memory a step."""
     return torch.optim.SGD(
         [parameter for parameter in model.parameters() if parameter.requires_grad],
         lr=recipe.learning_rate,

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skope import dataset, shards
+from skope import dataset, sampling, shards
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_bytes
@@ -20,22 +20,24 @@ SPLIT: Final = "train"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
-    """One dataset's part in a training."""
+class TrainingSource:
+    """A dataset that is trained on, and its parts for learning and validating."""
 
     dataset: Dataset
     learnt: AnnotationFile
+    """The images that are learnt from."""
     validated: AnnotationFile
+    """The images that are validated on."""
     fingerprint: str
     """Digest of the annotations and of the images' names and sizes."""
 
     def vehicles(self) -> list[Vehicles]:
-        """Of each image that is learnt from, in file order."""
+        """The vehicles of each image that is learnt from, in file order."""
         by_image = self.learnt.by_image()
         return [vehicles_of(image, by_image[image.id]) for image in self.learnt.images]
 
 
-def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_images: int | None) -> Source:
+def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_images: int | None) -> TrainingSource:
     """Split `train` of a dataset folder; a UserError where it holds nothing to learn from.
 
     `max_images` limits what is learnt from, to images with vehicles, evenly spread.
@@ -46,16 +48,18 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
     file = excluding(file, exclude_types)
-    learnt, validated = dataset.held_back(file, val_fraction)
-    validated = dataset.ignoring(learnt, validated)
+    learnt, validated = sampling.held_back(file, val_fraction)
+    validated = sampling.ignoring(learnt, validated)
     if max_images is not None:
-        learnt = dataset.take(learnt, max_images)
+        learnt = sampling.take(learnt, max_images)
     if all(annotation.ignored for annotation in learnt.annotations):
         raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
-    return Source(dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images))
+    return TrainingSource(
+        dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images)
+    )
 
 
-def one_scheme(sources: Sequence[Source]) -> Scheme:
+def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
     """The keypoint scheme of all datasets; different ones are refused, since their points mean different things."""
     first, *others = sources
     for other in others:
@@ -84,8 +88,8 @@ def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
     return digest.hexdigest()
 
 
-def for_validation(sources: Sequence[Source], most: int) -> tuple[AnnotationFile, list[Path]]:
-    """At most `most` images of all validated parts, evenly spread and numbered anew, and where their pixels lie."""
+def validation_images(sources: Sequence[TrainingSource], most: int) -> tuple[AnnotationFile, list[Path]]:
+    """At most `most` images to validate on, evenly spread over all sources, with new ids; and their image files."""
     found: list[tuple[Path, Image, list[Annotation]]] = []
     for source in sources:
         by_image = source.validated.by_image()
@@ -96,6 +100,6 @@ def for_validation(sources: Sequence[Source], most: int) -> tuple[AnnotationFile
     for number, (_, image, vehicles) in enumerate(chosen, start=1):
         images.append(replace(image, id=number))
         annotations += [replace(a, id=len(annotations) + k, image_id=number) for k, a in enumerate(vehicles, start=1)]
-    scheme = one_scheme(sources)
+    scheme = common_scheme(sources)
     file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation", scheme=scheme)
     return file, [root / image.file_name for root, image, _ in chosen]

@@ -10,34 +10,48 @@ from torch import Tensor
 
 from skope.errors import UserError
 from skope.train.data import TrainingSample
-from skope.train.distributed import Team
+from skope.train.distributed import ProcessGroup
 from skope.train.recipe import Recipe
-from skope.train.run_folder import Training
+from skope.train.run_folder import TrainingState
 
 LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
-"""In the order in which torchvision names them."""
+"""Names of the losses, in torchvision's order."""
 
 
-def seed(seed: int, epoch: int, step: int, team: Team) -> None:
+def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:
     """Seed torch's global state, from which torchvision's samplers draw: a step is the same wherever a run resumes."""
-    own = () if team.first else (team.rank,)
+    own = () if processes.first else (processes.rank,)
     torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *own)).generate_state(1)[0]))
 
 
-def take(
-    training: Training,
+def train_on_batch(
+    training: TrainingState,
     batch: Sequence[TrainingSample],
     recipe: Recipe,
     *,
     rate: float,
     images: int,
-    team: Team,
-    wish: Sequence[float],
+    processes: ProcessGroup,
+    votes: Sequence[float],
 ) -> tuple[dict[str, float], list[float]]:
-    """Learn from a batch of `images`, of which `batch` is this process's share; the losses, and `wish` summed over all.
+    """Learn from one batch: forward, backward, sum over all processes, one step of the optimiser.
 
     Parts of a batch that go through the network one after the other, or in several processes, weigh as their images.
-    A loss that is not finite leaves the weights as they are and names the images.
+
+    Args:
+        training: The model and its optimiser, which are changed.
+        batch: This process's share of the batch; may be empty.
+        recipe: How many images go through the network at once, in which precision, and the gradients' limit.
+        rate: Learning rate of this step.
+        images: Number of images of the whole batch, of all processes.
+        processes: The processes that learn together.
+        votes: Numbers of this process that are summed over all processes in the same message as the gradients.
+
+    Returns:
+        The losses of the whole batch by name, `loss` being their sum, and the sums of the votes.
+
+    Raises:
+        UserError: The loss is not a finite number; it names the images, and the weights are as they were.
     """
     parameters = [p for group in training.optimizer.param_groups for p in group["params"]]
     device = parameters[0].device
@@ -50,8 +64,10 @@ def take(
     for parameter in parameters:
         if parameter.grad is None:  # this process had no image
             parameter.grad = torch.zeros_like(parameter)
-    wishes = torch.tensor(wish, dtype=torch.float32, device=device)
-    team.add_up([*(parameter.grad for parameter in parameters if parameter.grad is not None), losses, wishes])
+    votes_of_all = torch.tensor(votes, dtype=torch.float32, device=device)
+    processes.sum_over_all(
+        [*(parameter.grad for parameter in parameters if parameter.grad is not None), losses, votes_of_all]
+    )
     values, total = losses.tolist(), float(losses.sum())
     if not math.isfinite(total):
         _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
@@ -60,11 +76,11 @@ def take(
     for group in training.optimizer.param_groups:
         group["lr"] = rate
     training.optimizer.step()
-    return {"loss": total, **dict(zip(LOSSES, values, strict=True))}, wishes.tolist()
+    return {"loss": total, **dict(zip(LOSSES, values, strict=True))}, votes_of_all.tolist()
 
 
 def _learn(
-    training: Training, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
+    training: TrainingState, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
 ) -> Tensor:
     """Add the gradients of some images; (5,) their weighted losses."""
     pixels, targets = zip(*(sample.to(device) for sample in part), strict=True)

@@ -1,4 +1,4 @@
-"""What is annotated in one image, and how it moves when the pixels do."""
+"""Boxes and keypoints of the vehicles of one image, and how they move when the pixels do."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,23 +18,28 @@ LEAST_INSIDE = 0.15
 
 @dataclass(frozen=True)
 class Vehicles:
-    """What is annotated in one image."""
+    """Boxes and keypoints of the vehicles of one image, pixels."""
 
     boxes_xyxy: Array
-    """(N, 4) ground truth."""
+    """(N, 4) boxes of the ground truth."""
     keypoints: Array
     """(N, 33, 3) x, y, v of the ground truth; x = y = 0 where v = 0."""
     ignored_xyxy: Array
-    """(M, 4) ignored vehicles."""
+    """(M, 4) boxes of the ignored vehicles."""
 
     def flipped(self, width: float) -> "Vehicles":
-        """As in the mirrored image: x becomes width - x, and right and left change names (of scheme `skope33`)."""
+        """The vehicles in the mirrored image: x becomes width - x, and right and left keypoints change places.
+
+        Only for scheme `skope33`, whose mirror partners are known.
+        """
         points = self.keypoints[:, keypoints.FLIP].copy()
         points[..., 0] = np.where(points[..., 2] > 0, width - points[..., 0], 0.0)
         return Vehicles(_mirror(self.boxes_xyxy, width), points, _mirror(self.ignored_xyxy, width))
 
     def cropped(self, corner: tuple[float, float], scale: tuple[float, float], width: int, height: int) -> "Vehicles":
-        """As in an image of `width` x `height` whose top-left corner was at `corner`, enlarged by `scale` (x, y).
+        """The vehicles in a part of the image that is cut out and enlarged.
+
+        The part begins at `corner` (x, y), is enlarged by `scale` (x, y) and then has `width` x `height` pixels.
 
         Points outside become v = 0, boxes are clipped; what mostly leaves the image is ignored, what wholly leaves it
         goes.
@@ -53,7 +58,7 @@ class Vehicles:
         return Vehicles(clipped[stays], points[stays], ignored)
 
     def covered(self, box_xyxy: Array) -> "Vehicles":
-        """As when something stands before the (4,) box: visible points under it are hidden (v = 1)."""
+        """The vehicles after something was put before `box_xyxy` (4,): visible points under it are hidden (v = 1)."""
         under = ((self.keypoints[..., :2] >= box_xyxy[:2]) & (self.keypoints[..., :2] < box_xyxy[2:])).all(axis=-1)
         points = self.keypoints.copy()
         points[..., 2] = np.where(under, np.minimum(points[..., 2], 1.0), points[..., 2])

@@ -1,4 +1,4 @@
-"""How good the model is after an epoch, on images that it does not learn from."""
+"""Validation: how good the model is after an epoch, on images that it does not learn from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,60 +20,65 @@ _IOU = "0.6"
 """The paper's laxest threshold: early epochs find boxes roughly."""
 
 
-def found(model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device, score: float) -> list[Result]:
+def detect_in_image(
+    model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device, score: float
+) -> list[Result]:
     """Detections above `score` in one (H, W, 3) image as results; only those go through the keypoint head."""
-    (answer,) = detector.detect(model, [pixels], device, min_score=score)
-    return detector.results(image_id, answer.boxes_xyxy, answer.scores, answer.keypoints)
+    (detections,) = detector.detect(model, [pixels], device, min_score=score)
+    return detector.results(image_id, detections.boxes_xyxy, detections.scores, detections.keypoints)
 
 
 @dataclass(frozen=True)
-class Answers:
-    """What a model says of the images of a split."""
+class ValidationResults:
+    """What a model finds in the images of a split."""
 
     detected: list[Result]
+    """The vehicles that it detects."""
     given: list[Result]
-    """Inside the ground-truth boxes."""
+    """The keypoints that it finds inside the boxes of the ground truth, a result for each vehicle."""
 
 
 def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
-    """`figures` of the split `file`, whose pixels lie at `paths`."""
-    return figures(file, answers(model, file, paths, device))
+    """Run the model on the images of `file`, whose pixels lie at `paths`, and measure as `figures` does."""
+    return figures(file, run_model(model, file, paths, device))
 
 
-def answers(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Answers:
+def run_model(
+    model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device
+) -> ValidationResults:
     """Run the model on the images of `file`, whose pixels lie at `paths`."""
     vehicles = file.by_image()
     detected: list[Result] = []
     given: list[Result] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        detected += found(model, pixels, image.id, device, Options().score)
+        detected += detect_in_image(model, pixels, image.id, device, Options().score)
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
         points = detector.detect_on_boxes(model, pixels, corners, device)
         rows = zip(truth, points, strict=True)
         given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
-    return Answers(detected, given)
+    return ValidationResults(detected, given)
 
 
-def figures(file: AnnotationFile, answers: Answers) -> Figures:
+def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
     """Figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
 
     `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
     detection; None where there is nothing to divide by.
     """
     options = Options()
-    split = score_split(file, answers.detected, options)
+    split = score_split(file, found.detected, options)
     at = split["iou"][_IOU]
     return {
         "images": split["images"],
         "vehicles": split["ground_truth"],
         "pck": at["pck"],
-        "pck_given": score_split(file, answers.given, options)["iou"][_IOU]["pck"],
+        "pck_given": score_split(file, found.given, options)["iou"][_IOU]["pck"],
         **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
     }
 
 
 def rank(figures: Figures) -> list[float]:
-    """What decides which epoch is best: keypoints found right of all there are, then localisation by itself."""
+    """Sort key by which the best epoch is chosen: keypoint recall, then PCK inside the ground-truth boxes."""
     return [figures["keypoint_recall"] or 0.0, figures["pck_given"] or 0.0]

@@ -9,7 +9,7 @@ FOLDER: Final = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
-    """The detectors that are there."""
+    """Names of the detectors that come with the package."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.safetensors")))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from skope import coco
 from skope.errors import UserError
-from skope.outputs import WORK, claim, look, move_new, write_new
+from skope.outputs import WORK, claim_output, move_new, replaceable_output, write_new
 from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_image
@@ -25,13 +25,13 @@ def source(tmp_path: Path) -> Path:
 
 def test_a_folder_is_taken_by_one_work(source: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    made = claim(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)})
+    made = claim_output(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)})
     assert json.loads((out / WORK).read_text()) == made
     assert set(made) == {"command", "inputs", "options", "skope", "date"}
     (out / "figures").write_text("1")
-    assert claim(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)}) == made
+    assert claim_output(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)}) == made
     moved = source.rename(tmp_path / "moved.txt")
-    again = claim(out, "skope eval", [moved], {"score": 0.9, "iou": (0.5, 0.6)})
+    again = claim_output(out, "skope eval", [moved], {"score": 0.9, "iou": (0.5, 0.6)})
     assert again == {**made, "inputs": {str(moved): made["inputs"][str(source)]}}
 
 
@@ -50,7 +50,7 @@ def test_other_work_is_refused(
     command: str, content: str, more: list[str], options: dict[str, Any], words: str, source: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    claim(out, "skope eval", [source], {"score": 0.9})
+    claim_output(out, "skope eval", [source], {"score": 0.9})
     (out / "figures").write_text("1")
     before = files_of(out)
     source.write_text(content)
@@ -58,7 +58,7 @@ def test_other_work_is_refused(
     for path in others:
         path.write_text(path.name)
     with pytest.raises(UserError, match=words):
-        claim(out, command, [source, *others], options)
+        claim_output(out, command, [source, *others], options)
     assert files_of(out) == before
 
 
@@ -67,7 +67,10 @@ def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: P
     (tmp_path / WORK).write_text(content)
     (tmp_path / "figures").write_text("1")
     before = files_of(tmp_path)
-    for taken in (lambda: claim(tmp_path, "skope eval", [], {"score": 0.9}), lambda: seen(tmp_path, "a", {"b": "b"})):
+    for taken in (
+        lambda: claim_output(tmp_path, "skope eval", [], {"score": 0.9}),
+        lambda: seen(tmp_path, "a", {"b": "b"}),
+    ):
         with pytest.raises(
             UserError, match=r"--out: .* holds other work \(.*\); choose another folder, or remove what"
         ):
@@ -80,7 +83,7 @@ def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: P
 
 def seen(folder: Path, of: str | Path, pictures: dict[str, str], **how: Any) -> None:
     """A look at something."""
-    with look(folder, "skope gen show", of, **how) as drawn:
+    with replaceable_output(folder, "skope gen show", of, **how) as drawn:
         for name, content in pictures.items():
             (drawn / name).write_text(content)
 
@@ -101,7 +104,7 @@ def test_a_look_replaces_an_earlier_look_at_the_same_thing_and_no_other(tmp_path
     ):
         with (
             pytest.raises(UserError, match=r"holds other work \(of `skope gen show`, a look at \.\./data\)"),
-            look(out, command, of),
+            replaceable_output(out, command, of),
         ):
             pytest.fail("nothing is drawn")
     assert shown(out) == {"b": "2", "c": "2"}
@@ -142,7 +145,7 @@ def test_a_look_that_fails_leaves_the_earlier_one_whole(tmp_path: Path) -> None:
     before = files_of(out)
 
     def broken() -> None:
-        with look(out, "skope gen show", "fleet") as drawn:
+        with replaceable_output(out, "skope gen show", "fleet") as drawn:
             (drawn / "a").write_text("2")
             raise UserError("a broken image")
 
@@ -203,11 +206,11 @@ def test_folders_of_other_files_and_files_are_refused_and_begun_ones_without_res
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.txt").write_text("mine")
     with pytest.raises(UserError, match="holds other files"):
-        claim(tmp_path / "thesis", "skope eval", [], {})
+        claim_output(tmp_path / "thesis", "skope eval", [], {})
     with pytest.raises(UserError, match="is a file"):
-        claim(tmp_path / "thesis" / "thesis.txt", "skope eval", [], {})
-    claim(tmp_path / "begun", "skope eval", [], {"score": 0.9})
-    claim(tmp_path / "begun", "skope eval pose", [], {})
+        claim_output(tmp_path / "thesis" / "thesis.txt", "skope eval", [], {})
+    claim_output(tmp_path / "begun", "skope eval", [], {"score": 0.9})
+    claim_output(tmp_path / "begun", "skope eval pose", [], {})
     assert json.loads((tmp_path / "begun" / WORK).read_text())["command"] == "skope eval pose"
 
 

@@ -10,8 +10,8 @@ import scipy.stats
 
 from skope import keypoints
 from skope.metrics import failures, intervals, reliability
-from skope.metrics.breakdown import Fleet, breakdown
-from skope.metrics.counts import Options, judge, quotients, tally
+from skope.metrics.breakdown import FleetInfo, breakdown
+from skope.metrics.counts import Options, outcomes_at, quotients, tally
 from skope.metrics.figures import localisation, match_split, score_split
 from skope.metrics.match import match
 from skope.schema import AnnotationFile, Image, Result
@@ -44,10 +44,10 @@ def cases() -> list[tuple[list[int], list[brute.Vehicle], list[brute.Detection]]
     return [random_case(np.random.default_rng((99, i))) for i in range(60)]
 
 
-def judged_case(images: list[int], vehicles: list[Any], detections: list[Any]) -> tuple[Any, Any]:
+def outcomes_of_case(images: list[int], vehicles: list[Any], detections: list[Any]) -> tuple[Any, Any]:
     file, results = as_records(images, vehicles, detections)
     matches = match_split(file, results, OPTIONS)
-    return matches, judge(matches, T, OPTIONS)
+    return matches, outcomes_at(matches, T, OPTIONS)
 
 
 def wrong(vehicle: brute.Vehicle, detection: brute.Detection) -> list[int]:
@@ -94,8 +94,8 @@ def test_failures_by_kind_equal_the_loops() -> None:
             else:
                 for k in wrong(vehicle, detection):
                     expected[kind_of(vehicle, detection, k)] += 1
-        matches, judged = judged_case(*case)
-        assert failures.counts(matches, judged, OPTIONS) == expected
+        matches, outcomes = outcomes_of_case(*case)
+        assert failures.counts(matches, outcomes, OPTIONS) == expected
         seen = {name: seen[name] + expected[name] for name in seen}
     assert min(seen.values()) > 10
 
@@ -131,7 +131,7 @@ def test_confidence_equals_the_loops() -> None:
                     near = brute.apart((x, y), (px, py)) <= brute.reach(vehicle, OPTIONS.alpha)
                     claims.append((p, v == 2 and near))
                     (visible if v == 2 else hidden if v == 1 else []).append(p)
-        ours = reliability.confidence(*judged_case(*case), OPTIONS)
+        ours = reliability.confidence(*outcomes_of_case(*case), OPTIONS)
         assert (ours["points"], ours["right"]) == (len(claims), sum(good for _, good in claims))
         wins = [1.0 if a > b else 0.5 if a == b else 0.0 for a in visible for b in hidden]
         assert ours["auc_visible"] == (pytest.approx(np.mean(wins)) if wins else None)
@@ -169,7 +169,7 @@ def test_localisation_equals_the_loops() -> None:
                     off = brute.apart(truth, found)
                     shown = found[2] > OPTIONS.keypoint_score
                     errors.append((0.0 if off == 0 else off / length if length else np.inf) if shown else np.inf)
-        ours = localisation(judged_case(*case)[1])
+        ours = localisation(outcomes_of_case(*case)[1])
         assert ours["labelled"] == len(errors)
         if not errors:
             assert ours["pck_area"] is ours["median_error"] is ours["pck_0.05"] is None
@@ -326,7 +326,7 @@ def test_parts_equal_scoring_their_vehicles_alone() -> None:
             results.append(Result(image_id=1, score=0.95, bbox=vehicles[-1].bbox, keypoints=points))
     image = Image(id=1, file_name="a.png", width=1000, height=500, weather="rain")
     file = AnnotationFile(images=(image,), annotations=tuple(vehicles))
-    fleet = Fleet(held_out={"van_b"}, substituted={"bus_city": ("hood_front_left", "hood_front_right")})
+    fleet = FleetInfo(held_out={"van_b"}, substituted={"bus_city": ("hood_front_left", "hood_front_right")})
     options = Options()
     parts = breakdown(file.images, match(file, results), options, fleet)
     which = {
@@ -371,7 +371,7 @@ def test_parts_equal_scoring_their_vehicles_alone() -> None:
 
 def test_without_extra_fields_there_are_few_parts() -> None:
     file, results = as_records(*cases()[3])
-    parts = breakdown(file.images, match(file, results), Options(), Fleet())
+    parts = breakdown(file.images, match(file, results), Options(), FleetInfo())
     assert set(parts) <= {"height", "keypoint"}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from skope.eval.report import render, table
 from skope.metrics import figures
-from skope.metrics.breakdown import Fleet
+from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options, quotients, ratio
 from skope.metrics.split_scores import from_tallies, measure, to_tallies
 from skope.schema import AnnotationFile, Result
@@ -34,7 +34,7 @@ def poor_splits() -> list[tuple[AnnotationFile, list[Result]]]:
 @pytest.mark.filterwarnings("error")
 def test_every_poor_split_is_measured_printed_and_shown(tmp_path: Path) -> None:
     for file, results in poor_splits():
-        measured = measure(file, results, OPTIONS, Fleet(held_out=()))
+        measured = measure(file, results, OPTIONS, FleetInfo(held_out=()))
         document = figures.document(OPTIONS, {"poor": measured.entry})
         json.dumps(document, allow_nan=False)
         for protocol in ("pooled", "paper"):
@@ -44,7 +44,7 @@ def test_every_poor_split_is_measured_printed_and_shown(tmp_path: Path) -> None:
 
 def test_tallies_give_the_figures_again() -> None:
     for file, results in poor_splits():
-        measured = measure(file, results, OPTIONS, Fleet())
+        measured = measure(file, results, OPTIONS, FleetInfo())
         blocks, tallies = from_tallies(json.loads(json.dumps(to_tallies(measured))))
         assert blocks.to_dict() == measured.blocks.to_dict()
         for t, counts in tallies.items():

@@ -17,7 +17,7 @@ from skope.schema import Annotation, AnnotationFile, Image
 from skope.train import data, splits
 from skope.train.augment import Augment
 from skope.train.data import TrainingSet
-from skope.train.splits import Source
+from skope.train.splits import TrainingSource
 from skope.train.targets import Vehicles
 from tests import samples
 
@@ -31,7 +31,7 @@ def write(root: Path, images: list[Image], annotations: list[Annotation]) -> Pat
     return root
 
 
-def source(root: Path, **options: Any) -> Source:
+def source(root: Path, **options: Any) -> TrainingSource:
     return splits.read(root, **{"exclude_types": (), "val_fraction": 0.0, "max_images": None, **options})
 
 

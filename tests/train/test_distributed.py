@@ -17,7 +17,7 @@ import torch
 from skope import detector
 from skope.train import distributed, step
 from skope.train.data import TrainingSample
-from skope.train.distributed import Team
+from skope.train.distributed import ProcessGroup
 from skope.train.recipe import RECIPES
 from tests import samples
 
@@ -44,7 +44,7 @@ class Toy(torch.nn.Module):
 
 def learn(out: str) -> None:
     """A few steps in this process, one of those that the environment names."""
-    with distributed.joined(torch.device("cpu")) as (team, _):
+    with distributed.process_group(torch.device("cpu")) as (processes, _):
         toy = Toy()
         optimizer = torch.optim.SGD(toy.parameters(), lr=RATES, momentum=0.9)
         training: Any = SimpleNamespace(model=toy, optimizer=optimizer, epochs_done=0)
@@ -53,15 +53,21 @@ def learn(out: str) -> None:
         for count in BATCHES:
             images = rng.integers(0, 256, (count, 3, 4, 4), dtype=np.uint8)
             batch = [TrainingSample(str(i), torch.as_tensor(pixels), {}) for i, pixels in enumerate(images)]
-            wish = (float(team.first), 0.5)
-            values, wishes = step.take(
-                training, team.share(batch), RECIPES["paper"], rate=RATES, images=count, team=team, wish=wish
+            votes = (float(processes.first), 0.5)
+            values, votes_of_all = step.train_on_batch(
+                training,
+                processes.share(batch),
+                RECIPES["paper"],
+                rate=RATES,
+                images=count,
+                processes=processes,
+                votes=votes,
             )
-            assert wishes == [1.0, 0.5 * team.size], "every process learns of a wish of one"
+            assert votes_of_all == [1.0, 0.5 * processes.size], "every process learns of the vote of one"
             losses.append(values["loss"])
-        team.average_statistics(toy)
+        processes.average_statistics(toy)
         state = {"weight": toy.weight.detach(), "mean": toy.running_mean, "losses": torch.tensor(losses)}
-        torch.save(state, f"{out}.{team.rank}")
+        torch.save(state, f"{out}.{processes.rank}")
 
 
 def free_port() -> int:
@@ -95,7 +101,7 @@ def test_parts_of_a_batch_teach_what_the_batch_does() -> None:
         pixels = np.random.default_rng(0).integers(0, 256, (5, 3, 4, 4), dtype=np.uint8)
         batch = [TrainingSample(str(i), torch.as_tensor(each), {}) for i, each in enumerate(pixels)]
         recipe = replace(RECIPES["paper"], images_at_once=at_once)
-        step.take(training, batch, recipe, rate=RATES, images=5, team=Team(), wish=())
+        step.train_on_batch(training, batch, recipe, rate=RATES, images=5, processes=ProcessGroup(), votes=())
         weights.append(toy.weight.detach())
     torch.testing.assert_close(weights[0], weights[1])
     assert not torch.equal(weights[0], Toy().weight)
@@ -130,8 +136,8 @@ def test_a_mistake_ends_all_processes(tmp_path: Path) -> None:
 
 def test_shares_of_a_batch() -> None:
     batch = list(range(5))
-    assert [Team(rank, 2).share(batch) for rank in range(2)] == [[0, 2, 4], [1, 3]]
-    assert [list(Team(rank, 3).share([7])) for rank in range(3)] == [[7], [], []]
+    assert [ProcessGroup(rank, 2).share(batch) for rank in range(2)] == [[0, 2, 4], [1, 3]]
+    assert [list(ProcessGroup(rank, 3).share([7])) for rank in range(3)] == [[7], [], []]
     alone = torch.ones(2)
-    Team().add_up([alone])
+    ProcessGroup().sum_over_all([alone])
     assert alone.tolist() == [1, 1]

@@ -49,12 +49,12 @@ class _Signal:
     """A step after which this process is sent a signal, when it is taken for the n-th time."""
 
     def __init__(self, n: int, number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.left, self.number, self.take = n, number, step.take
-        monkeypatch.setattr(step, "take", self)
+        self.left, self.number, self.take = n, number, step.train_on_batch
+        monkeypatch.setattr(step, "train_on_batch", self)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         self.left -= 1
-        done = self.take(*args, **{**kwargs, "wish": (float(not self.left), 0.0)})
+        done = self.take(*args, **{**kwargs, "votes": (float(not self.left), 0.0)})
         if not self.left:
             os.kill(os.getpid(), self.number)
         return done
@@ -68,7 +68,7 @@ def same_files(one: Path, other: Path) -> bool:
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_folder_is_trained_in_by_one_process(tmp_path: Path, *, resume: bool) -> None:
     data, out = samples.make_dataset(tmp_path / "data", images=1, splits=("train",)), tmp_path / "run"
-    with run_folder.alone(out):
+    with run_folder.exclusive(out):
         assert out.is_dir()
         with pytest.raises(UserError, match="run: another `skope train` is writing to this folder"):
             train(data, out, TINY, resume=resume)
@@ -215,7 +215,7 @@ def test_too_little_memory_says_what_to_lower(tmp_path: Path, monkeypatch: pytes
         def fail(*_: Any, error: Exception = error, **__: Any) -> None:
             raise error
 
-        monkeypatch.setattr(step, "take", fail)
+        monkeypatch.setattr(step, "train_on_batch", fail)
         with pytest.raises(
             UserError, match=r"out of memory at 1 images at once, short side 64, 1 keypoint regions: lower"
         ):

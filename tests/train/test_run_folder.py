@@ -110,7 +110,7 @@ def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
 def state() -> object:
     """As much of a training as a saved state has."""
     from skope.train.recipe import RECIPES
-    from skope.train.run_folder import Training, optimizer
+    from skope.train.run_folder import TrainingState, optimizer
 
     model = detector.build(CONFIG)
-    return Training(model, CONFIG, optimizer(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)
+    return TrainingState(model, CONFIG, optimizer(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)

@@ -10,11 +10,11 @@ from skope import coco
 from skope.errors import UserError
 from skope.schema import AnnotationFile
 from skope.train import splits
-from skope.train.splits import Source
+from skope.train.splits import TrainingSource
 from tests import samples
 
 
-def read(root: Path, **options: Any) -> Source:
+def read(root: Path, **options: Any) -> TrainingSource:
     return splits.read(root, **{"exclude_types": (), "val_fraction": 0.0, "max_images": None, **options})
 
 
@@ -101,9 +101,9 @@ def test_excluded_types_are_ignored_everywhere(tmp_path: Path) -> None:
 
 def test_validation_of_several_datasets_is_numbered_anew(tmp_path: Path) -> None:
     parts = [read(samples.make_dataset(tmp_path / name, images=8), val_fraction=0.5) for name in "ab"]
-    file, paths = splits.for_validation(parts, 5)
+    file, paths = splits.validation_images(parts, 5)
     assert [image.id for image in file.images] == [1, 2, 3, 4, 5]
     assert sorted(a.id for a in file.annotations) == list(range(1, 11))
     assert all(path.is_file() for path in paths)
     assert {path.relative_to(tmp_path).parts[0] for path in paths} == {"a", "b"}
-    assert splits.for_validation([read(tmp_path / "a")], 5)[1] == []
+    assert splits.validation_images([read(tmp_path / "a")], 5)[1] == []

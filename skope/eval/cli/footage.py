@@ -13,7 +13,7 @@ from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
-from skope.outputs import claim
+from skope.outputs import claim_output
 from skope.weights import REFERENCE
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class SceneOptions(KeypointOptions):
 
         `noise` are the levels that will be added, of which the first one counts here.
         """
-        from skope.eval.pose.fit_ground import settled
+        from skope.eval.pose.fit_ground import with_fitted_ground
         from skope.eval.pose.views import read_scene
 
         _probability("--score", self.score)
@@ -88,16 +88,16 @@ class SceneOptions(KeypointOptions):
         _pixels("--sigma", self.sigma)
         scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
         if self.ground in _FITTED:
-            scene, words = settled(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
+            scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:
                 console.result(words)
         return scene
 
-    def claim(self, out: Path, command: str, **options: Any) -> None:
+    def claim_output(self, out: Path, command: str, **options: Any) -> None:
         """Take the output folder of a command for these options and `options`."""
         inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
         inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
-        claim(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
+        claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
 
 
 def predict(
@@ -176,7 +176,7 @@ def pose(
 
     levels, score, sigma = _numbers("--noise", noise), options.score, options.sigma
     scene = options.scene(*levels, console=console)
-    options.claim(out, "skope eval pose", noise=levels)
+    options.claim_output(out, "skope eval pose", noise=levels)
     rows, refused = [], 0
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
@@ -188,13 +188,13 @@ def pose(
         console.result(f"wrote {path}")
     console.result(f"{len(rows) - refused} poses of {len(rows)} vehicles; {refused} refused")
     if scene.has_truth:
-        told = {}
+        summaries = {}
         for level in levels if scene.results is None else (0.0,):
             name = f"labels with {level:g} px of noise" if scene.results is None else "predictions"
-            told[name] = summary(measure(scene, noise=level, score=score, sigma_px=sigma))
-            for line in table(f"{name}: median (90%, 99%)", told[name]):
+            summaries[name] = summary(measure(scene, noise=level, score=score, sigma_px=sigma))
+            for line in table(f"{name}: median (90%, 99%)", summaries[name]):
                 console.result(line)
-        write_json(out / "pose_errors.json", told)
+        write_json(out / "pose_errors.json", summaries)
         console.result(f"wrote {out / 'pose_errors.json'}")
 
 
@@ -212,7 +212,7 @@ def track(
     if fps is not None and not 0.001 <= fps <= 1000:
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
     scene = options.scene(noise, console=console)
-    options.claim(out, "skope eval track", fps=fps, noise=noise)
+    options.claim_output(out, "skope eval track", fps=fps, noise=noise)
     job = TrackJob(scene=scene, fps=fps, noise=noise, score=options.score, sigma_px=options.sigma, video=video, out=out)
     for line in run(job, console):
         console.result(line)

@@ -27,8 +27,8 @@ class _InBfloat16(nn.Module):
     def __init__(self, inner: nn.Module) -> None:
         super().__init__()
         self.inner = inner
-        # Once, not at each call, and in the order in which a CPU multiplies them: rounding and reordering at each call
-        # took more than half of the time. Normalisation keeps its float32.
+        # Weights are rounded and put in the order in which a CPU multiplies them once: at each call that took more than
+        # half of the time. Normalisation keeps its float32.
         for layer in inner.modules():
             if isinstance(layer, nn.Conv2d):
                 layer.to(torch.bfloat16).to(memory_format=torch.channels_last)

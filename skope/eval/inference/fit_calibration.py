@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope import dataset
 from skope.console import Console
 from skope.detector import find_checkpoint
 from skope.errors import UserError
@@ -14,9 +13,10 @@ from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.score_calibration import ALPHA, IOU
 from skope.eval.inference.settings import Settings
 from skope.metrics import inputs, reliability
-from skope.metrics.counts import Options, judge
+from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
 from skope.outputs import work_of
+from skope.sampling import held_back, ignoring, last_frames
 from skope.schema import AnnotationFile
 from skope.weights import shipped
 
@@ -25,7 +25,7 @@ TRAIN: Final = "train"
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationJob:
-    """What to calibrate, on what."""
+    """Which checkpoint to calibrate, on which data."""
 
     checkpoint: Path
     data: Path
@@ -58,9 +58,9 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     results = predictor.split(file, truth.root)
 
     matches = match(file, results, score=job.score, thresholds=(IOU,))
-    judged = judge(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
-    points = matches.det_keypoints[judged.detection[judged.found]]
-    right = judged.correct(ALPHA)[judged.found]
+    outcomes = outcomes_at(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
+    points = matches.det_keypoints[outcomes.detection[outcomes.found]]
+    right = outcomes.correct(ALPHA)[outcomes.found]
     if not len(points):
         raise UserError(
             f"{job.data}: split {job.split}: none of {len(matches.gt_image)} vehicles is found with a score above "
@@ -86,7 +86,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
 
 
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:
-    """What says which calibration it is."""
+    """What identifies the calibration in `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     return work_of("skope eval calibrate", files, {**options, "precision": job.settings.precision})
 
@@ -112,5 +112,5 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
 def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
     """What the scores are fitted to: nothing that was learnt from, unless `--last` asks for it."""
     if job.last is not None or job.split != TRAIN:
-        return dataset.last_frames(file, share)
-    return dataset.ignoring(*dataset.held_back(file, share))
+        return last_frames(file, share)
+    return ignoring(*held_back(file, share))

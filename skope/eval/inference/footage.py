@@ -28,7 +28,7 @@ _GLOB: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
 _FAR: Final = 50
-"""Frames that are as soon decoded as jumped over."""
+"""So many frames are as soon decoded as jumped over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +36,7 @@ class Cut:
     """Which frames of a source are wanted."""
 
     every: int = 1
+    """Every so many-th frame is taken."""
     start_s: float = 0.0
     end_s: float = math.inf
 
@@ -54,9 +55,10 @@ class Clip:
     count: float
     """Frames as the container says, 0 or less where it does not."""
     rate: float
-    """Frames a second, in the mean."""
+    """Mean number of frames a second."""
     times_s: tuple[float, ...] = ()
-    """Of all frames of a file on this machine, from the first; empty: each frame says its own when it is read."""
+    """Times of all frames of a file on this machine, since the first one. Empty for other files and for streams, whose
+    frames tell their times when they are read."""
 
     @property
     def live(self) -> bool:
@@ -67,19 +69,19 @@ class Clip:
 
 @dataclass
 class Footage:
-    """A source of frames; going over it again gives the same ones, except of a live stream."""
+    """A source of frames. Going over it again gives the same frames, unless it is a live stream."""
 
     name: str
     cut: Cut = field(default_factory=Cut)
     images: tuple[Path, ...] = ()
-    """Of images; empty for a video or stream."""
+    """Image files, in order; empty for a video or stream."""
     clip: Clip | None = None
     skipped: list[str] = field(default_factory=list)
-    """What could not be read, in one line each."""
+    """What could not be read, a line of text each."""
 
     @property
     def names(self) -> list[str]:
-        """Of the images: their paths inside the folder that holds them all."""
+        """Names of the images: their paths inside the folder that holds them all."""
         folder = os.path.commonpath([path.parent for path in self.images]) if self.images else ""
         return [path.relative_to(folder).as_posix() for path in self.images]
 
@@ -100,7 +102,7 @@ class Footage:
 
     @property
     def fps(self) -> float | None:
-        """Frames a second after the cut; None of images, and of a live stream, whose frames come as they can."""
+        """Frames a second after the cut; None for images, and for a live stream, whose frames come as they can."""
         return None if self.clip is None or self.clip.live else self.clip.rate / self.cut.every
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
@@ -126,7 +128,7 @@ class Footage:
             yield _image(number, name, pixels, number - 1, None), pixels
 
     def _wanted(self, clip: Clip) -> range:
-        """Which frames of a file whose times are known."""
+        """Numbers of the frames that are wanted of a file whose times are known."""
         edges = (self.cut.start_s - _SAME_S, self.cut.end_s - _SAME_S)
         first, last = (bisect.bisect_left(clip.times_s, edge) for edge in edges)
         return range(first, last, self.cut.every)
@@ -138,7 +140,7 @@ class Footage:
             return
         with contextlib.closing(_decoded(clip, left[0][1])) as decoded:
             for at, retrieve in decoded:
-                while left and left[0][1] < at:  # not to be decoded
+                while left and left[0][1] < at:  # the decoder has left it out
                     self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
                     left.popleft()
                 if left and left[0][1] == at:
@@ -160,8 +162,8 @@ class Footage:
         with _opened(clip.address) as capture:
             number, at, begin, time_s = 0, 0, 0, -1 / clip.rate
             while capture.grab():
-                told = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-                time_s = told if told > time_s else time_s + 1 / clip.rate
+                reported_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                time_s = reported_s if reported_s > time_s else time_s + 1 / clip.rate
                 if time_s >= self.cut.end_s - _SAME_S:
                     return
                 if time_s < self.cut.start_s - _SAME_S:
@@ -191,22 +193,27 @@ class Footage:
                 self._skip(f"{clip.address}: {error}")
 
     def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
-        pixels = np.asarray(cv2.cvtColor(_three(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        pixels = np.asarray(cv2.cvtColor(_three_channels(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
         return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
     def _skip(self, reason: str) -> None:
-        if reason not in self.skipped:  # a second pass meets the same
+        if reason not in self.skipped:  # going over the frames again meets the same reasons
             self.skipped.append(reason)
 
 
 def open_footage(source: str, cut: Cut | None = None) -> Footage:
-    """The frames of an image, a folder of images, a glob, a video file or a stream's address; all, or those of `cut`.
+    """Open a source of frames.
 
-    Raises UserError for what is none of these.
+    Args:
+        source: An image, a folder of images, a glob, a video file, or the address of a stream.
+        cut: Which frames are wanted; None: all.
+
+    Raises:
+        UserError: `source` is none of these, or cannot be opened.
     """
     cut = cut or Cut()
     if "://" in source:
-        return Footage("stream", cut, clip=_looked_at(source))
+        return Footage("stream", cut, clip=_open_clip(source))
     footage = _on_this_machine(source, cut)
     for image, name in zip(footage.images, footage.names, strict=True):
         if not names.is_relative(name):
@@ -230,10 +237,10 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         raise UserError(f"{source}: no such file or folder")
     if path.suffix.lower() in IMAGES:
         return Footage(path.stem, cut, images=(path,))
-    return Footage(path.stem, cut, clip=_looked_at(source))
+    return Footage(path.stem, cut, clip=_open_clip(source))
 
 
-def _looked_at(video: str) -> Clip:
+def _open_clip(video: str) -> Clip:
     with _opened(video) as capture:
         count, rate = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture)
     if "://" in video:
@@ -279,7 +286,7 @@ def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArra
 
 
 def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
-    """Of the frame that was read last, by its time."""
+    """Number of the frame that was read last, from 0, by its time."""
     time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
     after = bisect.bisect_left(clip.times_s, time_s)
     around = range(max(0, after - 1), min(len(clip.times_s), after + 1))
@@ -302,7 +309,7 @@ def _rate(capture: cv2.VideoCapture) -> float:
     return fps if math.isfinite(fps) and 0 < fps <= 1000 else 25.0
 
 
-def _three(pixels: NDArray[np.generic]) -> Pixels:
+def _three_channels(pixels: NDArray[np.generic]) -> Pixels:
     """Grey or 16-bit frames as 8-bit of three channels."""
     eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels.astype(np.uint8)  # type: ignore[operator]
     return np.repeat(eight[..., None], 3, axis=-1) if eight.ndim == 2 else eight

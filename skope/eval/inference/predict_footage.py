@@ -22,7 +22,7 @@ from skope.eval.inference.settings import Settings
 from skope.eval.pose.views import with_camera
 from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
-from skope.outputs import claim
+from skope.outputs import claim_output
 from skope.schema import AnnotationFile, Image
 from skope.video import write_video
 
@@ -33,7 +33,7 @@ OVERLAYS: Final = "overlays"
 
 @dataclass(frozen=True, kw_only=True)
 class PredictJob:
-    """What to run, on what."""
+    """Which checkpoint to run on which footage, and what to write."""
 
     footage: Footage
     checkpoint: Path
@@ -47,7 +47,18 @@ class PredictJob:
 
 
 def predict(job: PredictJob, console: Console) -> list[Path]:
-    """Run the checkpoint; returns the files that were written. What could not be read is in `job.footage.skipped`."""
+    """Run a checkpoint over footage, and write what it finds under `job.out`; a stopped run goes on.
+
+    Args:
+        job: What to run, on what.
+        console: Where messages and progress go.
+
+    Returns:
+        The files that were written. What could not be read is in `job.footage.skipped`.
+
+    Raises:
+        UserError: No image can be read, or the output folder holds other work.
+    """
     predictor = Predictor(job.checkpoint, job.settings, console)
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped"))
@@ -63,8 +74,8 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         try:
             for bare, found in predictor.each(job.footage.frames(last)):
                 image = with_camera(bare, job.camera)
-                told = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
-                progress.add({**told, "skipped": list(job.footage.skipped)})
+                entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
+                progress.add({**entry, "skipped": list(job.footage.skipped)})
                 images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
@@ -100,11 +111,11 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
         "precision": settings.precision,
         "camera": job.camera.to_dict() if job.camera else None,
     }
-    claim(job.out, "skope eval predict", files, options)
+    claim_output(job.out, "skope eval predict", files, options)
 
 
 def _content(footage: Footage) -> str:
-    """What the frames are, wherever their files lie, by checksums; of a live stream, which comes once, its begin."""
+    """What identifies the frames: checksums of their files; for a live stream, which comes once, the time it began."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and "://" in footage.clip.address:
@@ -136,7 +147,7 @@ def _drawn(job: PredictJob, progress: Progress, scheme: Scheme) -> Iterator[tupl
     for image, pixels in job.footage.frames():
         if row is None:
             return
-        if row["image"]["id"] == image.id:  # others were not to be read
+        if row["image"]["id"] == image.id:  # other images could not be read, and have no row
             found = [coco.result_from_dict(result) for result in row["results"]]
             yield image, draw.results(blurred(pixels, found) if job.blur else pixels, found, scheme=scheme)
             row = next(rows, None)

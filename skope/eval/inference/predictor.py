@@ -1,4 +1,4 @@
-"""Run the detector over a split: images decoded beside the computing, in batches where that helps."""
+"""Run the detector over many images: they are decoded beside the computing, in batches where that helps."""
 
 import itertools
 import time
@@ -25,12 +25,13 @@ from skope.weights import shipped
 Pixels = NDArray[np.uint8]
 
 GPU_BATCH: Final = 8
-"""A CPU gains nothing from batches."""
+"""Images that go through the network together on a GPU; a CPU gains nothing from batches."""
 _DECODERS: Final = 2
+"""Threads that decode images."""
 
 
 class Predictor:
-    """A checkpoint on a device."""
+    """A detector on a device, with the calibration of its scores if there is one."""
 
     def __init__(self, checkpoint: Path, settings: Settings, console: Console) -> None:
         self._settings, self._console = settings, console
@@ -77,9 +78,15 @@ class Predictor:
     def by_image(
         self, file: AnnotationFile, root: Path, known: Container[int] = ()
     ) -> Iterator[tuple[int, list[Result]]]:
-        """Ids of the images of `file`, but those that are `known`, in their order, with what is found in each.
+        """Find the vehicles of the images of a file, one after another.
 
-        File names are relative to `root`.
+        Args:
+            file: The images, and, where `Settings.given`, the vehicles.
+            root: The folder that file names are relative to.
+            known: Ids of images that are left out, as they were done before.
+
+        Yields:
+            An image's id, and what is found in it, in the order of `file`.
         """
         annotations = file.by_image()
         images = [image for image in file.images if image.id not in known]
@@ -94,7 +101,7 @@ class Predictor:
                 else:
                     yield from _by_image(batch, self._found(batch))
                 bar.update(len(batch))
-                # The first batch also warms the libraries up: where there is a second one, that one tells.
+                # The first batch also warms the libraries up: the second one, where there is one, tells the duration.
                 if bar.n == before + len(batch) < len(file.images):
                     begun, done = time.perf_counter(), bar.n
                 elif bar.n <= before + 2 * self._batch and not self._console.quiet:
@@ -115,7 +122,7 @@ class Predictor:
         ]
 
     def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
-        """What is found in each of several images (H, W, 3), which are decoded already."""
+        """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""
         least = self._settings.min_score
         least = detector.MIN_SCORE if least is None else least
         out: list[detector.Detections] = []

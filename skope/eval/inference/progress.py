@@ -1,4 +1,4 @@
-"""What a run has found so far, line by line, so that a stopped one goes on."""
+"""Keep what a run has found so far in a file, line by line, so that a stopped run goes on."""
 
 import contextlib
 import fcntl
@@ -59,7 +59,7 @@ class Progress:
     def _row(self, line: bytes) -> dict[str, Any] | None:
         try:
             row = json.loads(line) if line.endswith(b"\n") else None
-        except ValueError:  # the line that was being written
+        except ValueError:  # the line that was being written when the run stopped
             return None
         return row if isinstance(row, dict) and set(row) == self._fields else None
 
@@ -71,7 +71,7 @@ class Progress:
                 yield row
 
     def add(self, row: dict[str, Any]) -> None:
-        """Write a row down."""
+        """Append a row to the file."""
         with self._writing():
             self._file.write(json.dumps(row).encode() + b"\n")
             self._file.flush()

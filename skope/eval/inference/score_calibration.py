@@ -37,9 +37,9 @@ class ScoreCalibration:
     scale: Array
     """(33,) never negative: a higher maximum is never a lower score."""
     offset: Array
-    """(33,)"""
+    """(33,) added to the scaled maximum."""
     fitted_on: dict[str, Any]
-    """In words and counts, for people."""
+    """What the calibration was fitted on, in words and counts for people."""
 
     def __call__(self, points: Array) -> Array:
         """(N, 33, 3) points as `skope.detector` gives them -> the same with calibrated scores."""
@@ -68,7 +68,7 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
     x, y = np.asarray(raw, dtype=np.float64), _targets(right)
     together = _logistic(x.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
     scale, offset = _logistic(x, y, np.repeat(together, x.shape[1], axis=1), _HOLD)
-    # Where more certainty meant less, the maximum tells nothing: the base rate alone remains.
+    # A negative scale would mean that higher maxima are less often right: then the base rate alone is used.
     useless = scale <= 0
     rate = y.mean(axis=0)
     scale = np.where(useless, 0.0, scale)

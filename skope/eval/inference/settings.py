@@ -13,12 +13,13 @@ class Settings:
     """How a checkpoint is run."""
 
     device: str = "auto"
+    """Where the network runs: "cpu", "cuda", "cuda:N", or "auto" for a GPU where there is one."""
     given: bool = False
     """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
     min_score: float | None = None
     """Only detections above this go through the keypoint head; None: those above the detector's own 0.05."""
     precision: str = "float32"
-    """Of the costly parts; "auto" is bfloat16 where the processor has it."""
+    """Number format of the network's costly parts; "auto" is bfloat16 where the processor has it, else float32."""
     batch_size: int | None = None
     """Images of one size that go through the network together; by default 1 on a CPU, 8 on a GPU."""
     calibrated: bool = True

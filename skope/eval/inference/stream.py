@@ -21,21 +21,22 @@ _PATIENCE_S: Final = 5.0
 
 
 class BrokenOffError(Exception):
-    """A stream is gone; says since when."""
+    """A stream has ended or cannot be reached any more; says since when."""
 
 
 class Frame(NamedTuple):
-    """A frame as it came."""
+    """A frame of a stream."""
 
     number: int
-    """How many came before it."""
+    """How many frames came before it."""
     time_s: float
-    """Since the first."""
+    """Seconds since the first frame."""
     bgr: NDArray[np.generic]
+    """(H, W, 3) or (H, W), as OpenCV gives it."""
 
 
 class _Newest:
-    """One place for a frame, which the next one takes."""
+    """Holds the newest frame: each frame takes the place of the one before."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -128,10 +129,10 @@ class _Stream:
             arrived = time.monotonic()
             if self.count == 0:
                 self._begun = arrived
-            own = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 if self._camera_clock else arrived
+            clock_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 if self._camera_clock else arrived
             # A camera's clock begins anew with each opening; ours says how long the gap was.
-            offset = arrived - self._begun - own if offset is None else offset
-            time_s = own + offset
+            offset = arrived - self._begun - clock_s if offset is None else offset
+            time_s = clock_s + offset
             if self.count % self._every == 0 and time_s > self.last:  # trackers need times that rise
                 good, bgr = capture.retrieve()
                 if good:

@@ -1,4 +1,4 @@
-"""The likeliest body types of vehicles, each with its pose: what every search for a pose is made of."""
+"""Fit the likeliest body types to vehicles: place every type's mean, optimise the few best."""
 
 from typing import Final
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Kinds = NDArray[np.intp]
 
 FEWEST: Final = {True: 4, False: 6}
-"""Keypoints a pose needs, with and without a known ground."""
+"""Keypoints that a pose needs, with (True) and without (False) a known ground."""
 INLIER: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
 _KEPT: Final = 2
@@ -34,11 +34,11 @@ def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Start
 
 
 def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
-    """Fits of the likeliest body types to each vehicle, the best first, without second tries."""
+    """Fits of the likeliest body types to each vehicle, the best first; no search as in `skope.eval.pose.search`."""
     return refined(seen, shapes, ground, starts_of(seen, shapes, ground), np.arange(len(shapes.types)))
 
 
 def share(seen: Observed, fits: Fits) -> Array:
-    """(N,) of the keypoints that count, how many agree with the best fit."""
+    """(N,) share of the keypoints that count which agree with the best fit."""
     agree = (fits.squared[:, 0] <= INLIER) & seen.counted
     return np.asarray(agree.sum(axis=1) / np.maximum(seen.count, 1))

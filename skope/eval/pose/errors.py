@@ -22,31 +22,40 @@ QUANTILES: Final = (50, 90, 99)
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
-    """Of N vehicles that have a truth; those without a pose are NaN."""
+class PoseErrors:
+    """Errors of the poses of N vehicles whose true box is known, (N,) each; NaN for vehicles without a pose."""
 
     position: Array
     """Metres on the ground, between the middles of the boxes."""
     heading: Array
     """Degrees, mod 360."""
     axis: Array
-    """Degrees, mod 180: of the direction without its sense."""
+    """Degrees, mod 180: front and rear may be exchanged."""
     size: Array
-    """Metres, the largest of length, width and height."""
+    """Metres: the largest error among length, width and height."""
     iou: Array
-    """Of the 3D boxes."""
+    """Intersection over union of the 3D boxes, 0 to 1."""
     distance: Array
-    """Of the truth from the camera, metres."""
+    """Distance of the true box from the camera, metres."""
     occlusion: Array
+    """Share of the vehicle's silhouette that something else hides, 0 to 1."""
 
-    def where(self, mask: NDArray[np.bool_]) -> "Errors":
-        return Errors(*(getattr(self, f.name)[mask] for f in fields(self)))
+    def where(self, mask: NDArray[np.bool_]) -> "PoseErrors":
+        """Errors of the vehicles that `mask` (N,) selects."""
+        return PoseErrors(*(getattr(self, f.name)[mask] for f in fields(self)))
 
 
-def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> Errors:
-    """Errors over a scene that has a truth: of its predictions where it has some, else of labels with `noise` pixels.
+def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> PoseErrors:
+    """Measure the poses of a scene that has ground truth.
 
-    Of predictions those are measured that match a ground-truth vehicle with an IoU of 0.6.
+    Measured are its predictions, as far as they match a ground-truth vehicle with an IoU of 0.6, or, where it has none,
+    the labelled keypoints themselves.
+
+    Args:
+        scene: Images with ground truth, and perhaps predictions.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        score: Predictions above this are measured.
+        sigma_px: Standard deviation that the pose search reckons with, pixels; None as in `Scene.views`.
     """
     rows: list[tuple[float, ...]] = []
     for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
@@ -54,7 +63,7 @@ def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: f
         rows += [
             _row(located, i, one) for i, one in enumerate(view.truth) if one is not None and one.box_3d is not None
         ]
-    return Errors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(Errors))).T)
+    return PoseErrors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(PoseErrors))).T)
 
 
 def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:
@@ -92,7 +101,7 @@ def _outline(box: Box3D) -> Any:
     return shapely.Polygon(corners @ [[c, s], [-s, c]] + box.center[:2])
 
 
-def summary(errors: Errors) -> dict[str, Any]:
+def summary(errors: PoseErrors) -> dict[str, Any]:
     """Counts and quantiles over all, by distance and by occlusion; null where there is nothing."""
     out: dict[str, Any] = {"all": _cell(errors)}
     for name, bands, values in (
@@ -107,7 +116,7 @@ def _band(low: float, high: float) -> str:
     return f"{low:g}+" if math.isinf(high) else f"{low:g}-{min(high, 1.0) if high < 2 else high:g}"
 
 
-def _cell(errors: Errors) -> dict[str, Any]:
+def _cell(errors: PoseErrors) -> dict[str, Any]:
     good = np.isfinite(errors.position)
     cell: dict[str, Any] = {"vehicles": len(good), "refused": int((~good).sum())}
     for name in ("position", "heading", "axis", "size"):
@@ -117,16 +126,16 @@ def _cell(errors: Errors) -> dict[str, Any]:
     return cell
 
 
-def table(title: str, told: dict[str, Any]) -> Iterable[str]:
+def table(title: str, summary: dict[str, Any]) -> Iterable[str]:
     """Lines for people: medians, and 90 and 99% in brackets."""
     yield title
     yield (
         f"{'':>10} {'vehicles':>8} {'refused':>7} {'position, m':>22} {'heading, deg':>20} {'mod 180':>8} "
         f"{'size, m':>8} {'3D IoU':>7}"
     )
-    rows = [("all", told["all"])]
-    rows += [(f"{band} m", cell) for band, cell in told["distance"].items()]
-    rows += [(f"hid {band}", cell) for band, cell in told["occlusion"].items()]
+    rows = [("all", summary["all"])]
+    rows += [(f"{band} m", cell) for band, cell in summary["distance"].items()]
+    rows += [(f"hid {band}", cell) for band, cell in summary["occlusion"].items()]
     for name, cell in rows:
         if not cell["vehicles"]:
             continue

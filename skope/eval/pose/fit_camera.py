@@ -32,48 +32,67 @@ FEWEST: Final = 5
 _POINTS: Final = 8
 """Keypoints a vehicle must show."""
 _EDGE: Final = 40.0
-"""Pixels that its box must measure along the longer edge."""
+"""Pixels that a vehicle's box must measure along its longer edge."""
 _GROUND: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 _FOCAL: Final = np.geomspace(0.33, 3.0, 12)
-"""Of the image's width: fields of view from 113 to 19 degrees."""
+"""Focal lengths of the grid, as multiples of the image's width: fields of view from 113 to 19 degrees."""
 _PITCH: Final = np.radians([3, 7, 12, 18, 25, 33, 42, 55])
+"""Tilts of the grid, downwards."""
 _HEIGHT: Final = (4.0, 5.5, 7.5, 10.0, 14.0, 20.0)
+"""Heights of the grid over the road, metres."""
 _REFINED: Final = 3
+"""How many cameras of the grid, the best, are refined."""
 _STEPS: Final = np.array([0.02, math.radians(0.5), math.radians(0.5), 0.02])
-"""Of log focal length, pitch, roll, log height: the first simplex, and over what the curvature is taken."""
+"""Steps in log focal length, pitch, roll and log height: size of the first simplex, and basis of the differences that
+tell the uncertainty."""
 _CAP: Final = 150.0
-"""What a vehicle can cost at most, so that one that is none does not rule."""
+"""What a vehicle can cost at most, so that a false detection does not decide."""
 _MODEL_SIGMA: Final = 0.02
 """Relative error of focal length and height that stays with many vehicles: fleets differ from the shape space."""
 
 
 @dataclass(frozen=True, eq=False)
-class CameraFit:
-    """A camera and how well it is known (one standard deviation)."""
+class CameraEstimate:
+    """A camera that was estimated from vehicles, with the standard deviations of what was estimated."""
 
     camera: Camera
     vehicles: int
+    """How many vehicles it was fitted to."""
     sigma_focal: float
-    """Pixels."""
+    """Standard deviation of the focal length, pixels."""
     sigma_pitch: float
-    """Radians, as roll's."""
+    """Standard deviation of the tilt, radians."""
     sigma_roll: float
+    """Standard deviation of the roll, radians."""
     sigma_height: float
-    """Metres."""
+    """Standard deviation of the height over the road, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledVehicles:
-    """Vehicles to fit to, in images of one size."""
+    """N vehicles that a camera or road is fitted to, in images of one size."""
 
     found: Array
-    """(N, 33, 3)"""
+    """(N, 33, 3) keypoints: x, y in pixels, probability."""
     sigma_px: Array
+    """(N,) standard deviation of a keypoint of probability 1, pixels."""
     size: tuple[int, int]
+    """Width and height of the images, pixels."""
 
 
 def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None) -> SampledVehicles:
-    """At most `count` vehicles that show enough, spread over the scene. Raises UserError where there are too few."""
+    """Draw vehicles that show enough to fit a camera to, spread over the scene.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        count: At most so many vehicles.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+
+    Raises:
+        UserError: The images differ in size, or too few vehicles show enough.
+    """
     if not scene.file.images:
         raise UserError(f"{scene.file.name}: no images")
     size = (scene.file.images[0].width, scene.file.images[0].height)
@@ -97,18 +116,30 @@ def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: fl
     return SampledVehicles(np.array([found for found, _ in taken]), np.array([sigma for _, sigma in taken]), size)
 
 
-def fit_camera(vehicles: SampledVehicles) -> CameraFit:
-    """The most likely camera, without distortion and with the principal point in the image's middle."""
+def fit_camera(vehicles: SampledVehicles) -> CameraEstimate:
+    """Estimate focal length, height, tilt and roll of the camera that took the vehicles.
+
+    The lens is taken to be without distortion, and the principal point to be the image's middle.
+
+    Args:
+        vehicles: Keypoints of vehicles that stand on one level road.
+
+    Returns:
+        The camera under which the vehicles are most likely, over (0, 0) and looking along x, and how certain it is.
+    """
+    # Every camera of the grid, as the four unknowns: log focal length, pitch, roll, log height.
     grid = [
         np.array([math.log(f * vehicles.size[0]), pitch, 0.0, math.log(height)])
         for f, pitch, height in itertools.product(_FOCAL, _PITCH, _HEIGHT)
     ]
+    # Judge all by closed-form starts, refine the best few by full fits, keep the likeliest.
     begun = sorted(grid, key=lambda at: _start_cost(vehicles, at))[:_REFINED]
     fits = [_refined(vehicles, at) for at in begun]
     best = min(fits, key=lambda at: _cost(vehicles, at))
+    # Deviations of logarithms are relative ones.
     sigma = _uncertainty(vehicles, best)
     focal, height = math.exp(best[0]), math.exp(best[3])
-    return CameraFit(
+    return CameraEstimate(
         camera=_camera(vehicles.size, best),
         vehicles=len(vehicles.found),
         sigma_focal=focal * float(sigma[0]),
@@ -119,11 +150,13 @@ def fit_camera(vehicles: SampledVehicles) -> CameraFit:
 
 
 def _camera(size: tuple[int, int], at: Array) -> Camera:
+    """The camera with the four unknowns `at` (log focal length in pixels, pitch, roll, log height in metres)."""
     fov = 2 * math.atan(size[0] / 2 / math.exp(at[0]))
     return Camera.looking([0, 0, math.exp(at[3])], yaw=0, pitch_down=at[1], roll=at[2], size=size, fov=fov)
 
 
 def _start_cost(vehicles: SampledVehicles, at: Array) -> float:
+    """Cost of a camera by the closed-form starts of its vehicles."""
     seen = observe(_camera(vehicles.size, at), vehicles.found, vehicles.sigma_px)
     return float(capped(initialize.on_ground(seen, fleet_shapes(), _GROUND).cost.min(axis=1)).sum())
 
@@ -137,6 +170,7 @@ def _costs(vehicles: SampledVehicles, at: Array) -> Array:
 
 
 def _cost(vehicles: SampledVehicles, at: Array) -> float:
+    """Cost of a camera by full fits of its vehicles."""
     return float(_costs(vehicles, at).sum())
 
 
@@ -146,6 +180,7 @@ def capped(cost: Array) -> Array:
 
 
 def _refined(vehicles: SampledVehicles, at: Array) -> Array:
+    """The four unknowns of the likeliest camera near `at` (Nelder and Mead's simplex)."""
     simplex = np.concatenate([at[None], at + np.diag(4 * _STEPS)])
     for _ in range(2):  # a simplex that has gone flat starts again
         found = minimize(
@@ -163,9 +198,11 @@ def _uncertainty(vehicles: SampledVehicles, at: Array) -> Array:
 
     Second differences of the cost would drown where vehicles change their body type; these never turn negative.
     """
+    # Derivative of each vehicle's log likelihood (half its cost) by each unknown: (N, 4) scores.
     steps = np.diag(_STEPS / 4)
     slopes = [(_costs(vehicles, at + step) - _costs(vehicles, at - step)) / (2 * step.sum()) for step in steps]
     scores = np.stack(slopes, axis=1) / 2
+    # Their outer product estimates the information matrix; `few` makes up for a small number of vehicles.
     few = len(scores) / max(1, len(scores) - len(at))
     scaled = scores * _STEPS  # numbers of like size
     variance = few * np.diag(np.linalg.pinv(scaled.T @ scaled)) * _STEPS**2

@@ -27,11 +27,13 @@ Array = NDArray[np.float64]
 _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""
 _STEPS: Final = np.array([0.2, 0.02, 0.02])
-"""Of height (metres) and the slopes: the first simplex."""
+"""Steps in height (metres) and in the slopes along x and y: size of the first simplex."""
 _UNEVEN: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
 """Standard deviations of the road's height over its plane, metres, that are tried."""
 _ROUNDS: Final = 5
+"""Rounds of reweighting for the first plane."""
 _VEHICLES: Final = 40
+"""So many vehicles are used at most."""
 _CLEAR: Final = 5.0
 """How much less a vehicle must contradict another plane (twice the log likelihood) before the level z = 0 is given up;
 a road that is level is ahead by less than 1, one that lies a metre elsewhere behind by 20 and more."""
@@ -39,13 +41,14 @@ a road that is level is ahead by less than 1, one that lies a metre elsewhere be
 
 @dataclass(frozen=True)
 class GroundFit:
-    """A road and how well it is known."""
+    """A road that was fitted to vehicles; `ground.height_sigma` says how well it is known."""
 
     ground: Ground
     vehicles: int
+    """How many vehicles it was fitted to."""
 
 
-def settled(
+def with_fitted_ground(
     scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None
 ) -> tuple[Scene, str | None]:
     """The scene with the road that its vehicles show, and a line that says so.

@@ -20,15 +20,26 @@ Array = NDArray[np.float64]
 _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""
 _SCALE: Final = 0.08
-"""Of the logarithm of a vehicle's size over its type's mean."""
+"""Standard deviation of the logarithm of a vehicle's size over its type's mean."""
 _TAIL: Final = 9.0
+"""Squared distance, in variances, at which a keypoint's weight is half (Cauchy's distribution)."""
 
 
 def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | None = None) -> Starts:
-    """A start for each of the T types from the keypoints `chosen` (N, 33), by default all that count.
+    """Place each body type's mean on the keypoints of each vehicle, standing on the road.
 
-    The cost is over all that count, whatever is chosen.
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: T body types.
+        ground: The level road.
+        chosen: (N, 33) which keypoints to place it by; None: all that count.
+
+    Returns:
+        (N, T) starts. Their cost is over all keypoints that count, whatever is chosen.
     """
+    # A keypoint (x, y, z) of the body lies at (X + c x - s y, Y + s x + c y, z) in the world, where X, Y are the place
+    # and c, s are cosine and sine of the heading. Each keypoint gives two equations, rows . world = -shift, that are
+    # linear in X, Y, c, s: those of its column and its row in the image.
     R, t = seen.T_camera_world[:3, :3], seen.T_camera_world[:3, 3]
     body = shapes.mean[None, :, :-1]  # (1, T, 33, 3)
     x, y, z = body[..., 0], body[..., 1], body[..., 2] + ground.height
@@ -36,20 +47,24 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     rows = np.stack([R[i] - seen.xy[..., i : i + 1] * R[2] for i in (0, 1)])[:, :, None]  # (2, N, 1, 33, 3)
     shift = np.stack([t[i] - seen.xy[..., i] * t[2] for i in (0, 1)])[:, :, None]  # (2, N, 1, 33)
     m0, m1, m2 = rows[..., 0], rows[..., 1], rows[..., 2]
+    # The equations A (X, Y, c, s) = b.
     A = np.stack(np.broadcast_arrays(m0, m1, m0 * x + m1 * y, m1 * x - m0 * y), axis=-1)  # (2, N, T, 33, 4)
     b = -(m2 * z + shift)
-    # Both equations of a keypoint in one row of the normal equations.
+    # All equations of columns before all of rows.
     A = np.concatenate([A[0], A[1]], axis=2)
     b = np.concatenate([b[0], b[1]], axis=2)
     w = np.broadcast_to(np.concatenate([weight, weight], axis=1)[:, None], b.shape)
+    # An equation's error is in metres at the keypoint's depth: the first round takes all keypoints to be equally deep,
+    # the second divides by the depths that the first one found.
     for last in (False, True):
         AT = np.swapaxes(A, -1, -2)
         normal = (AT * w[:, :, None]) @ A + 1e-9 * np.eye(4)
         solution = np.linalg.solve(normal, AT @ (w * b)[..., None])[..., 0]
+        # The length of (c, s) is the vehicle's size over the mean's: it is 1 where the mean is only turned.
         size = np.maximum(np.hypot(solution[..., 2], solution[..., 3]), 1e-9)
         turn = solution[..., 2:] / size[..., None]
         c, s = turn[..., :1], turn[..., 1:]
-        # With the size taken back to the type's own, the vehicle keeps the place of its middle.
+        # The mean is placed unscaled, with its middle where the scaled one's is.
         world = np.empty((*c.shape[:2], *body.shape[2:]))
         world[..., 0] = solution[..., :1] + c * x - s * y
         world[..., 1] = solution[..., 1:2] + s * x + c * y
@@ -59,7 +74,9 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         if last:
             break
         w = np.concatenate([weight, weight], axis=1)[:, None] / np.concatenate([depth, depth], axis=-1) ** 2
+    # Cost of the misfit, and of a size that vehicles of the type do not have.
     cost = _cost(seen, seen_from) + (np.log(size) / _SCALE) ** 2
+    # The starts as positions and rotation matrices.
     zero = np.zeros_like(c[..., 0])
     R_wv = np.stack(
         [
@@ -74,7 +91,16 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
 
 
 def free(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
-    """A start for each type in the camera's frame, from its mean's keypoints in space."""
+    """Place each body type's mean on the keypoints of each vehicle, anywhere before the camera, by SQPnP.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: T body types.
+        chosen: (N, 33) which keypoints to place it by; None: all that count.
+
+    Returns:
+        (N, T) starts in the camera's frame; `IMPOSSIBLE` costs what has fewer than four keypoints, or no solution.
+    """
     mask = seen.counted if chosen is None else chosen
     n, kinds = len(mask), len(shapes.types)
     p, R = np.zeros((n, kinds, 3)), np.tile(np.eye(3), (n, kinds, 1, 1))
@@ -97,7 +123,7 @@ def free(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
 
 
 def _cost(seen: Observed, points: Array) -> Array:
-    """(N, T) of vehicles whose keypoints lie at `points` (N, T, 33, 3) in the camera frame."""
+    """Cost (N, T) of vehicles whose keypoints lie at `points` (N, T, 33, 3) in the camera frame, metres."""
     depth = points[..., 2]
     near = np.maximum(depth, 0.5)
     away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * seen.focal

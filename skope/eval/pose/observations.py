@@ -22,7 +22,7 @@ _THIN: Final = 0.04
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """N vehicles' keypoints."""
+    """Keypoints of N vehicles in images of one camera."""
 
     xy: Array
     """(N, 33, 2) x / z and y / z in the camera frame."""
@@ -31,10 +31,11 @@ class Observed:
     counted: Mask
     """(N, 33) which keypoints count."""
     probability: Array
-    """(N, 33)"""
+    """(N, 33) probability that the keypoint is right, 0 to 1."""
     focal: Array
-    """(2,) fx, fy."""
+    """(2,) fx, fy, pixels."""
     T_camera_world: Array
+    """(4, 4) from the world's axes to the camera's."""
 
     @property
     def count(self) -> NDArray[np.intp]:
@@ -42,12 +43,12 @@ class Observed:
         return np.asarray(self.counted.sum(axis=1))
 
     def take(self, rows: NDArray[np.intp]) -> Self:
-        """Some of the vehicles."""
+        """The vehicles `rows`."""
         parts = {name: getattr(self, name)[rows] for name in _PER_VEHICLE}
         return replace(self, **parts)
 
     def relabelled(self, order: Sequence[int]) -> Self:
-        """The same positions with other keypoints' names: keypoint `i` gets those of `order[i]`."""
+        """The vehicles with their keypoints renamed: keypoint `i` gets the position of keypoint `order[i]`."""
         index = list(order)
         parts = {name: getattr(self, name)[:, index] for name in _PER_VEHICLE}
         return replace(self, **parts)

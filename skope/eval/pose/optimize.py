@@ -22,12 +22,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _STEPS: Final = 12
+"""Steps of the optimiser at most."""
 _TAIL: Final = 9.0
 """Squared distance, in variances, at which a keypoint's weight is half."""
 _NEAR: Final = 0.5
+"""Depth from which a keypoint is taken to lie before the camera, metres."""
 _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
 _SETTLED: Final = 1e-5
+"""A fit is settled when a step lowers its cost by less than this share of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,57 +38,75 @@ class Fits:
     """J fits for each of N vehicles, in the world frame (in the camera's when the ground is unknown)."""
 
     p: Array
-    """(N, J, 3)"""
+    """(N, J, 3) positions, metres."""
     R: Array
-    """(N, J, 3, 3)"""
+    """(N, J, 3, 3) from the vehicle's axes to those of the frame."""
     a: Array
-    """(N, J, M) the shape's numbers."""
+    """(N, J, M) the shape's numbers, each of unit variance among vehicles of the body type."""
     kind: NDArray[np.intp]
-    """(N, J) body type."""
+    """(N, J) index of the body type."""
     cost: Array
     """(N, J) twice the negative log of the probability, but for a constant."""
     squared: Array
-    """(N, J, 33) squared distances in the image, in variances."""
+    """(N, J, 33) squared distances in the image between keypoints and the fit, in variances."""
     variance: Array
-    """(N, J, 33) pixels squared, with what the shape space leaves out."""
+    """(N, J, 33) variances of the keypoints, pixels squared, with what the shape space leaves out."""
     normal: Array
-    """(N, J, 6 + M, 6 + M) of shift, turn about the vehicle's own axes, shape."""
+    """(N, J, 6 + M, 6 + M) normal matrices in shift (metres), turn about the vehicle's own axes (radians) and shape."""
 
     def shaped(self, n: int, j: int) -> "Fits":
-        """Those of (N * J,) fits in a row as (N, J)."""
+        """Fits whose arrays begin with an axis (N * J,) as fits of shape (N, J)."""
         return Fits(*(value.reshape(n, j, *value.shape[1:]) for value in (getattr(self, f.name) for f in fields(self))))
 
     def take(self, rows: NDArray[np.intp]) -> "Fits":
-        """A copy of some of the vehicles'."""
+        """A copy of the fits of the vehicles `rows`."""
         return Fits(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def ordered(self) -> "Fits":
-        """The best of each vehicle first."""
+        """The fits of each vehicle by rising cost."""
         order, row = np.argsort(self.cost, axis=1, kind="stable"), np.arange(len(self.cost))[:, None]
         return Fits(*(getattr(self, f.name)[row, order] for f in fields(self)))
 
     def replace_where(self, rows: NDArray[np.intp], other: "Fits", better: NDArray[np.bool_]) -> None:
-        """Take over those fits of `other`, which are of the vehicles `rows`, that are better."""
+        """Replace the fits of some of the vehicles `rows` by those of `other`, which holds a row for each of `rows`.
+
+        `better` (len(rows),) says which are replaced.
+        """
         for f in fields(self):
             getattr(self, f.name)[rows[better]] = getattr(other, f.name)[better]
 
     def covariance(self, scale: Array) -> Array:
-        """(N, 4, 4) of position and heading: that of the best fit times `scale` (N,), and the spread of the others.
+        """(N, 4, 4) covariance of position (metres) and heading (radians) of each vehicle's best fit.
 
-        Other body types count as probable as their cost says; fits that head elsewhere are another matter.
+        It is the inverse of the normal matrix times `scale` (N,), plus the spread between the best and the worst fit,
+        which are of different body types, each as probable as its cost says. Fits that head elsewhere do not count.
         """
+        # Covariance of the best fit itself: rows and columns of x, y, z and the turn about the upright axis.
         eye = 1e-12 * np.eye(self.normal.shape[-1])
-        own = np.linalg.inv(self.normal[:, 0] + eye)[:, [0, 1, 2, 5]][..., [0, 1, 2, 5]] * scale[:, None, None]
+        within = np.linalg.inv(self.normal[:, 0] + eye)[:, [0, 1, 2, 5]][..., [0, 1, 2, 5]] * scale[:, None, None]
+        # How far the last fit is from the best one, in position and heading.
         turn = np.einsum("nij,njk->nik", np.swapaxes(self.R[:, 0], -1, -2), self.R[:, -1])
         angle = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
         apart = np.concatenate([self.p[:, -1] - self.p[:, 0], angle[:, None]], axis=1)
+        # Variance of a mixture of the two: share (1 - share) times the squared distance.
         odds = np.exp(-np.clip(self.cost[:, -1] - self.cost[:, 0], 0, 700) / 2) * (np.abs(angle) < 0.5)
         share = odds / (1 + odds)
-        return np.asarray(own + (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None, :])
+        return np.asarray(within + (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None, :])
 
 
 def refine(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kind: NDArray[np.intp]) -> Fits:
-    """Fits from `starts` (N, J) with the body types `kind` (N, J)."""
+    """Optimise pose and shape of vehicles by Levenberg and Marquardt's method.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: The body types.
+        ground: Where the road is; None: unknown, and the poses are in the camera's frame.
+        starts: (N, J) poses to begin from.
+        kind: (N, J) index of the body type that each start has.
+
+    Returns:
+        (N, J) fits, in the order of the starts.
+    """
     n, j = kind.shape
     flat = seen.take(np.repeat(np.arange(n), j))
     problem = _Problem(flat, shapes, ground, kind.ravel())
@@ -94,47 +115,61 @@ def refine(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts
 
 
 class _Problem:
-    """B vehicles, each with one body type and one start. Keypoints that do not count are left out where all agree."""
+    """The optimisation problems of B vehicles, each with one body type and one start, solved together.
+
+    Arrays hold only so many keypoints k a vehicle as count in the vehicle with most of them.
+    """
 
     def __init__(self, seen: Observed, shapes: Shapes, ground: Ground | None, kind: NDArray[np.intp]) -> None:
         self._kind, self._ground = kind, ground
+        # Without a ground the camera's frame is the world.
         self._T = np.eye(4) if ground is None else seen.T_camera_world
         most = max(1, int(seen.count.max(initial=1)))
+        # The keypoints that count come first; the first k columns hold all of them.
         self._which = np.argsort(~seen.counted, axis=1, kind="stable")[:, :most]  # (B, k)
         row = np.arange(len(kind))[:, None]
         self._counted = seen.counted[row, self._which]
         self._xy = seen.xy[row, self._which]
-        self._own = seen.variance[row, self._which]
+        self._measured = seen.variance[row, self._which]  # pixels^2, of the measurement
         self._focal = seen.focal
+        # Variance of what the shape space leaves out: at a depth of 1 m, pixels^2.
         self._rest = (seen.focal.mean() * shapes.rest[kind[:, None], self._which]) ** 2
         self._mean = shapes.mean[kind[:, None], self._which]  # (B, k, 3)
         self._directions = np.moveaxis(shapes.directions, 1, -1)[kind[:, None], self._which]  # (B, k, 3, M)
 
     def solve(self, p: Array, R: Array) -> Fits:
-        """One fit for each of the B starts, in arrays without the axis J; a step that makes things worse is undone."""
+        """Optimise from B positions `p` (B, 3) and orientations `R` (B, 3, 3), which are changed.
+
+        Returns a fit for each start, in arrays without the axis J. A step that makes the cost higher is undone.
+        """
         a = np.zeros((len(p), self._directions.shape[-1]))
         damping = np.full(len(p), 1e-3)
         cost, squared, variance, normal, gradient = self._linearised(p, R, a)
         live = np.arange(len(p))
         for _ in range(_STEPS):
+            # Solve (H + damping diag H) step = -gradient for the vehicles that are not settled.
             part = self._part(live)
             H = normal[live].copy()
             diagonal = np.einsum("bii->bi", H)
             diagonal += damping[live, None] * diagonal + 1e-9
             step: Array = np.linalg.solve(H, -gradient[live][..., None])[..., 0].astype(np.float64)
+            # Try the step: shift, turn about the vehicle's own axes, change of shape.
             moved = p[live] + step[:, :3], R[live] @ _turn(step[:, 3:6]), a[live] + step[:, 6:]
             there = part._linearised(*moved)
             better = there[0] <= cost[live]
             gained = cost[live] - there[0]
+            # Keep what is better, and trust the linearisation more there, less elsewhere.
             good = live[better]
             for mine, other in zip((p, R, a), moved, strict=True):
                 mine[good] = other[better]
             for mine, other in zip((cost, squared, variance, normal, gradient), there, strict=True):
                 mine[good] = other[better]
             damping[live] *= np.where(better, 0.1, 10.0)
+            # Leave those whose last step gained next to nothing, and those that not even a tiny step makes better.
             live = live[~(better & (gained < _SETTLED * (1 + cost[live]))) & (damping[live] < 1e8)]
             if not live.size:
                 break
+        # Back from the k columns to all keypoints.
         row = np.arange(len(p))[:, None]
         all_squared = np.zeros((len(p), keypoints.K))
         all_variance = np.ones((len(p), keypoints.K))
@@ -145,32 +180,40 @@ class _Problem:
         return Fits(p, R, a, self._kind, cost, all_squared, all_variance, normal)
 
     def _part(self, rows: NDArray[np.intp]) -> "_Problem":
+        """The problems `rows`; copies nothing where that is all of them."""
         if len(rows) == len(self._kind):
             return self
         out = object.__new__(_Problem)
         out._ground, out._T, out._focal = self._ground, self._T, self._focal
-        for name in ("_kind", "_which", "_counted", "_xy", "_own", "_rest", "_mean", "_directions"):
+        for name in ("_kind", "_which", "_counted", "_xy", "_measured", "_rest", "_mean", "_directions"):
             setattr(out, name, getattr(self, name)[rows])
         return out
 
     def _linearised(self, p: Array, R: Array, a: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Cost (B,), squared distances and variances (B, k), normal matrix and gradient of half the cost."""
+        """The cost at positions (B, 3), orientations (B, 3, 3) and shapes (B, M), and its Gauss-Newton approximation.
+
+        Returns cost (B,), squared distances and variances (B, k), and the normal matrix (B, 6 + M, 6 + M) and gradient
+        (B, 6 + M) of half the cost.
+        """
+        # Where the keypoints are: in the vehicle, in the world, before the camera.
         body = self._mean + np.einsum("bkim,bm->bki", self._directions, a)
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
         x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
+        # How far they are from where they were found, pixels, and how much that counts (Cauchy's distribution).
         front = z > _NEAR
         near = np.where(front, z, _NEAR)
         fx, fy = self._focal
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
-        variance = self._own + self._rest / near**2
+        variance = self._measured + self._rest / near**2
         squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
         weight = np.where(front & self._counted, 1 / (1 + squared / _TAIL) / variance, 0.0)
-        # Of the two image coordinates by the world's axes, then by the vehicle's.
+        # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
         Rc = self._T[:3, :3]
         by_x = (fx / near)[..., None] * (Rc[0] - (x / near)[..., None] * Rc[2])
         by_y = (fy / near)[..., None] * (Rc[1] - (y / near)[..., None] * Rc[2])
         by_world = np.stack([by_x, by_y], axis=-2)  # (B, k, 2, 3)
         by_body = by_world @ R[:, None]
+        # The whole Jacobian (B, k, 2, 6 + M): by shift, by turn about the vehicle's axes, by the shape's numbers.
         m = self._directions.shape[-1]
         J = np.empty((*by_world.shape[:3], 6 + m))
         J[..., :3] = by_world
@@ -178,6 +221,7 @@ class _Problem:
         for i in range(3):
             term = by_body[..., i, None] * self._directions[:, :, None, i]
             J[..., 6:] = term if i == 0 else J[..., 6:] + term
+        # Normal equations of the keypoints, then of the shape's numbers, which are of unit variance.
         J = J.reshape(len(p), -1, 6 + m)
         away = away.reshape(len(p), -1, 1)
         weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
@@ -190,7 +234,11 @@ class _Problem:
         return cost, squared, variance, normal, gradient
 
     def _on_road(self, p: Array, R: Array, normal: Array, gradient: Array) -> Array:
-        """Adds what is known of the ground to `normal` and `gradient`; returns its cost (B,)."""
+        """Cost (B,) of not standing on the road; adds its part to `normal` and `gradient`.
+
+        The three residuals are the height of the vehicle's origin over the road and the x and y of its upright axis, in
+        standard deviations.
+        """
         assert self._ground is not None
         J = np.zeros((len(p), 3, 5))
         J[:, 0, 2] = 1 / self._ground.height_sigma

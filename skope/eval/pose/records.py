@@ -21,13 +21,13 @@ from skope.keypoints import WHEELS
 Array = NDArray[np.float64]
 
 _CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
-"""Of the box in the vehicle frame, in lengths, widths and heights: front before rear, left before right, low before
-high."""
+"""(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before
+right, low before high."""
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """The vehicles of one image."""
+    """The vehicles of one image, with their poses."""
 
     view: View
     camera: Camera
@@ -35,19 +35,19 @@ class Located:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """(N,) which have a pose."""
+        """(N,) whether each vehicle has a pose."""
         return np.array([reason is None for reason in self.poses.refusal], dtype=bool)
 
 
 def locate_view(view: View, scene: Scene) -> Located:
-    """Poses of the vehicles of an image of a scene."""
+    """Work out the poses of the vehicles in one image of a scene."""
     camera = scene.camera_of(view.image)
     poses = locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground, cut=view.cut)
     return Located(view, camera, poses)
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:
-    """What `poses.jsonl` says of each vehicle: metres, degrees (counter-clockwise from world x), pixels."""
+    """The row of each vehicle in `poses.jsonl`: metres, degrees (counter-clockwise from world x), pixels."""
     view, poses = located.view, located.poses
     T_camera_world = located.camera.T_camera_world
     for i, reason in enumerate(poses.refusal):
@@ -86,16 +86,16 @@ def records(located: Located) -> Iterator[dict[str, Any]]:
 
 
 _COLUMNS: Final = (
-    *("image_id", "file_name", "time_s", "vehicle", "score", "refused", "flags", "type"),
-    *("x", "y", "z", "heading_deg", "sigma_x", "sigma_y", "sigma_z", "sigma_heading_deg"),
-    *("length", "width", "height", "camera_x", "camera_y", "camera_z"),
+    "image_id", "file_name", "time_s", "vehicle", "score", "refused", "flags", "type",
+    "x", "y", "z", "heading_deg", "sigma_x", "sigma_y", "sigma_z", "sigma_heading_deg",
+    "length", "width", "height", "camera_x", "camera_y", "camera_z",
     *(f"wheel_{end}_{side}_{axis}" for end in ("front", "rear") for side in ("right", "left") for axis in "xyz"),
-    *("keypoints_used", "rms_px"),
-)
+    "keypoints_used", "rms_px",
+)  # fmt: skip
 
 
 def write_poses(folder: Path, rows: Iterable[dict[str, Any]]) -> list[Path]:
-    """Write `poses.jsonl` and `poses.csv`."""
+    """Write `poses.jsonl` and `poses.csv` into a folder; returns their paths."""
     kept = list(rows)
     paths = [folder / "poses.jsonl", folder / "poses.csv"]
     write_text(paths[0], "".join(json.dumps(row, allow_nan=False) + "\n" for row in kept))

@@ -1,5 +1,8 @@
-"""Second tries for vehicles whose keypoints contradict each other: from random subsets of the keypoints, without those
-that the vehicle's own body hides, and with sides or ends of the vehicle exchanged."""
+"""Search on for the poses of vehicles whose keypoints contradict each other.
+
+Tried are random subsets of the keypoints, the keypoints without those that the vehicle's own body hides, and keypoints
+with sides or ends of the vehicle exchanged.
+"""
 
 from dataclasses import replace
 from typing import Final
@@ -10,9 +13,9 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera import Camera
 from skope.eval.pose.candidates import FEWEST, best_types, refined, starts_of
-from skope.eval.pose.hidden import facing
 from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.optimize import Fits
+from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.types import Ground
 
@@ -24,14 +27,15 @@ EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
 _SUBSETS: Final = {True: 24, False: 4}
 """Random starts, with and without a known ground."""
 _SUBSET: Final = 6
+"""Keypoints of a random start."""
 _BETTER: Final = 12.0
 """How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
 _HIDDEN: Final = 9.0
 """What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
 RIVAL: Final = 30.0
 """Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
-_LOOKS: Final = 2
-"""How often it is looked again what a pose hides."""
+_ROUNDS: Final = 2
+"""How often the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
 
 
 _OPPOSITE: Final = {
@@ -62,7 +66,7 @@ _ORDERS: Final = (list(keypoints.FLIP), list(ENDS), [keypoints.FLIP[i] for i in 
 def retry_from_subsets(
     seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
 ) -> None:
-    """Random few keypoints place the vehicles `poor`; where that ends in a better fit to all, it takes the place."""
+    """Fit the vehicles `poor` from starts by random few keypoints; `fits` takes what fits all keypoints better."""
     times = _SUBSETS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
     starts = starts_of(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
@@ -75,17 +79,28 @@ def without_hidden(
 ) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
 
-    Of those that the image's edge may `cut`, keypoints beyond the edge are left out likewise. Detectors give all of
-    these high scores too. Returns `seen` without what was left out where that explains more (a keypoint
-    that is hidden may lie anywhere, at the cost `_HIDDEN`), and by how much the opposite heading costs more.
+    Detectors give hidden keypoints high scores too. One that is left out may lie anywhere, at the cost `_HIDDEN`.
+
+    Args:
+        camera: The camera.
+        seen: Keypoints of all vehicles.
+        fits: Their fits so far; those of `poor` are replaced where another explains more.
+        poor: Which vehicles to fit.
+        cut: (len(poor),) whether the image's edge may cut the vehicle: its keypoints beyond the edge are left out too.
+        shapes: The body types.
+        ground: Where the road is; None: unknown.
+
+    Returns:
+        `seen` without the keypoints that were left out of the fits, and (len(poor),) by how much the opposite heading
+        costs more.
     """
     some, every = seen.take(poor), np.arange(len(poor))
     best, cost = fits.take(poor), fits.cost[poor, 0].copy()
     rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
     for turned in (False, True):
         guess, reached = best.take(every), np.full(len(poor), np.inf)
-        for look in range(_LOOKS):
-            shown = _shown(camera, guess, shapes, ground, turned=turned and not look)
+        for attempt in range(_ROUNDS):
+            shown = _shown(camera, guess, shapes, ground, turned=turned and not attempt)
             shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
             enough = (some.counted & shown).sum(axis=1) >= FEWEST[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
@@ -108,7 +123,7 @@ def _opposite(one: Fits, other: Fits) -> Mask:
 
 
 def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
-    """(N, 33) the keypoints that the best fit's own body does not hide; `turned`: were front and rear exchanged."""
+    """(N, 33) the keypoints that the best fit's body does not hide; with `turned`, as if it headed the other way."""
     R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
     if turned:
         R = R * np.array([-1.0, -1.0, 1.0])
@@ -133,9 +148,19 @@ def retry_exchanged(
     ground: Ground | None,
     exchanged: dict[int, str],
 ) -> Observed:
-    """Fit the vehicles `poor` with other labels; returns `seen` with the labels that fit clearly better.
+    """Fit the vehicles `poor` with keypoints of left and right, or front and rear, or both exchanged.
 
-    `whole` are these vehicles with the keypoints that `seen` has without those that are hidden.
+    Args:
+        seen: Keypoints of all vehicles, without those that `without_hidden` left out.
+        whole: Keypoints of the vehicles `poor`, with those that `without_hidden` left out.
+        fits: Fits of all vehicles; those of `poor` are replaced where another fits clearly better.
+        poor: Which vehicles to fit.
+        shapes: The body types.
+        ground: Where the road is; None: unknown.
+        exchanged: Vehicle -> which of `EXCHANGES` its fit has; is added to.
+
+    Returns:
+        `seen` with the labels that fit clearly better.
     """
     for name, order in zip(EXCHANGES, _ORDERS, strict=True):
         some = whole.relabelled(order)

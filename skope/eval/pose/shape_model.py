@@ -21,18 +21,18 @@ from skope.files import read_json
 Array = NDArray[np.float64]
 
 ROWS: Final = keypoints.K + 1
-"""The keypoints and, last, length, width and height."""
+"""Rows of a shape: the keypoints and, last, length, width and height."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """T body types with M directions each."""
+    """Shapes that vehicles can have: T body types with M directions each."""
 
     types: tuple[str, ...]
     share: Array
     """(T,) how often each is seen, sum 1."""
     mean: Array
-    """(T, 34, 3)"""
+    """(T, 34, 3) mean keypoints and, last, mean dimensions, metres."""
     directions: Array
     """(T, M, 34, 3) metres for one standard deviation."""
     rest: Array
@@ -57,7 +57,7 @@ def fleet_shapes() -> Shapes:
 
 
 def read_shapes(path: Path) -> Shapes:
-    """A file of `scripts/vehicle_shapes.py`. Raises UserError naming file and type."""
+    """Read a file of `scripts/vehicle_shapes.py`. Raises UserError, naming file and type, where it is malformed."""
     document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected shapes of keypoint scheme {keypoints.SCHEME!r}")

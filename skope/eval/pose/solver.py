@@ -39,18 +39,22 @@ for each other; some keypoints left out; another heading fits about as well; the
 end that faces away from the camera; the image shows a part of the vehicle only."""
 
 _CHUNK: Final = 128
+"""Vehicles that are worked out together; not all at once, so that memory stays small."""
 _AGREE: Final = 0.4
-"""Detectors that learn from visible keypoints alone put hidden ones, half of all, anywhere, with a high score."""
+"""Share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints alone put hidden
+ones, half of all, anywhere, with a high score."""
 _DOUBT: Final = 0.8
 """Share of agreeing keypoints under which other starts are tried."""
 _LEVEL: Final = 6.0
 """Difference of cost within which another heading is as good."""
 _HOPELESS: Final = 1e5
+"""Cost from which a fit is impossible."""
 _BESIDE: Final = 6.0
 """Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
 _SHOWN: Final = 0.4
-"""How much more probable the lamps of one end must be to contradict that."""
+"""How much more probable the lamps of the other end must be to contradict the pose."""
 _WORST_HEADING: Final = math.radians(25)
+"""Largest standard deviation of a heading that is worth something."""
 _WORST_DISTANCE: Final = 0.1
 """Largest standard deviation of the position as a share of the distance, at least 1 m."""
 
@@ -61,30 +65,33 @@ _REAR: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Answers for N vehicles; where `refusal` is not None the numbers mean nothing."""
+    """Poses and shapes of N vehicles; where `refusal` is not None the numbers mean nothing."""
 
     T_world_vehicle: Array
-    """(N, 4, 4)"""
+    """(N, 4, 4) from the vehicle frame (x forward, y left, z up, origin on the ground under its middle) to the world,
+    metres."""
     points: Array
     """(N, 33, 3) keypoints in the vehicle frame, metres."""
     size_lwh: Array
-    """(N, 3)"""
+    """(N, 3) length, width, height, metres."""
     covariance: Array
     """(N, 4, 4) of x, y, z (world, metres) and the turn about the vehicle's upright axis (radians)."""
     types: tuple[str, ...]
-    """The body type that fits best."""
+    """(N,) the body type that fits best."""
     used: NDArray[np.bool_]
-    """(N, 33) keypoints that agree with the pose."""
+    """(N, 33) whether each keypoint counts and agrees with the pose."""
     rms_px: Array
-    """(N,) over the keypoints that agree."""
+    """(N,) root mean square distance in the image of the keypoints that agree, pixels."""
     refusal: tuple[str | None, ...]
+    """(N,) one of `REFUSALS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
+    """(N,) those of `FLAGS` that hold for each vehicle."""
 
     def __len__(self) -> int:
         return len(self.types)
 
     def moved(self, T: Array) -> Self:
-        """The same vehicles in another world, `T` (4, 4) from this one to it; headings turn about the upright axes."""
+        """The vehicles in another world frame: `T` (4, 4) leads to it from this one."""
         turn = np.eye(4)
         turn[:3, :3] = T[:3, :3]
         return replace(self, T_world_vehicle=T @ self.T_world_vehicle, covariance=turn @ self.covariance @ turn.T)
@@ -110,12 +117,20 @@ def locate(
     shapes: Shapes | None = None,
     cut: ArrayLike = False,
 ) -> Poses:
-    """Pose and shape of vehicles from their keypoints (N, 33, 3): x, y in pixels and the probability that it is right.
+    """Pose and shape of vehicles from their keypoints.
 
-    Keypoints with probability 0 do not count. `sigma_px`, one for all or one a vehicle, is the standard deviation
-    of a keypoint of probability 1. `ground` is where the road is in the camera's world; None: unknown, so that distance
-    rests on the size of vehicles alone. `shapes` are the body types to choose from, by default the fleet's. Of vehicles
-    that the image's edge may `cut`, one for all or one each, keypoints beyond the edge do not count.
+    Args:
+        camera: The camera that took the image.
+        points: (N, 33, 3) x, y in pixels and the probability that the point is right; of 0 it does not count.
+        sigma_px: Standard deviation of a keypoint of probability 1, pixels: one for all vehicles, or (N,).
+        ground: Where the road is in the camera's world; None: unknown, so that distance rests on the size of vehicles
+            alone.
+        shapes: The body types to choose from; None: those of the fleet.
+        cut: Whether the image's edge may cut a vehicle: one for all vehicles, or (N,). Keypoints beyond the edge do not
+            count then.
+
+    Returns:
+        Poses of the N vehicles, in the camera's world; those that cannot be told are refused.
     """
     found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
@@ -127,7 +142,7 @@ def locate(
         return level.moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
     parts = [slice(i, i + _CHUNK) for i in range(0, len(found), _CHUNK)]
-    chunks = [_locate(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
+    chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
     return _joined(chunks)
 
 
@@ -137,7 +152,7 @@ def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
     return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
 
 
-def _locate(
+def _locate_chunk(
     camera: Camera,
     found: Array,
     sigma: Array,
@@ -158,10 +173,10 @@ def _locate(
         seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
         doubted.update(poor[margin < RIVAL].tolist())
         seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
-    return _judged(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
+    return _to_poses(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
 
 
-def _judged(
+def _to_poses(
     camera: Camera,
     seen: Observed,
     fits: Fits,
@@ -174,7 +189,7 @@ def _judged(
     squared = fits.squared[:, 0]
     used = (squared <= INLIER) & seen.counted
     agreeing = used.sum(axis=1)
-    # Noise larger than promised makes the answer as much less certain.
+    # Where residuals are larger than `sigma_px` promises, the covariance grows by their excess (reduced chi-squared).
     excess = np.where(used, squared, 0.0).sum(axis=1) + (fits.a[:, 0] ** 2).sum(axis=1)
     excess /= np.maximum(1, 2 * agreeing - (6 if ground is None else 3))
     covariance = fits.covariance(np.maximum(1.0, excess))

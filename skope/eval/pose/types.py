@@ -1,4 +1,4 @@
-"""Words that the parts of the pose solver share: the road, and where a search begins."""
+"""Types that the parts of the pose solver share: the road, and the poses from which a search begins."""
 
 import math
 from dataclasses import dataclass
@@ -15,20 +15,23 @@ IMPOSSIBLE: Final = 1e9
 
 @dataclass(frozen=True)
 class Ground:
-    """The road near the vehicles: a plane of the world, known so well."""
+    """The road near the vehicles: a plane in the world, and how far vehicles deviate from it."""
 
     height: float = 0.0
-    """Its z where it is said to be `about`, metres."""
+    """z of the plane at `about`, metres."""
     height_sigma: float = 0.04
+    """Standard deviation of the road's height over the plane, metres."""
     tilt_sigma: float = math.radians(1.0)
-    """How far a vehicle's upright axis leans from the plane's normal, radians: bumps and the suspension."""
+    """Standard deviation of the lean of a vehicle's upright axis from the plane's normal, radians: bumps and the
+    suspension."""
     slope: tuple[float, float] = (0.0, 0.0)
-    """Metres that it rises per metre along world x and y."""
+    """Metres that the plane rises per metre along world x and y."""
     about: tuple[float, float] = (0.0, 0.0)
-    """World x and y, metres."""
+    """World x and y of the point at which the plane has `height`, metres."""
 
     @property
     def level(self) -> bool:
+        """Whether the plane is horizontal."""
         return self.slope == (0.0, 0.0)
 
     @property
@@ -47,19 +50,22 @@ class Starts:
     """Poses of N vehicles from J starts each."""
 
     p: Array
-    """(N, J, 3)"""
+    """(N, J, 3) positions, metres."""
     R: Array
-    """(N, J, 3, 3)"""
+    """(N, J, 3, 3) from the vehicle's axes to the world's, or to the camera's where the ground is unknown."""
     cost: Array
     """(N, J) twice the negative log likelihood, roughly."""
 
     def take(self, chosen: NDArray[np.intp]) -> "Starts":
-        """Of each vehicle the starts `chosen` (N, J')."""
+        """The starts `chosen` (N, J') of each vehicle."""
         row = np.arange(len(chosen))[:, None]
         return Starts(self.p[row, chosen], self.R[row, chosen], self.cost[row, chosen])
 
     def gathered(self, times: int) -> "Starts":
-        """(N * times, J) -> (N, times * J): starts of vehicles that were repeated, one after another, as one's own."""
+        """(N * times, J) -> (N, times * J): all starts of a vehicle in its row.
+
+        `self` holds the N vehicles `times` times, one block after another.
+        """
         n = len(self.p) // times
 
         def together(values: Array) -> Array:

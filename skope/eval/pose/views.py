@@ -26,55 +26,58 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MATCH_IOU: Final = 0.6
-"""From which a detection's box and a ground-truth vehicle's belong together."""
+"""IoU from which a detection's box and a ground-truth vehicle's belong together."""
 _SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
 _NEAR: Final = 0.04
-"""How far a predicted box that the image cuts may end from the edge, as a share of its longer edge ..."""
+"""How far from the image's edge a predicted box may end that the image cuts, as a share of the box's longer edge."""
 _NEAR_PX: Final = 4.0
-"""... or pixels."""
+"""Least of that distance, pixels."""
 _AT: Final = 0.02
-"""How far from that edge a keypoint is taken to be pushed there, likewise ..."""
+"""How far from the edge that cuts its box a keypoint may lie to be taken for one that the detector pushed there, as a
+share of the box's longer edge."""
 _AT_PX: Final = 2.0
-"""... or pixels."""
+"""Least of that distance, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One image and its vehicles' keypoints."""
+    """The keypoints of the N vehicles of one image."""
 
     image: Image
     found: Array
-    """(N, 33, 3) x, y, probability."""
+    """(N, 33, 3) x, y in pixels, and the probability that the point is right."""
     sigma_px: Array
-    """(N,)"""
+    """(N,) standard deviation of a keypoint of probability 1, pixels."""
     scores: Array
-    """(N,)"""
+    """(N,) scores of the detections, 0 to 1; 1 for labelled vehicles."""
     boxes: Array
-    """(N, 4) x, y, width, height."""
+    """(N, 4) x, y, width, height, pixels."""
     cut: NDArray[np.bool_]
-    """(N,) whose box reaches the image's edge: the image may show a part of them only."""
+    """(N,) whether the box reaches the image's edge: the image may show a part of the vehicle only."""
     truth: tuple[Annotation | None, ...]
-    """(N,) the ground-truth vehicle that each is, or that it matches; None: none, or nobody knows."""
+    """(N,) the ground-truth vehicle that each is, or that it matches; None where there is none or it is not known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A sequence of images."""
+    """Images, the keypoints of the vehicles in them, and what is known of camera and road."""
 
     file: AnnotationFile
     results: Iterable[Result] | None
     """Read more than once; a file's lie in the order of the images. None: the annotations' own keypoints are taken."""
     camera: Camera | None
-    """In place of those of the images."""
+    """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
+    """Where the road is; None: unknown."""
 
     @property
     def has_truth(self) -> bool:
+        """Whether the annotations hold 3D boxes that poses can be measured against."""
         return any(a.box_3d is not None for a in self.file.annotations)
 
     def camera_of(self, image: Image) -> Camera:
-        """Raises UserError when nobody says what it is."""
+        """The camera of an image, at the image's size. Raises UserError where neither scene nor image has one."""
         camera = self.camera or image.camera
         if camera is None:
             raise UserError(f"{self.file.name}: {image.file_name} has no camera; give one with --camera")
@@ -99,12 +102,12 @@ class Scene:
             for image in self.file.images:
                 yield _predicted(image, results.get(image.id, []), sigma_px)
         else:
-            own = itertools.groupby(self.results, lambda result: result.image_id)
-            image_id, found = next(own, (None, ()))
+            by_image = itertools.groupby(self.results, lambda result: result.image_id)
+            image_id, found = next(by_image, (None, ()))
             for image in self.file.images:
                 if image.id == image_id:
                     yield _predicted(image, [(result, None) for result in found if result.score > score], sigma_px)
-                    image_id, found = next(own, (None, ()))
+                    image_id, found = next(by_image, (None, ()))
                 else:
                     yield _predicted(image, [], sigma_px)
 
@@ -130,10 +133,10 @@ def _labelled(
     found = np.array([a.keypoints for a in kept]).reshape(-1, keypoints.K, 3)
     found[..., :2] += rng.normal(0.0, 1.0, found[..., :2].shape) * noise
     found[..., 2] = found[..., 2] == 2
-    known = max(noise, 0.5) if sigma is None else sigma
+    spread = max(noise, 0.5) if sigma is None else sigma
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
     cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
-    return View(image, found, np.full(len(kept), known), np.ones(len(kept)), boxes, cut, kept)
+    return View(image, found, np.full(len(kept), spread), np.ones(len(kept)), boxes, cut, kept)
 
 
 def view_of(detections: "Detections") -> View:
@@ -153,7 +156,7 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     scores = np.array([r.score for r in results])
     longer = boxes[:, 2:].max(axis=1, initial=0.0)
     reached = _margins(image, boxes) <= np.maximum(_NEAR_PX, _NEAR * longer)[:, None]
-    # A detector puts what the image does not show at the edge, with high scores.
+    # Detectors put keypoints that lie beyond the image at its edge, with high scores: those do not count.
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
     at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
@@ -169,9 +172,18 @@ def _margins(image: Image, boxes: Array) -> Array:
 def read_scene(
     folder: Path | None, annotations: Path | None, predictions: Path | None, camera: Path | None, ground: float | None
 ) -> Scene:
-    """What `skope eval predict` wrote into `folder`, or an annotation file with or without a results file.
+    """Read the keypoints that poses and tracks are worked out from.
 
-    `ground` is the road's height in the camera's world; a camera without a pose has no ground.
+    Args:
+        folder: What `skope eval predict` wrote. Either this or `annotations` is given.
+        annotations: COCO file with the images and perhaps their cameras and vehicles.
+        predictions: COCO results for the images; None: those in `folder`, or the annotations' own keypoints.
+        camera: File of the camera of all images; None: each image has its own.
+        ground: Height of the level road in the camera's world, metres; None: unknown, as it is where the camera file
+            has no pose.
+
+    Raises:
+        UserError: Both or neither of `folder` and `annotations` are given, or a file is missing or malformed.
     """
     if (folder is None) == (annotations is None):
         raise UserError("give either the folder that `skope eval predict` wrote or --annotations")
@@ -215,12 +227,12 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera
                 raise UserError(f"{path}: width, height: expected whole numbers") from None
             except UserError as error:
                 raise UserError(f"{path}: {error}") from None
-    known = read_calibration(path)
-    width_height = known.size or size
+    calibration = read_calibration(path)
+    width_height = calibration.size or size
     if width_height is None:
         raise UserError(f"{path}: image size: missing")
-    pose = np.eye(4) if known.T_camera_world is None else known.T_camera_world
-    return Camera(*width_height, known.K, pose, known.distortion), known.T_camera_world is not None
+    pose = np.eye(4) if calibration.T_camera_world is None else calibration.T_camera_world
+    return Camera(*width_height, calibration.K, pose, calibration.distortion), calibration.T_camera_world is not None
 
 
 def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
@@ -235,7 +247,7 @@ def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
 
 
 def with_camera(image: Image, camera: Camera | None) -> Image:
-    """An image that carries its camera."""
+    """The image with `camera`, at its size, as its camera; unchanged for None."""
     if camera is None:
         return image
     return replace(image, camera=sized(camera, (image.width, image.height), image.file_name))

@@ -20,9 +20,9 @@ from skope.outputs import write_new
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
 _UNKNOWN: Final = 0.3
-"""Standard deviation of focal length and height, as shares of them, from which a camera is worth nothing ..."""
+"""Standard deviation of focal length and height, as shares of them, from which a camera is worth nothing."""
 _UNKNOWN_TILT: Final = math.radians(10)
-"""... and that of the tilt, this times as much."""
+"""Angle, radians, of which the standard deviation of the tilt is taken as a share like that of the focal length."""
 _WRONG_PX: Final = 3.0
 """Distance of a marked point from where the camera sees it, from which it is to be looked at again."""
 

@@ -30,12 +30,12 @@ _ALIKE: Final = ("alpha", "labelled", "boxes", "points")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One evaluation's folder."""
+    """What an evaluation wrote to its folder."""
 
     name: str
     metrics: Mapping[str, Any]
     tallies: Mapping[str, Mapping[str, Any]]
-    """Entry of `tallies.json` by split."""
+    """Split -> its entry in `tallies.json`."""
 
 
 def read(folder: Path) -> Run:
@@ -90,17 +90,19 @@ def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, Tally]
     """Blocks and counts of a run, its images in the order of the first run's."""
     path = Path(run.name) / TALLIES
     reference = _valid(Path(first.name) / TALLIES, lambda: list(first.tallies[split]["image_ids"]))
-    own = _valid(path, lambda: list(run.tallies[split]["image_ids"]))
-    if sorted(own) != sorted(reference):
+    image_ids = _valid(path, lambda: list(run.tallies[split]["image_ids"]))
+    if sorted(image_ids) != sorted(reference):
         raise UserError(f"{path}: split {split}: not the images of {first.name}")
     blocks, columns = _valid(path, lambda: from_tallies(run.tallies[split]))
-    place = {image: i for i, image in enumerate(own)}
+    place = {image: i for i, image in enumerate(image_ids)}
     order = np.array([place[image] for image in reference], dtype=np.int64)
-    aligned = {t: Tally(**{name: column[order] for name, column in vars(of).items()}) for t, of in columns.items()}
+    aligned = {
+        t: Tally(**{name: column[order] for name, column in vars(counts).items()}) for t, counts in columns.items()
+    }
     _, expected = from_tallies(first.tallies[split])
-    for t, of in aligned.items():
+    for t, counts in aligned.items():
         for name in ("ground_truth", "labelled_all"):
-            if t in expected and (getattr(of, name) != getattr(expected[t], name)).any():
+            if t in expected and (getattr(counts, name) != getattr(expected[t], name)).any():
                 raise UserError(f"{path}: split {split}: not the ground truth of {first.name}")
     return Blocks(unit=blocks.unit, sites=blocks.sites, number=blocks.number[order]), aligned
 
@@ -113,19 +115,19 @@ def _valid(path: Path, make: Callable[[], T]) -> T:
 
 
 def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
-    """Of each figure its value in each run, and the differences from the first run with their intervals."""
+    """For each figure its value in each run, and the differences from the first run with their intervals."""
     columns = [quotients(counts) for counts in runs]
     return [
         {
             "figure": name[0],
             "protocol": name[1],
-            "values": [_value(of, name) for of in columns],
+            "values": [_value(run_columns, name) for run_columns in columns],
             "differences": [
                 {
-                    "value": _minus(_value(of, name), _value(columns[0], name)),
-                    "interval": difference(columns[0], of, blocks, name),
+                    "value": _minus(_value(run_columns, name), _value(columns[0], name)),
+                    "interval": difference(columns[0], run_columns, blocks, name),
                 }
-                for of in columns[1:]
+                for run_columns in columns[1:]
             ],
         }
         for name in FIGURES

@@ -33,9 +33,9 @@ def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
     """PCK of matched vehicles over alpha, a line per IoU threshold."""
     lines = []
     for t in options.iou:
-        judged = measured.judged[t]
-        labelled = int((judged.labelled & judged.found[:, None]).sum())
-        shares = [judged.correct(alpha).sum() / labelled if labelled else None for alpha in ALPHAS.tolist()]
+        outcomes = measured.outcomes[t]
+        labelled = int((outcomes.labelled & outcomes.found[:, None]).sum())
+        shares = [outcomes.correct(alpha).sum() / labelled if labelled else None for alpha in ALPHAS.tolist()]
         lines.append(Line(name=f"IoU {t:g}", x=ALPHAS.tolist(), y=shares))
     return lines
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.metrics.counts import Floats, Integers, Judged, Options
+from skope.metrics.counts import Floats, Integers, Options, Outcomes
 from skope.metrics.failures import KINDS, false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.split_scores import SplitScores
@@ -19,15 +19,15 @@ from skope.page.marks import tag
 Flags = NDArray[np.bool_]
 
 EACH: Final = 2
-"""Images of each kind."""
+"""So many images of each kind (best, median, worst) are shown."""
 WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
 SHORT: Final = {"left_right": "L/R", "front_rear": "F/R", "jitter": "jitter"}
-"""What stands in the picture itself, where there is little room."""
+"""Kinds of failures as labels in the picture, where there is little room."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An image to show, and why."""
+    """An image of a split that is shown."""
 
     index: int
     kind: str
@@ -49,7 +49,7 @@ def quality(measured: SplitScores, threshold: float) -> Floats:
 def choose(values: Floats, blocks: Integers) -> list[Choice]:
     """The best, those around the median, and the worst; few images are shown once each, as the first that they are.
 
-    Of each kind the images come from different `blocks`, where there are enough: neighbouring frames look alike.
+    The images of a kind come from different `blocks`, where there are enough: neighbouring frames look alike.
     """
     order = [int(i) for i in np.argsort(values, kind="stable") if not np.isnan(values[i])]
     rank = {i: place for place, i in enumerate(order)}
@@ -63,7 +63,7 @@ def choose(values: Floats, blocks: Integers) -> list[Choice]:
 
 
 def _spread(candidates: list[int], blocks: Integers) -> list[int]:
-    """The same in another order: first the first one of each block."""
+    """The candidates reordered: the first one of each block comes before all others."""
     first = {int(blocks[i]): i for i in reversed(candidates)}
     return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 
@@ -71,8 +71,8 @@ def _spread(candidates: list[int], blocks: Integers) -> list[int]:
 def gallery(measured: SplitScores, root: Path, options: Options) -> str:
     """Figures of the chosen images whose files are there, as markup."""
     threshold = options.loosest
-    judged = measured.judged[threshold]
-    kinds = wrong_points(measured.matches, judged, options)
+    outcomes = measured.outcomes[threshold]
+    kinds = wrong_points(measured.matches, outcomes, options)
     figures = []
     for choice in choose(quality(measured, threshold), measured.blocks.number):
         image = measured.file.images[choice.index]
@@ -80,20 +80,20 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
             picture = stage.embedded(root / image.file_name, (image.width, image.height))
         except UserError:
             continue
-        layers, failures = _layers(measured, choice.index, judged, kinds, options)
+        layers, failures = _layers(measured, choice.index, outcomes, kinds, options)
         words = f"{choice.kind} of {measured.file.name}: {image.file_name}"
-        said = "; ".join(failures) or "no failures"
+        failure_words = "; ".join(failures) or "no failures"
         figures.append(
             tag(
                 "figure",
                 tag("figcaption", tag("b", escape(words)), f" (quality {choice.quality:.2f})"),
                 tag(
                     "div",
-                    f'<img src="{picture}" alt="{escape(f"{words}. {said}", quote=True)}">',
+                    f'<img src="{picture}" alt="{escape(f"{words}. {failure_words}", quote=True)}">',
                     stage.drawing(layers, (image.width, image.height)),
                     class_="stage",
                 ),
-                tag("p", escape(f"Failures: {said}.")),
+                tag("p", escape(f"Failures: {failure_words}.")),
                 class_="photo",
             )
         )
@@ -104,7 +104,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
 
 
 def _layers(
-    measured: SplitScores, index: int, judged: Judged, kinds: Integers, options: Options
+    measured: SplitScores, index: int, outcomes: Outcomes, kinds: Integers, options: Options
 ) -> tuple[list[str], list[str]]:
     """Layers of one image as SVG groups, and its failures in words."""
     matches, image = measured.matches, measured.file.images[index]
@@ -113,8 +113,8 @@ def _layers(
     def label(box: Floats, text: str) -> str:
         return stage.label(box, text, unit, image.width)
 
-    def drawn(points: Floats, known: Flags, sure: Flags, joined: Flags) -> str:
-        return stage.points(points, known, sure, joined, unit, options.scheme.skeleton, options.points)
+    def drawn(points: Floats, placed: Flags, sure: Flags, joined: Flags) -> str:
+        return stage.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
 
     truth, found, wrong, words = [], [], [], []
     ignored = [
@@ -124,25 +124,25 @@ def _layers(
         vehicle = matches.vehicles[g]
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
-        known = points[:, 2] > 0
-        truth.append(stage.box(box, name) + drawn(points, known, points[:, 2] > 1, known))
-        if not judged.found[g]:
+        placed = points[:, 2] > 0
+        truth.append(stage.box(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
+        if not outcomes.found[g]:
             wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
             continue
         counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
         counts = {kind: count for kind, count in counts.items() if count}
         if counts:
-            wrong.append(_strays(points, matches.det_keypoints[judged.detection[g]], kinds[g] >= 0))
+            wrong.append(_strays(points, matches.det_keypoints[outcomes.detection[g]], kinds[g] >= 0))
             wrong.append(label(box, ", ".join(f"{count} {SHORT[kind]}" for kind, count in counts.items())))
             words.append(f"{name}: {', '.join(f'{count} {WORDS[kind]}' for kind, count in counts.items())}")
-    false = false_detections(matches, judged)
+    false = false_detections(matches, outcomes)
     for d in np.flatnonzero(matches.det_image == index):
         box = measured.results[matches.det_result[d]].bbox
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
-        known, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
-        found.append(stage.box(box, name) + drawn(points, known, sure, sure))
+        placed, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
+        found.append(stage.box(box, name) + drawn(points, placed, sure, sure))
         if false[d]:
             wrong.append(label(box, "false"))
             words.append(f"false {name}")
@@ -151,7 +151,7 @@ def _layers(
 
 
 def _strays(truth: Floats, found: Floats, wrong: Flags) -> str:
-    """From where each wrong point was put to where it belongs."""
+    """Lines that lead from where each wrong point was put to where it belongs."""
     return stage.path(
         "".join(f"M{stage.place(found[k])}L{stage.place(truth[k])}" for k in np.flatnonzero(wrong)), "stray"
     )

@@ -105,7 +105,9 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     lines = ["  ".join([f"{'split':{names}}", "images", "vehicles", "ignored", found, *averages])]
     for name, split in splits.items():
         counts = (
-            *(f"{split['images']:>6}", f"{split['ground_truth']:>8}", f"{split['ignored']:>7}"),
+            f"{split['images']:>6}",
+            f"{split['ground_truth']:>8}",
+            f"{split['ignored']:>7}",
             f"{split['detections']:>{len(found)}}",
         )
         aps = (number(value, len(title)) for value, title in zip(split["coco"].values(), averages, strict=True))

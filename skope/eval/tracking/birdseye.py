@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.draw import PALETTE
-from skope.eval.tracking.tracker import Track
+from skope.eval.tracking.tracks import Track
 from skope.files import replacing
 
 Pixels = NDArray[np.uint8]

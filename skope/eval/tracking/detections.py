@@ -17,32 +17,35 @@ _FLOOR: Final = 0.05
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseMeasurement:
-    """What a detection's pose says."""
+    """Where a detection's pose puts the vehicle on the ground, and how certain that is."""
 
     place: Array
-    """(2,) world."""
+    """(2,) world x, y, metres, on the ground under the middle of the box."""
     covariance: Array
-    """(2, 2)"""
+    """(2, 2) covariance of the place, square metres."""
     height: float
-    """z of the road there."""
+    """z of the road there, metres."""
     heading: float
+    """Radians, counter-clockwise from world x."""
     heading_sigma: float
+    """Standard deviation of the heading, radians."""
     size_lwh: Array
+    """(3,) length, width, height, metres."""
     kind: str
     """Body type."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Detection:
-    """One detection."""
+    """A vehicle that was found in one image."""
 
     bbox: Array
     """(4,) x, y, width, height, pixels."""
     score: float
     truth_id: int | None
-    """The track of the ground-truth vehicle that it is, or matches."""
+    """The track of the ground-truth vehicle that it is, or matches; None where there is none."""
     pose: PoseMeasurement | None
-    """None where it was refused."""
+    """Its pose; None where the pose solver refused one."""
 
 
 def detections_of(image: Located) -> list[Detection]:
@@ -67,18 +70,18 @@ def detections_of(image: Located) -> list[Detection]:
 
 def detection_to_dict(detection: Detection) -> dict[str, Any]:
     """JSON values of a detection, not rounded."""
-    told = {"bbox": detection.bbox.tolist(), "score": detection.score, "truth_id": detection.truth_id, "pose": None}
+    values = {"bbox": detection.bbox.tolist(), "score": detection.score, "truth_id": detection.truth_id, "pose": None}
     if (pose := detection.pose) is not None:
         arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
-        told["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
-    return told
+        values["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
+    return values
 
 
-def detection_from_dict(told: Mapping[str, Any]) -> Detection:
-    """What `detection_to_dict` was given."""
-    pose = told["pose"]
+def detection_from_dict(values: Mapping[str, Any]) -> Detection:
+    """The detection that `detection_to_dict` made JSON values of."""
+    pose = values["pose"]
     if pose is not None:
         pose = PoseMeasurement(
             **{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}}
         )
-    return Detection(np.array(told["bbox"]), told["score"], told["truth_id"], pose)
+    return Detection(np.array(values["bbox"]), values["score"], values["truth_id"], pose)

@@ -1,5 +1,4 @@
-"""Tracks in the files of others: CSV for tables, MOTChallenge for trackers' metrics, SUMO's floating-car data for
-traffic."""
+"""Write tracks as CSV, as MOTChallenge's text for metrics of trackers, and as SUMO's floating-car data."""
 
 import csv
 import math
@@ -11,18 +10,24 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.eval.tracking.tracker import Track
+from skope.eval.tracking.tracks import Track
 from skope.files import replacing
 
 _COLUMNS: Final = (
-    *("track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration"),
-    *("length", "width", "height"),
-)
+    "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
+    "length", "width", "height",
+)  # fmt: skip
 _SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "van": "delivery"}
 
 
 def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -> None:
-    """One row a frame and vehicle: metres, seconds, m/s, m/s^2, degrees counter-clockwise from world x."""
+    """Write a row for each frame of each track: metres, seconds, m/s, m/s^2, degrees counter-clockwise from world x.
+
+    Args:
+        path: The .csv file.
+        tracks: The tracks.
+        frame_index: The number that each frame is given in the file.
+    """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
@@ -47,7 +52,7 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
 
 
 def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
-    """A line of MOTChallenge: frame from 1, id, left, top, width, height, and what follows."""
+    """A line of MOTChallenge: frame from 1, id, left, top, width and height in pixels, and `rest`."""
     x, y, w, h = np.asarray(bbox, dtype=np.float64)
     return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
 

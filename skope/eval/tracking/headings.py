@@ -13,39 +13,50 @@ _MEMORY_S: Final = 1.5
 _MOVING: Final = 1.5
 """Speed from which the direction of travel says where the front is, m/s."""
 _TURN: Final = 0.35
-"""How much the rate of turn of a driving vehicle changes in a second, radians a second ..."""
+"""How much the rate of turn of a driving vehicle changes in a second, radians a second."""
 _TURNING: Final = 5.0
-"""... from this speed on, m/s; below it in proportion."""
+"""Speed from which `_TURN` holds, m/s; a slower vehicle's rate of turn changes less, in proportion."""
 _TREMOR: Final = math.radians(0.5)
-"""Least standard deviation of a measured heading."""
+"""Least standard deviation of a measured heading, radians."""
 _OUTLYING: Final = 9.0
 """Squared distance, in variances, from which a heading counts less."""
 
 
 def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: Array) -> Array:
-    """(M,) headings, front and rear as travel has them, smoothed; `measured` is NaN where none was seen.
+    """Headings of a vehicle through M frames, smoothed, with its front where it drives to.
+
+    Args:
+        times_s: (M,) seconds.
+        measured: (M,) measured headings, radians; NaN where none was seen.
+        sigma: (M,) their standard deviations, radians.
+        velocity: (M, 2) smoothed, m/s.
+
+    Returns:
+        (M,) headings, radians, counter-clockwise from world x.
 
     Vehicles drive forwards. One that stands keeps the sense that it has when it moves next, or moved last; one that
     never moves that of most of its poses.
     """
-    known = np.isfinite(measured)
-    unit = np.where(known, np.exp(1j * np.where(known, measured, 0.0)), 0)
+    seen = np.isfinite(measured)
+    unit = np.where(seen, np.exp(1j * np.where(seen, measured, 0.0)), 0)
     travel: NDArray[np.complex128] = velocity[:, 0] + 1j * velocity[:, 1]
-    moving = np.flatnonzero(known & (np.abs(travel) > _MOVING))
+    moving = np.flatnonzero(seen & (np.abs(travel) > _MOVING))
     if moving.size:
         unit[moving] = unit[moving] * _sense(unit[moving], travel[moving])
         unit = unit * _sense(unit, unit[_nearest(moving, len(unit))])
     else:
-        sense = _sense(unit, unit[np.nanargmin(np.where(known, sigma, np.nan))])
-        unit = unit * sense * (1 if sense[known].sum() >= 0 else -1)
-    return _turning(times_s, np.where(known, np.angle(unit), np.nan), sigma, np.abs(travel))
+        sense = _sense(unit, unit[np.nanargmin(np.where(seen, sigma, np.nan))])
+        unit = unit * sense * (1 if sense[seen].sum() >= 0 else -1)
+    return _turning(times_s, np.where(seen, np.angle(unit), np.nan), sigma, np.abs(travel))
 
 
 def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Array:
     """(M,) headings, smoothed as of a body whose turning changes slowly, and only while it moves.
 
-    State: heading and rate of turn, which fades as accelerations do. The first heading is known, others may be NaN.
+    A Kalman filter and Rauch, Tung and Striebel's smoother, whose state is the heading and the rate of turn, which
+    fades as accelerations do. The first heading is known, others may be NaN.
     """
+    # Forwards: predict and update. A covariance ((a, b), (b, c)) is kept as (a, b, c).
     ahead, after, moves = [], [], []
     mean, spread = (float(measured[0]), 0.0), (float(sigma[0]) ** 2, 0.0, _TURN**2)
     before = float(times_s[0])
@@ -72,6 +83,7 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
             mean = (h + gain * off, w + turn * off)
             spread = (a * (1 - gain), b * (1 - gain), c - turn * b)
         after.append((mean, spread))
+    # Backwards: what came later corrects what came before.
     out = [after[-1][0]]
     for k in range(len(after) - 2, -1, -1):
         (h, w), (a, b, c) = after[k]

@@ -15,7 +15,8 @@ from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
 from skope.eval.tracking import birdseye, export
 from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
-from skope.eval.tracking.tracker import Track, follow
+from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.tracks import Track
 from skope.files import replacing, write_text
 from skope.video import write_video
 
@@ -29,14 +30,19 @@ class TrackJob:
     scene: Scene
     out: Path
     fps: float | None
+    """Images a second; None: the images tell their times."""
     noise: float
+    """Standard deviation of the noise that is added to labelled keypoints, pixels."""
     score: float
+    """Detections above this are followed."""
     sigma_px: float | None
+    """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
     video: bool
+    """Whether a bird's-eye video is written too."""
 
 
 def run(job: TrackJob, console: Console) -> Iterator[str]:
-    """Write everything; yields lines that say what."""
+    """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
     times = _times(scene, job.fps)
     progress = Progress(job.out / _PROGRESS, ("sights",))
@@ -66,11 +72,11 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
 
 
 def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
-    """The vehicles of each image: as an earlier run noted them down, or located now."""
-    noted = itertools.islice(progress.rows(), progress.count)
+    """The vehicles of each image: as an earlier, stopped run has written them down, or located now."""
+    earlier = itertools.islice(progress.rows(), progress.count)
     for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
-        if (row := next(noted, None)) is not None:
-            yield [detection_from_dict(told) for told in row["sights"]]
+        if (row := next(earlier, None)) is not None:
+            yield [detection_from_dict(entry) for entry in row["sights"]]
             continue
         found = detections_of(locate_view(view, job.scene))
         progress.add({"sights": [detection_to_dict(detection) for detection in found]})
@@ -78,7 +84,7 @@ def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
 
 
 def _times(scene: Scene, fps: float | None) -> list[float]:
-    """Seconds of each image; a UserError where nobody says."""
+    """Time of each image, seconds. Raises UserError where neither `fps` nor the file tells it."""
     images = scene.file.images
     if len(images) < 2:
         raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
@@ -90,10 +96,10 @@ def _times(scene: Scene, fps: float | None) -> list[float]:
     times = [image.time_s for image in images]
     if any(time is None for time in times):
         raise UserError(f"{scene.file.name}: its images carry no times; give --fps")
-    known = [float(time) for time in times if time is not None]
-    if any(b <= a for a, b in itertools.pairwise(known)):
+    seconds = [float(time) for time in times if time is not None]
+    if any(b <= a for a, b in itertools.pairwise(seconds)):
         raise UserError(f"{scene.file.name}: times do not rise; it is not the footage of one camera")
-    return known
+    return seconds
 
 
 def _write_truth(path: Path, scene: Scene) -> None:

@@ -29,9 +29,10 @@ KINDS: Final = tuple(_FIGURES)
 
 @dataclass(frozen=True, eq=False)
 class Bystander:
-    """Somebody of a kind and a look."""
+    """The body of a pedestrian, cyclist or motorcyclist."""
 
     kind: str
+    """One of `KINDS`."""
     look: Look
     parts: tuple[Mesh, ...]
     """Body, then four parts that move: limbs or wheels, each about its own origin."""
@@ -50,7 +51,7 @@ class Bystander:
         return simplified_parts(self.parts)
 
     def pose(self, travelled: float) -> Array:
-        """(4, 4, 4) poses of the moving parts in the body's frame, `travelled` metres on."""
+        """(4, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres."""
         return _FIGURES[self.kind][1](self.look, travelled)
 
     @property

@@ -19,23 +19,23 @@ BOTTOMS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
 SHOES: Final = ("#222222", "#dddddd", "#664433")
 
 HIP, SHOULDER = 0.53, 0.785
-"""Heights of the joints over the body's."""
+"""Heights of the joints, as shares of the body's height."""
 STRIDE: Final = 0.83
-"""Two steps at a usual pace, over the body's height."""
+"""Length of two steps at a usual pace, as a share of the body's height."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Numbers that fix how somebody looks."""
+    """Numbers that decide a bystander's body and clothes."""
 
     height: float = 1.72
-    """Metres."""
+    """Height of the body, metres."""
     girth: float = 1.0
-    """Over a slim body's."""
+    """Factor on the girth of a slim body."""
     palette: float = 0.0
-    """Which colours of clothes, skin and hair; a whole number."""
+    """Number of a set of colours of clothes, skin and hair, from 0."""
     bag: float = 0.0
-    """Over 0.5: carries one."""
+    """Whether the person carries a bag: yes above 0.5."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Look":
@@ -73,7 +73,7 @@ def head(look: Look, at: Array) -> list[Mesh]:
 
 
 def torso(look: Look) -> Mesh:
-    """From the hips to the neck, upright over the origin."""
+    """The body from the hips to the neck, upright over the origin."""
     h, g = look.height, look.girth
     *_, top, bottom, _ = look.colors()
     levels = [(0.50, 0.060, 0.088), (0.55, 0.066, 0.094), (0.61, 0.058, 0.084), (0.70, 0.066, 0.096)]

@@ -1,4 +1,4 @@
-"""Bicycles and motorcycles with those who ride them."""
+"""Bodies of cyclists and motorcyclists, with what they ride."""
 
 from typing import Final
 

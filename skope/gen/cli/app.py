@@ -12,7 +12,7 @@ from skope.commands import DATA, DIR, Commands, JsonOption, option
 from skope.console import Console
 from skope.gen.cli import convert, inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, output
-from skope.outputs import look
+from skope.outputs import replaceable_output
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import Parameters
@@ -31,24 +31,24 @@ OutOption = Annotated[Path, output(metavar=DIR, help="Dataset folder.")]
 @app.callback()
 def gen(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA) -> None:
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
-    from skope.gen.pipeline.generate import produce
+    from skope.gen.pipeline.generate import generate_dataset
 
     parameters, why = dataset.parameters()
-    hire, who = workers.hire()
+    start_pool, who = workers.pool_factory()
     _announce(console, parameters, f"{who}, {why}")
-    made = produce(parameters, out, hire, console)
+    made = generate_dataset(parameters, out, start_pool, console)
     _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
 
 
 @app.command()
 def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA) -> None:
     """Make the recordings only; `skope gen render` draws them, here or on a machine without SUMO and pybullet."""
-    from skope.gen.pipeline.generate import simulate_only
+    from skope.gen.pipeline.generate import simulate_dataset
 
     parameters, _ = dataset.parameters()
-    hire, who = workers.hire()
+    start_pool, who = workers.pool_factory()
     _announce(console, parameters, who)
-    made = simulate_only(parameters, out, hire, console)
+    made = simulate_dataset(parameters, out, start_pool, console)
     _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {shlex.quote(str(out))}")
 
 
@@ -60,10 +60,10 @@ def render(
     renderer: RendererOption = "auto",
 ) -> None:
     """Draw and annotate the recordings of a folder."""
-    from skope.gen.pipeline.generate import render_only
+    from skope.gen.pipeline.generate import render_dataset
 
-    hire, _ = workers.hire()
-    made = render_only(dataset, renderer, hire, console)
+    start_pool, _ = workers.pool_factory()
+    made = render_dataset(dataset, renderer, start_pool, console)
     _next(console, dataset, "wrote" if made else "", f"skope train{_data(dataset)} --epochs 10")
 
 
@@ -97,7 +97,11 @@ def doctor(
     from skope.gen.inspect.doctor import examine
 
     found = []
-    shown = look(pictures, "skope gen doctor", "the renderers", flag="--pictures") if pictures else nullcontext()
+    shown = (
+        replaceable_output(pictures, "skope gen doctor", "the renderers", flag="--pictures")
+        if pictures
+        else nullcontext()
+    )
     with shown as drawn:
         for one in examine(drawn):
             found.append(one)

@@ -11,7 +11,7 @@ import typer
 from skope.commands import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
 from skope.console import Console
 from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
-from skope.outputs import look
+from skope.outputs import replaceable_output
 
 if TYPE_CHECKING:
     from skope.dataset import Dataset
@@ -28,7 +28,7 @@ def _named(folder: Path, dataset: Path) -> Path:
 
 def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractContextManager[Path]:
     """`skope.outputs.look` at a dataset."""
-    return look(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
+    return replaceable_output(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
 
 
 def check(
@@ -56,8 +56,8 @@ def check(
         noun = f"{'difference' if against else 'finding'}{'' if len(found) == 1 else 's'}"
         console.result(f"{dataset}: {len(found) or 'no'} {noun}{f' from {against}' if against else ''}")
     if repaired := bool(findings and repair):
-        hire, _ = WorkerOptions(workers=workers).hire()
-        mend(folder, findings, hire, replace(console, quiet=console.quiet or json))
+        start_pool, _ = WorkerOptions(workers=workers).pool_factory()
+        mend(folder, findings, start_pool, replace(console, quiet=console.quiet or json))
     if json:
         told = {"against": str(against), "differences": found} if against else {"findings": list(map(asdict, findings))}
         console.document({"dataset": str(dataset), **told, "repaired": repaired})

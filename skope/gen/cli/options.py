@@ -12,7 +12,7 @@ from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import Parameters
-    from skope.gen.pipeline.workers import Crew
+    from skope.gen.pipeline.workers import WorkerPool
 
 traffic = panel("Sites and traffic")
 camera = panel("Camera and image")
@@ -151,16 +151,16 @@ class WorkerOptions:
         machine(help="Address of the Ray cluster.", show_default="one that this machine belongs to, or a new one here"),
     ] = None
 
-    def hire(self) -> tuple[Callable[[], "AbstractContextManager[Crew]"], str]:
-        """How to start the workers, and who they are in words."""
-        from skope.gen.pipeline.workers import check_workers, default_workers, local
+    def pool_factory(self) -> tuple[Callable[[], "AbstractContextManager[WorkerPool]"], str]:
+        """A function that starts the worker processes, and what they are in words."""
+        from skope.gen.pipeline.workers import check_workers, default_workers, local_pool
 
         count = check_workers(self.workers) if self.workers is not None else None
         if self.engine == "ray":
-            from skope.gen.pipeline.ray_workers import cluster
+            from skope.gen.pipeline.ray_workers import ray_pool
 
-            return partial(cluster, count, self.address), f"{count or 'all'} workers of Ray"
+            return partial(ray_pool, count, self.address), f"{count or 'all'} workers of Ray"
         if self.address is not None:
             raise UserError("--address: is for --engine ray")
         count = count or default_workers()
-        return partial(local, count), f"{count} worker{'' if count == 1 else 's'}"
+        return partial(local_pool, count), f"{count} worker{'' if count == 1 else 's'}"

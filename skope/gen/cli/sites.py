@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from skope.commands import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
 from skope.console import Console
-from skope.outputs import look
+from skope.outputs import replaceable_output
 
 
 def sites(
@@ -74,7 +74,7 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
     paths = []
     # Folders are recognised by this spelling of the command, which is older than --maps.
-    with look(out, "skope gen sites --map", "the towns") as drawn:
+    with replaceable_output(out, "skope gen sites --map", "the towns") as drawn:
         for town in towns():
             paths.append(out / f"{town.name}.png")
             draw.write(drawn / paths[-1].name, town_map(town))
@@ -95,7 +95,7 @@ def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     height = float(camera.position[2] - layout.road_level(camera.position[:2]))
     out = out or SITE_PLANS / road.title
     picture = out / f"{road.title}.png"
-    with look(out, "skope gen sites --site", path) as drawn:
+    with replaceable_output(out, "skope gen sites --site", path) as drawn:
         draw.write(drawn / picture.name, overlay(road))
     traffic = "left" if layout.mirrored else "right"
     told = {

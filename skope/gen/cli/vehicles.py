@@ -12,7 +12,7 @@ from skope.console import Console
 from skope.errors import UserError
 from skope.gen.cli.options import RendererOption
 from skope.names import name as check_name
-from skope.outputs import look
+from skope.outputs import replaceable_output
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
@@ -79,7 +79,9 @@ def show(
     console.say(why)
     models = {model: _loaded(model) for model in _names(name)}
     files = [added.folder() / model / "vehicle.json" for model in added.names()]
-    with look(out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}) as drawn:
+    with replaceable_output(
+        out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}
+    ) as drawn:
         for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
             draw.write(drawn / f"{model}.png", sheet(vehicle, engine))
     console.result(f"wrote {len(models)} sheet{'' if len(models) == 1 else 's'} to {out}")

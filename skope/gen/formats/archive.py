@@ -14,7 +14,7 @@ from skope.names import is_relative
 MEMBERS: Final = 2_000_000
 """Most members of an archive."""
 RATIO: Final = 200
-"""A member that is larger than `FREE` may unpack to this many times its packed size."""
+"""Most times its packed size that a member larger than `FREE` may unpack to."""
 FREE: Final = 1 << 20
 LARGEST: Final = 64 << 30
 """Bytes of the largest member."""
@@ -44,7 +44,7 @@ class Archive:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the files, in the archive's order."""
+        """Names of the files, in the archive's order."""
         return tuple(self._infos)
 
     def __contains__(self, name: str) -> bool:

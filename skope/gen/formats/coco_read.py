@@ -22,7 +22,7 @@ from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.files import read_json
 from skope.gen.formats.coco_write import CVAT_START, UNSAID
-from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, Gathered, plain
+from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, DatasetBuilder, bare_name
 from skope.gen.formats.files import Files, InFolder, files_at
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
@@ -54,7 +54,7 @@ class _File:
 
 @dataclass(frozen=True)
 class _Label:
-    """One category: where each of its keypoints goes."""
+    """Keypoints of one category: where each of them goes."""
 
     scheme: Scheme
     count: int
@@ -74,17 +74,27 @@ def read(
     command: str,
     console: Console,
 ) -> None:
-    """Make a dataset at `root` of COCO files, of dataset-like folders or CVAT's archives (`form` is cvat).
+    """Make a dataset from COCO keypoints files, folders with such files, or CVAT archives.
 
-    A split is called like the annotation file, CVAT's subset of no name train; `split` takes all. `images` is a folder
-    that file names are relative to, in place of the usual ones.
+    Args:
+        sources: Annotation files, folders with `annotations/`, or archives.
+        root: Folder of the new dataset.
+        form: "coco" or "cvat".
+        images: Folder that image names are relative to. Default: the folders beside the annotation files.
+        split: Split that all images go to. Default: the name of the annotation file; "train" for CVAT's default subset.
+        command: Command line for the card.
+        console: Where progress is shown, and what was left out.
+
+    Raises:
+        UserError: A source cannot be read, has no keypoints of a known scheme, or another scheme or licence than the
+            others.
     """
     if images is not None and not images.is_dir():
         raise UserError(f"--images: {images}: no such folder")
     work = _Import(root, InFolder(images) if images else None, console)
     licences = set()
     for source in sources:
-        with _opened(source) as files:
+        with _open_source(source) as files:
             licences.add(_licence(files, beside=_beside(source)))
             for file in _annotation_files(source, files, form, split):
                 work.add(file, files)
@@ -93,32 +103,32 @@ def read(
     if len(licences) > 1:
         raise UserError(f"files under different licences ({'; '.join(sorted(licences))}): read them apart")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
-    assert work.gathered is not None  # a source without an annotation file was refused
-    work.gathered.finish(command=command, licence=licences.pop(), label_rules=rules)
+    assert work.builder is not None  # a source without an annotation file was refused
+    work.builder.finish(command=command, licence=licences.pop(), label_rules=rules)
 
 
 @dataclass
 class _Import:
-    """A dataset that grows file by file."""
+    """The dataset under construction, while annotation files are read one after the other."""
 
     root: Path
     given: Files | None
-    """Where images lie, if not beside the annotations."""
+    """Folder or archive with the images, if they do not lie beside the annotations."""
     console: Console
-    gathered: Gathered | None = None
+    builder: DatasetBuilder | None = None
     left_out: Counter[str] = field(default_factory=Counter)
-    """How many annotations were, by why."""
+    """Number of annotations that were left out, by reason."""
     _names: set[str] = field(default_factory=set)
 
     def add(self, file: _File, files: Files) -> None:
         """Take the images and vehicles of an annotation file, which lies among `files`."""
         labels = _labels(file, self.console)
         scheme = next(iter(labels.values())).scheme
-        if self.gathered is None:
-            self.gathered = Gathered(self.root, scheme)
-        if scheme is not self.gathered.scheme:
+        if self.builder is None:
+            self.builder = DatasetBuilder(self.root, scheme)
+        if scheme is not self.builder.scheme:
             raise UserError(
-                f"{file.path}: has keypoints of scheme {scheme.name}, the others of {self.gathered.scheme.name}"
+                f"{file.path}: has keypoints of scheme {scheme.name}, the others of {self.builder.scheme.name}"
             )
         own: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
         for i, row in enumerate(file.document["annotations"]):
@@ -144,7 +154,7 @@ class _Import:
                     self.left_out["whose box has no area inside the image"] += 1
                 else:
                     vehicles.append(vehicle)
-            self.gathered.add(file.split, image, vehicles, contents)
+            self.builder.add(file.split, image, vehicles, contents)
 
     def _image(
         self, where: str, row: Mapping[str, Any], file: _File, files: Files
@@ -159,7 +169,7 @@ class _Import:
                 place = {"site": match[1], "recording": match[2], "frame_index": int(match[3])}
                 image = coco.image_from_dict({**place, **row})
         old = image.file_name
-        candidates = (f"images/{plain(old)}", f"images/{file.split}/{plain(old)}")
+        candidates = (f"images/{bare_name(old)}", f"images/{file.split}/{bare_name(old)}")
         name = next((name for name in candidates if name not in self._names), None)
         if name is None:
             raise UserError(f"{where}: file_name: {old} stands twice")
@@ -177,7 +187,7 @@ class _Import:
         if image.depth_file_name is not None:
             found = _first(files, [image.depth_file_name], file.beside)
             if found is not None:
-                depth = f"depth/{plain(image.depth_file_name)}"
+                depth = f"depth/{bare_name(image.depth_file_name)}"
                 contents[depth] = found
         return replace(image, file_name=name, depth_file_name=depth), contents
 
@@ -185,7 +195,7 @@ class _Import:
 # --------------------------------------------------------------------------------------------------- annotation files
 
 
-def _opened(source: Path) -> AbstractContextManager[Files]:
+def _open_source(source: Path) -> AbstractContextManager[Files]:
     """Files below a folder or in an archive; of an annotation file those below the folder above it."""
     return files_at(source.absolute().parent if _beside(source) else source)
 
@@ -249,7 +259,7 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
 
 
 def _joined(folder: Path) -> dict[str, Any]:
-    """What `skope eval predict` wrote, as annotations: points are visible from an even chance on."""
+    """Predictions of `skope eval predict` as a COCO document; keypoints are visible from a visibility of 0.5 on."""
     frames = coco.read(folder / FRAMES)
     rows = []
     for number, result in enumerate(coco.read_results(folder / PREDICTIONS), start=1):
@@ -276,7 +286,7 @@ def _joined(folder: Path) -> dict[str, Any]:
 
 
 def _labels(file: _File, console: Console) -> dict[int, _Label]:
-    """By category id, those categories that have keypoints of one of our schemes."""
+    """Categories that have keypoints of one of skope's schemes, by their ids."""
     out: dict[int, _Label] = {}
     names_seen: list[str] = []
     for category in file.document["categories"]:

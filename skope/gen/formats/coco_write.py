@@ -14,19 +14,19 @@ from skope import coco, schema
 from skope.console import Console
 from skope.dataset import Dataset
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import plain, put
+from skope.gen.formats.dataset_builder import bare_name, place_file
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation
 
 CVAT_START: Final = "person_keypoints_"
 UNSAID: Final = "-"
-"""An attribute of CVAT's that nobody has set."""
+"""Value of a CVAT attribute that is not set."""
 _ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
 """Fields that CVAT holds as attributes."""
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """A dataset's images, depth and annotation files alone; the files are linked where the file system can."""
+    """Write a dataset's images, depth and annotation files to `out`, with hard links where the file system has them."""
     for split in console.bar(dataset.splits, unit="split", label="writing coco"):
         file = dataset.read(split)
         rows = []
@@ -34,8 +34,8 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             row = coco.image_to_dict(image)
             for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
                 if key in row:
-                    name = f"{kind}/{plain(row[key])}"
-                    put(dataset.root / row[key], out / name)
+                    name = f"{kind}/{bare_name(row[key])}"
+                    place_file(dataset.root / row[key], out / name)
                     row[key] = name
             rows.append(row)
         annotations = [coco.annotation_to_dict(a) for a in file.annotations]
@@ -43,13 +43,13 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
 
 
 def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
-    """An archive's files. Masks are left out: CVAT would show them as shapes of their own."""
+    """Write the files of a CVAT archive to `out`, without masks, which CVAT would show as separate shapes."""
     for split in console.bar(dataset.splits, unit="split", label="writing cvat"):
         file = dataset.read(split)
         rows = []
         for image in file.images:
-            name = plain(image.file_name)
-            put(dataset.root / image.file_name, out / "images" / split / name)
+            name = bare_name(image.file_name)
+            place_file(dataset.root / image.file_name, out / "images" / split / name)
             row = coco.image_to_dict(image)
             row.pop("depth_file_name", None)
             rows.append({**row, "file_name": name})

@@ -1,4 +1,4 @@
-"""From one format to another: `skope gen convert`."""
+"""Convert datasets between formats: what `skope gen convert` does."""
 
 import itertools
 import shlex
@@ -14,34 +14,34 @@ from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
 from skope.gen.formats.archive import zipped
-from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, dataset_at, outside
+from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
 from skope.gen.output.writers import FORMATS
 from skope.outputs import move_new
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConversionOptions:
-    """What some of the formats take; None or empty where nothing was said."""
+    """Options of some formats only; None or empty where the flag is not given."""
 
     map: Path | None = None
-    """What the keypoints of `--from skope3d` are."""
+    """File that says what the keypoints of `--from skope3d` are."""
     images: Path | None = None
-    """Where the images of annotation files lie."""
+    """Folder with the images of COCO or CVAT annotation files."""
     split: str | None = None
-    """Split that all that is read goes to."""
+    """Split that everything read goes to."""
     keypoints: tuple[str, ...] = ()
-    """Names of the keypoints to write; none for all."""
+    """Names of the keypoints to write; empty for all."""
 
 
-_OF: Final = {
+_OPTION_FORMATS: Final = {
     "map": ("--from skope3d",),
     "images": ("--from coco", "--from cvat"),
     "keypoints": ("--to yolo",),
     "split": ("--from skope3d", "--from coco", "--from cvat"),
 }
-"""What an option is for."""
+"""The formats that each option is for."""
 
-_PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
+_WRITE: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "coco": coco_write.write,
     "cvat": coco_write.write_cvat,
     "kitti": kitti.write,
@@ -49,7 +49,7 @@ _PLAIN: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "skope3d": skope3d.write,
 }
 _YOLO: Final = "yolo"
-WRITERS: Final = (*FORMATS, *_PLAIN, _YOLO)
+WRITERS: Final = (*FORMATS, *_WRITE, _YOLO)
 READERS: Final = ("coco", "cvat", "skope3d")
 
 
@@ -62,10 +62,19 @@ def convert(
     options: ConversionOptions,
     console: Console,
 ) -> None:
-    """Write datasets of one format in another at `out`, an empty or missing folder, which holds all or nothing.
+    """Write datasets of one format in another.
 
-    Without `read_as` the one source is a dataset folder; without `write_as` `out` becomes one. CVAT takes archives:
-    there `out` may be a zip file. What is there already is left as it is: the same is fine, anything else a UserError.
+    Args:
+        sources: Files or folders of the format `read_as`; without it, one dataset folder.
+        out: A folder that is empty or missing; for "cvat" it may be a .zip file. It is written whole or not at all.
+        read_as: One of `READERS`; None for a dataset folder.
+        write_as: One of `WRITERS`; None for a dataset folder.
+        options: What some formats need.
+        console: Where progress is shown.
+
+    Raises:
+        UserError: Formats, options and sources do not fit together, a source cannot be read, or `out` holds anything
+            else than what would be written.
     """
     if read_as is not None:
         one_of("--from", read_as, READERS)
@@ -75,14 +84,14 @@ def convert(
         raise UserError("say --to which format, or --from which one")
     if read_as is not None and write_as == "shards":
         raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
-    for name, formats in _OF.items():
+    for name, formats in _OPTION_FORMATS.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
             raise UserError(f"--{name} is for {', '.join(formats)}")
     if options.split is not None and not SPLIT_NAME.fullmatch(options.split):
         raise UserError(f"--split: expected letters, digits, _, . and -, got {options.split!r}")
     if read_as is None and len(sources) != 1:
         raise UserError(f"expected one dataset folder and a new folder, got {len(sources)} before {out}")
-    outside(out, sources)
+    check_outside(out, sources)
     archive = write_as == "cvat" and out.suffix == ".zip"
     with replacing_folder(out.with_suffix("") if archive else out, keep=not archive) as whole:
         folder = whole / "content" if archive else whole
@@ -100,10 +109,11 @@ def convert(
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOptions, console: Console) -> None:
-    # Names alone: where files lie on this machine is nobody's business.
-    told = [(f"--{name}", Path(value).name) for name in _OF if isinstance(value := getattr(options, name), str | Path)]
+    # Names without folders: the card is published, and must not show how the user's disk is laid out.
+    given = {name: getattr(options, name) for name in _OPTION_FORMATS}
+    flags = [(f"--{name}", Path(value).name) for name, value in given.items() if isinstance(value, str | Path)]
     names = [path.resolve().name for path in sources]
-    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*told)])
+    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*flags)])
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
     else:
@@ -125,5 +135,5 @@ def _write(dataset: Dataset, form: str, folder: Path, options: ConversionOptions
     if form == _YOLO:
         yolo.write(dataset, folder, options.keypoints, console)
     else:
-        _PLAIN[form](dataset, folder, console)
+        _WRITE[form](dataset, folder, console)
     write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")

@@ -1,4 +1,4 @@
-"""A dataset folder made of images and vehicles that come from elsewhere."""
+"""Build a dataset folder image by image from other files, and helpers that all format converters share."""
 
 import re
 from collections import Counter
@@ -20,16 +20,15 @@ from skope.schema import Annotation, AnnotationFile, Image
 from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
-"""In every export: the dataset's licence."""
-
+"""File of every export that holds the dataset's licence."""
 
 SPLIT_NAME: Final = re.compile(r"\w[\w.-]*")
-"""What a split may be called: its file bears the name."""
+"""What a split may be called: the name becomes that of its annotation file."""
 
 
 @dataclass
-class Gathered:
-    """A dataset that grows image by image below `root`; ids count through all of it from 1."""
+class DatasetBuilder:
+    """Writes a dataset folder at `root`, image by image; ids count through all splits from 1."""
 
     root: Path
     scheme: Scheme
@@ -37,10 +36,17 @@ class Gathered:
     _splits: dict[str, tuple[list[Image], list[Annotation]]] = field(default_factory=dict)
 
     def add(self, split: str, image: Image, vehicles: Iterable[Annotation], files: Mapping[str, Path | bytes]) -> None:
-        """Take an image with its vehicles; `files` are what lies, or shall lie, under its file names."""
+        """Add an image.
+
+        Args:
+            split: Split that it goes to.
+            image: Its record; `id` and `split` are set here.
+            vehicles: Its annotations; their ids are set here.
+            files: Path in the dataset to what it is to hold: bytes, or the file (or member of a shard) at a path.
+        """
         images, annotations = self._splits.setdefault(split, ([], []))
         for name, content in files.items():
-            put(content, self.root / name)
+            place_file(content, self.root / name)
         self.counts.images += 1
         number = self.counts.images
         images.append(replace(image, id=number, split=split))
@@ -55,7 +61,17 @@ class Gathered:
         self.counts.add(places, kinds, {"ignored": ignored})
 
     def finish(self, *, command: str, licence: str, label_rules: Sequence[str], **more: Any) -> None:
-        """Write annotations and card; `more` are further fields of the card."""
+        """Write annotation files, card and README.
+
+        Args:
+            command: Command line that makes this dataset, for the card.
+            licence: What the images may be used under.
+            label_rules: Sentences that say what is labelled.
+            more: Further fields of the card.
+
+        Raises:
+            UserError: No image was added.
+        """
         if not self.counts.images:
             raise UserError("no image was found: nothing to write")
         for split, (images, annotations) in self._splits.items():
@@ -83,22 +99,22 @@ class Gathered:
 
 
 def dataset_at(root: Path) -> Dataset:
-    """A dataset to read from; one without a split is a UserError."""
+    """Open the dataset folder at `root`; a UserError where it has no annotations."""
     dataset = open_dataset(root)
     if not dataset.splits:
         raise UserError(f"{root}: has no annotations")
     return dataset
 
 
-def outside(out: Path, sources: Iterable[Path]) -> None:
-    """Raise a UserError where `out` lies in one of the folders that are read from."""
+def check_outside(out: Path, sources: Iterable[Path]) -> None:
+    """Raise a UserError where the output `out` lies inside one of the source folders, which must not change."""
     for source in sources:
         if source.resolve() in out.resolve().parents:
             raise UserError(f"{out}: is inside {source}, which is left as it is; choose another folder")
 
 
-def put(content: Path | bytes, target: Path) -> None:
-    """Write bytes, or bring the file (or member of a shard) at a path, to `target`."""
+def place_file(content: Path | bytes, target: Path) -> None:
+    """Put a file in place at `target`: write bytes, link the file at a path, or extract that member of a shard."""
     if isinstance(content, bytes):
         write_bytes(target, content)
     elif shards.split_member(content):
@@ -107,8 +123,8 @@ def put(content: Path | bytes, target: Path) -> None:
         link(content, target)
 
 
-def plain(name: str) -> str:
-    """A file name of ours, in a folder or in a shard, without what stands before site and frame."""
+def bare_name(name: str) -> str:
+    """<site>/<frame>.<suffix> of a skope file name: without the folder `images/` or `depth/`, or the shard's path."""
     parts = PurePosixPath(name).parts
     after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
     if after:
@@ -117,13 +133,13 @@ def plain(name: str) -> str:
 
 
 def frame_rate(images: Sequence[Image]) -> float:
-    """Frames a second of a recording's images; 2, this program's usual rate, where no times say it."""
+    """Frames a second of a recording's images, from the median of their time steps; 2, as in presets, without times."""
     times = [image.time_s for image in images if image.time_s is not None]
     steps = np.diff(times)
     return float(1 / np.median(steps)) if len(steps) and (steps > 0).all() else 2.0
 
 
 def licence_beside(folder: Path) -> str:
-    """What an export of ours says in `LICENCE_FILE`; "not stated" without one."""
+    """The licence that `LICENCE_FILE` in a folder states; "not stated" where there is no such file."""
     path = folder / LICENCE_FILE
     return " ".join(read_bytes(path).decode(errors="replace").split()) if path.is_file() else "not stated"

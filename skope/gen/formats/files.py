@@ -19,7 +19,7 @@ class Files(Protocol):
     where: Path
 
     def names(self, folder: str, suffix: str) -> list[str]:
-        """Of the files right in a folder."""
+        """Names of the files with that suffix that lie right in a folder."""
         ...
 
     def find(self, name: str) -> Path | bytes | None:

@@ -26,13 +26,13 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import put
+from skope.gen.formats.dataset_builder import place_file
 from skope.schema import Annotation, Box3D, Image
 
 Array = NDArray[np.float64]
 
 TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Van", "minivan": "Van", "other": "Misc"}
-"""KITTI's words; every other type is a Car."""
+"""Names of vehicle types in KITTI's files; every other type is a Car."""
 OCCLUSIONS: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""
 DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
@@ -42,7 +42,8 @@ _ROAD: Final = np.array([0.0, 0.0, 1.0])
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write every split; images must have cameras, and vehicles 3D boxes."""
+    """Write every split of a dataset to a folder of `out`; a UserError where an image has no camera or a vehicle no 3D
+    box."""
     distorted = 0
     for split in dataset.splits:
         file = dataset.read(split)
@@ -54,7 +55,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
                 raise UserError(f"{where}: camera: missing, and KITTI's labels are in its frame")
             distorted += image.camera.distortion.model != "none"
             suffix = PurePosixPath(image.file_name).suffix
-            put(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
+            place_file(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
             labels, rotations = _labels(where, own[image.id], image, image.camera)
             texts = {
                 "label_2": "".join(labels),
@@ -111,7 +112,7 @@ def _labels(where: str, vehicles: Sequence[Annotation], image: Image, camera: Ca
 
 
 def _placed(box: Box3D, camera: Camera) -> tuple[Array, float, Array]:
-    """In the camera frame: the middle of the bottom, the turn about the road's normal, and the whole rotation."""
+    """A box in the camera frame: the middle of its bottom, its turn about the road's normal, and its whole rotation."""
     bottom = camera.to_camera(box.center - box.R @ [0.0, 0.0, box.size_lwh[2] / 2])
     R = camera.T_camera_world[:3, :3] @ box.R @ BOX_AXES
     ahead = levelling(road_plane(camera)).T @ R[:, 0]

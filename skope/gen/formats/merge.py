@@ -1,4 +1,4 @@
-"""Join datasets into one: `skope gen merge`."""
+"""Join datasets into one: what `skope gen merge` does."""
 
 import shlex
 from collections import Counter
@@ -9,26 +9,35 @@ from pathlib import Path
 
 from skope import shards
 from skope.console import Console
-from skope.dataset import Dataset, recordings
+from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import replacing_folder
-from skope.gen.formats.dataset_builder import Gathered, dataset_at, outside, plain
+from skope.gen.formats.dataset_builder import DatasetBuilder, bare_name, check_outside, dataset_at
 from skope.gen.output.licences import united
+from skope.sampling import recordings
 from skope.schema import AnnotationFile, Image
 
 
 def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
-    """Write a dataset with the images of all at `out`, an empty or missing folder, which holds all or nothing.
+    """Write a dataset with the images of several datasets.
 
-    Images and depth are linked where the file system can. Splits stay as they are; a site that several datasets have
-    becomes one for each, and one that is in different splits of theirs is refused, as are different keypoint schemes
-    and licences that exclude each other. Recordings are left out: what was joined is not rendered again.
+    Images and depth are hard links where the file system allows them. Splits keep their names. A site that several
+    datasets have becomes one site for each of them. Recordings are left out: a joined dataset is not rendered again.
+
+    Args:
+        sources: Two or more dataset folders.
+        out: A folder that is empty or missing. It is written whole or not at all.
+        console: Where progress is shown.
+
+    Raises:
+        UserError: The datasets have different keypoint schemes, licences that exclude each other, or a site or image
+            in different splits.
     """
     if len(sources) < 2:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
         raise UserError("a dataset is named twice")
-    outside(out, sources)
+    check_outside(out, sources)
     datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
     for other in datasets[1:]:
@@ -38,7 +47,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
             )
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
-        gathered = Gathered(folder, first.scheme)
+        builder = DatasetBuilder(folder, first.scheme)
         names, begun = _Sites(), dict[str, tuple[Path, str]]()
         for dataset in datasets:
             twice = Counter[Path]()
@@ -46,14 +55,14 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                 file = dataset.read(split)
                 names.check(dataset, split, file)
                 twice.update(_twice(dataset, split, file, begun))
-                _add(dataset, split, file, names, gathered, console)
+                _add_split(dataset, split, file, names, builder, console)
             names.close(dataset)
             for whose, count in twice.items():
                 console.say(
                     f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
                 )
-        gathered.finish(
-            # Names alone: where they lie on this machine is nobody's business.
+        builder.finish(
+            # Names without folders: the card is published, and must not show how the user's disk is laid out.
             command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
@@ -71,7 +80,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
 
 
 class _Sites:
-    """What the sites of each dataset are called in the joined one."""
+    """Names of each dataset's sites in the joined dataset."""
 
     def __init__(self) -> None:
         self._splits: dict[str, dict[Path, set[str]]] = {}
@@ -98,18 +107,20 @@ class _Sites:
                 own[site] = name
 
     def close(self, dataset: Dataset) -> None:
-        """From here on the names belong to this dataset."""
+        """Reserve the names of a dataset's sites, after its last split."""
         self._taken |= set(self._named[dataset.root].values())
 
     def of(self, dataset: Dataset) -> dict[str, str]:
+        """A dataset's sites: name in it to name in the joined dataset."""
         return self._named[dataset.root]
 
 
 def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
-    """For each recording whose first image with a vehicle another dataset begins one with too: whose.
+    """Find recordings that another dataset has too; yields that dataset's folder for each.
 
-    `begun` grows by the others. Empty roads are not looked at: they may be alike by chance. A UserError where the other
-    dataset has it in another split.
+    Recordings are the same when their first images with a vehicle are: empty roads may be alike by chance. `begun`
+    holds those images of the datasets before (digest to folder and split) and grows by this dataset's. Raises
+    UserError where the other dataset has the recording in another split.
     """
     own = file.by_image()
     for images in recordings(file):
@@ -128,17 +139,17 @@ def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, 
         yield whose
 
 
-def _add(
-    dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, gathered: Gathered, console: Console
+def _add_split(
+    dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, builder: DatasetBuilder, console: Console
 ) -> None:
     own, sites = file.by_image(), names.of(dataset)
     for image in console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}"):
-        new, files = _moved(image, sites, dataset, gathered.root)
-        gathered.add(split, new, own[image.id], files)
+        new, files = _rename(image, sites, dataset, builder.root)
+        builder.add(split, new, own[image.id], files)
 
 
-def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, Path]]:
-    """The image under its new names, and where each of its files lies."""
+def _rename(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, Path]]:
+    """An image's record with its names in the joined dataset, and the present path of each of its files by new name."""
     site = None if image.site is None else sites[image.site]
     new: dict[str, str] = {}
     files: dict[str, Path] = {}
@@ -146,7 +157,7 @@ def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) ->
         old = getattr(image, key)
         if old is None:
             continue
-        name = plain(old)
+        name = bare_name(old)
         if site is not None:
             name = f"{site}/{name.removeprefix(f'{image.site}/')}"
         candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.resolve().name}/{name}")
@@ -158,7 +169,7 @@ def _moved(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) ->
 
 
 def _fleet(datasets: Sequence[Dataset]) -> dict[str, object]:
-    """Card's field `fleet`, where all have it: a model is held out when no dataset's training shows it."""
+    """The card's field `fleet` if all datasets have one: models count as held out that are held out in all of them."""
     told = [dataset.card.get("fleet") for dataset in datasets]
     if not all(isinstance(fleet, dict) and {"held_out", "substituted"} <= fleet.keys() for fleet in told):
         return {}

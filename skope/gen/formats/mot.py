@@ -9,17 +9,18 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from skope.console import Console
-from skope.dataset import Dataset, recordings
+from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import frame_rate, put
+from skope.gen.formats.dataset_builder import frame_rate, place_file
+from skope.sampling import recordings
 from skope.schema import Annotation, Image
 
 CLASS: Final = 1
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write each recording as a sequence."""
+    """Write each recording of a dataset as a MOTChallenge sequence below `out`."""
     for split in console.bar(dataset.splits, unit="split", label="writing mot"):
         file = dataset.read(split)
         own = file.by_image()
@@ -28,7 +29,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             rows = []
             for frame, image in enumerate(images, start=1):
                 suffix = PurePosixPath(image.file_name).suffix
-                put(dataset.root / image.file_name, out / split / name / "img1" / f"{frame:06d}{suffix}")
+                place_file(dataset.root / image.file_name, out / split / name / "img1" / f"{frame:06d}{suffix}")
                 rows += [_row(f"{dataset.root}: {split}", frame, vehicle) for vehicle in own[image.id]]
             write_text(out / split / name / "gt" / "gt.txt", "".join(rows))
             write_text(out / split / name / "seqinfo.ini", _information(name, images))

@@ -74,7 +74,7 @@ def archives(sources: Sequence[Path]) -> list[Path]:
 
 
 def scene_of(archive: Archive) -> ArchiveScene:
-    """What an archive holds; a UserError says what its layout lacks."""
+    """Read the scene of an archive; a UserError says what its layout lacks."""
     found: dict[int, dict[str, dict[str, str]]] = {}
     names = set()
     for member in archive.names:

@@ -19,25 +19,27 @@ from numpy.typing import NDArray
 
 from skope import boxes, keypoints
 from skope.console import Console
-from skope.dataset import Dataset, recordings
+from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
-from skope.gen.formats.dataset_builder import Gathered, frame_rate, licence_beside
+from skope.gen.formats.dataset_builder import DatasetBuilder, frame_rate, licence_beside
 from skope.gen.formats.scenes import VIDEO, ArchiveScene, ArchiveVehicle, Array, archives, scene_of
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.names import for_opencv
 from skope.names import name as check_name
+from skope.sampling import recordings
 from skope.schema import Annotation, Image
 from skope.video import write_video
 
 LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
 SCENES: Final = "scenes.csv"
-"""Beside our own archives: which split, site and recording each scene is."""
+"""File beside exported archives: split, site and recording of each scene."""
 MAP: Final = "map.json"
-"""Beside our own archives: what their keypoints are."""
+"""File beside exported archives: names of the keypoints that their numbers stand for."""
 CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-"""The 3D box's corners in our archives: back before front, right before left, below before above."""
+"""(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
+above."""
 
 _NOWHERE: Final = -1.0
 
@@ -47,7 +49,7 @@ _NOWHERE: Final = -1.0
 
 @dataclass(frozen=True)
 class ScenePlace:
-    """Where a scene belongs in the dataset."""
+    """Split, site and recording that a scene becomes in the dataset."""
 
     split: str
     site: str
@@ -57,12 +59,21 @@ class ScenePlace:
 def read(
     sources: Sequence[Path], root: Path, *, split: str | None, map_file: Path | None, command: str, console: Console
 ) -> None:
-    """Make a dataset at `root` of scenes: of scheme `skope3d`, or with a map of scheme `skope33`.
+    """Make a dataset from scenes of the published SKoPe3D layout.
 
-    A scene goes to `split`, or where the `scenes.csv` beside it says, or else to train.
+    Args:
+        sources: Archives, or folders with archives.
+        root: Folder of the new dataset.
+        split: Split that all scenes go to. Default: what the `scenes.csv` beside them says, else "train".
+        map_file: What keypoints the archives' numbers stand for; with it the scheme is `skope33`, else `skope3d`.
+        command: Command line for the card.
+        console: Where progress is shown.
+
+    Raises:
+        UserError: An archive or the map cannot be read, a scene occurs twice, or scenes have different licences.
     """
     names = read_map(map_file) if map_file else None
-    gathered = Gathered(root, SKOPE33 if names is not None else PUBLISHED)
+    builder = DatasetBuilder(root, SKOPE33 if names is not None else PUBLISHED)
     seen: dict[tuple[str, str], Path] = {}
     licences = set()
     for path in console.bar(archives(sources), unit="scene", label="reading scenes"):
@@ -70,19 +81,19 @@ def read(
             scene = scene_of(archive)
             told = _places(path.parent / SCENES)
             place = told.get(scene.name, ScenePlace("train", scene.name, "00"))
-            # What this program exported itself is not the published data.
+            # Scenes that skope exported are not the published data and have a licence of their own.
             licences.add(licence_beside(path.parent) if scene.name in told else LICENCE)
             place = replace(place, split=split) if split else place
             if (place.site, place.recording) in seen:
                 raise UserError(f"{path}: {scene.name} is in {seen[place.site, place.recording]} too")
             seen[place.site, place.recording] = path
-            _gather(scene, place, names, gathered, root / ".video.avi")
+            _add_scene(scene, place, names, builder, root / ".video.avi")
     rules = ["Boxes, keypoints and tracks are those of the files read; v = 2: visible, v = 1: hidden, with a place."]
     if names is not None:
         rules.append(f"{len(names)} of {K} keypoints are mapped to scheme {SKOPE33.name}; the others are unlabelled.")
     if len(licences) > 1:
         raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): read them apart")
-    gathered.finish(command=command, licence=licences.pop(), label_rules=rules)
+    builder.finish(command=command, licence=licences.pop(), label_rules=rules)
 
 
 def _places(path: Path) -> dict[str, ScenePlace]:
@@ -100,8 +111,8 @@ def _places(path: Path) -> dict[str, ScenePlace]:
     return places
 
 
-def _gather(
-    scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, gathered: Gathered, video: Path
+def _add_scene(
+    scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, builder: DatasetBuilder, video: Path
 ) -> None:
     scene.archive.extract(f"{scene.name}/{VIDEO}", video)
     try:
@@ -120,7 +131,7 @@ def _gather(
             done, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])
             assert done
             own = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
-            gathered.add(place.split, image, [a for a in own if a is not None], {image.file_name: data.tobytes()})
+            builder.add(place.split, image, [a for a in own if a is not None], {image.file_name: data.tobytes()})
     finally:
         video.unlink(missing_ok=True)
 
@@ -201,9 +212,9 @@ def read_map(path: Path) -> dict[int, int]:
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write each recording as an archive, and beside them where they come from and what their keypoints are.
+    """Write each recording of a dataset as an archive to `out`, and `SCENES` and `MAP` beside the archives.
 
-    What this layout has no place for (masks, depth, world coordinates, what is ignored) is left out.
+    Masks, depth, world coordinates and ignored vehicles are left out: the layout has no place for them.
     """
     groups = [(split, own) for split in dataset.splits for own in _groups(dataset, split)]
     places, ignored = [], 0

@@ -12,11 +12,12 @@ from typing import Final
 import numpy as np
 
 from skope.console import Console
-from skope.dataset import Dataset, held_back
+from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import plain, put
+from skope.gen.formats.dataset_builder import bare_name, place_file
 from skope.keypoints import K, Scheme
+from skope.sampling import held_back
 from skope.schema import Annotation, AnnotationFile, Image
 
 VALIDATED: Final = 0.1
@@ -25,15 +26,15 @@ TRAIN, VAL = "train", "val"
 
 
 def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -> None:
-    """Write the dataset with the keypoints `names`, by default all, in their order."""
+    """Write a dataset for Ultralytics to `out`; `names` are the keypoints to write, in their order (empty: all)."""
     chosen = _indices(dataset.scheme, names)
     parts = _parts(dataset)
     ignored = 0
     for name, file in parts.items():
         own = file.by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
-            path = PurePosixPath(name) / plain(image.file_name)
-            put(dataset.root / image.file_name, out / "images" / path)
+            path = PurePosixPath(name) / bare_name(image.file_name)
+            place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
                 raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
@@ -82,7 +83,7 @@ def _row(vehicle: Annotation, image: Image, chosen: Sequence[int]) -> str:
 
 
 def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
-    """Position among the chosen of each one's mirror partner."""
+    """Index, among the `chosen` keypoints, of each one's mirror partner."""
     if scheme.flip is None:
         return None
     partners = [scheme.flip[i] for i in chosen]

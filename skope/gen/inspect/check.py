@@ -36,21 +36,21 @@ DEPTH_LIMIT = 250.0
 ACCELERATION = 10.0
 """More than any vehicle brakes or corners with, m/s^2."""
 SPEED_DOUBT = 0.3
-"""What a body's rocking and the rounding of files add to that, m/s."""
+"""Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
 DOUBT = 0.015
 """Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a dataset."""
+    """One thing that is wrong with a dataset."""
 
     where: str
     """File, and the ids in it."""
     text: str
     """The field, and what is wrong with it."""
     image: str | None = None
-    """File name of the image whose frame has to be made again to mend it; None when that would not help."""
+    """File name of the image that has to be rendered again to repair this; None when that would not help."""
     stray: bool = False
     """Whether `where` is a file that does not belong here."""
 
@@ -59,7 +59,10 @@ class Finding:
 
 
 def check(dataset: Dataset) -> Iterator[Finding]:
-    """What is wrong with a dataset; nothing for a sound one."""
+    """Check a dataset: files, checksums, and whether labels agree with each other, with depth and with physics.
+
+    Yields what is wrong, split by split; nothing for a sound dataset.
+    """
     yield from _check_manifest(dataset)
     if not dataset.splits:
         yield Finding(f"{dataset.root}", "no annotation files")
@@ -127,7 +130,7 @@ class _Seen:
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """Checksums of all files, and files that nobody names; nothing for datasets that came without a manifest."""
+    """Check the checksums of all files, and find stray files; nothing for datasets that came without a manifest."""
     if "takes" not in dataset.card:
         return
     try:

@@ -1,4 +1,4 @@
-"""How two datasets differ."""
+"""Compare two datasets: the differences between their labels and between their files."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -73,7 +73,7 @@ def _named(key: Key) -> str:
 
 
 def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
-    """By the manifests, where both have one of the same format."""
+    """Differences between the files of two datasets, by their manifests, where both have one of the same format."""
     if one.sharded != other.sharded:
         yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
         return

@@ -1,4 +1,4 @@
-"""What is installed, what of it works, and what to do about the rest."""
+"""Check the installation: what is installed, what of it works, and how to mend the rest."""
 
 import platform
 import subprocess
@@ -85,7 +85,7 @@ def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> 
 
 
 def _empty_street() -> Recording:
-    """What can be drawn where nothing can be simulated, as on machines that only render."""
+    """A recording of an empty street, to draw on machines that can render but not simulate."""
     site = next(iter(sites().values()))
     spans = ranges(site.weather, site.time_of_day, site.conditions)
     lights = Layout.of(site.town).net.getTrafficLights()
@@ -127,7 +127,7 @@ print(f"{torch.__version__}, torchvision {torchvision.__version__}, {where}")
 
 
 def _torch() -> str:
-    # In a process of its own: torch crashes where Mesa's compiler was loaded before it.
+    # In a separate process, since torch crashes where Mesa's compiler was loaded before it.
     done = subprocess.run([sys.executable, "-c", _TORCH], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"])[-1])

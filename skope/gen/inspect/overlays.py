@@ -15,14 +15,28 @@ from skope.schema import Annotation, Image
 Pixels = NDArray[np.uint8]
 
 LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
+"""What can be drawn on an image."""
 SHEET: Final = 12
-"""Images of a sheet."""
+"""Number of images on a sheet."""
 _CELL: Final = 640
 """Width of an image on a sheet, pixels."""
 
 
 def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], layers: Sequence[str]) -> Pixels:
-    """An image with some of `LAYERS` drawn on it; depth comes in the image's place."""
+    """Draw labels on an image.
+
+    Args:
+        dataset: Where the image is.
+        image: Its record.
+        annotations: Its annotations.
+        layers: Some of `LAYERS`; "depth" takes the place of the photograph.
+
+    Returns:
+        (H, W, 3) RGB.
+
+    Raises:
+        UserError: A layer needs depth or a camera that the image does not have.
+    """
     pixels = dataset.image(image)
     if "depth" in layers:
         metres = dataset.depth(image)
@@ -43,7 +57,7 @@ def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], l
 
 
 def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -> Path:
-    """Write the overlay of the image with an id; the file's path."""
+    """Write the overlay of the image with the id `number` to the folder `out`; returns the file's path."""
     for split in dataset.splits:
         file = dataset.read(split)
         for image in file.images:
@@ -55,7 +69,20 @@ def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -
 
 
 def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path) -> list[Path]:
-    """Write a sheet of `SHEET` images, evenly spread, of each split, or of one site; the files' paths."""
+    """Write sheets of `SHEET` overlays, evenly spread over each split, or over one site.
+
+    Args:
+        dataset: Where the images are.
+        site: Name of a site; None for a sheet of each split.
+        layers: Some of `LAYERS`.
+        out: Folder of the sheets.
+
+    Returns:
+        Paths of the sheets.
+
+    Raises:
+        UserError: There is no such image.
+    """
     groups: dict[str, list[tuple[Image, list[Annotation]]]] = {}
     for split in dataset.splits:
         file = dataset.read(split)

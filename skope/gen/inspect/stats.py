@@ -1,4 +1,4 @@
-"""What a dataset holds, split by split, in numbers: how many vehicles, how large, how far, how hidden."""
+"""Statistics of a dataset, split by split: how many vehicles, how large, how far, how hidden."""
 
 import math
 from collections import Counter
@@ -18,16 +18,16 @@ from skope.keypoints import K
 from skope.schema import Annotation, AnnotationFile, Image
 
 PICTURES: Final = 200
-"""Images of a split, evenly spread, whose brightness is measured."""
+"""Number of images of a split, evenly spread, whose brightness is measured."""
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
-"""Okabe and Ito's, fit for colour-blind readers;"""
+"""Colours of splits in plots: Okabe and Ito's, which colour-blind readers can tell apart."""
 _LINES: Final = ("solid", "dashed", "dotted", "dashdot", "solid")
-"""and never colour alone."""
+"""Line styles of splits in plots, so that no difference is one of colour alone."""
 
 
 @dataclass(frozen=True)
 class SplitStats:
-    """Numbers of one split; of ground truth unless they say otherwise. Quartiles are (25%, 50%, 75%)."""
+    """Statistics of one split, of its ground truth unless a field says otherwise. Quartiles are (25%, 50%, 75%)."""
 
     images: int
     sites: int
@@ -35,7 +35,7 @@ class SplitStats:
     """Ground-truth boxes."""
     ignored: int
     tracks: int
-    """Distinct vehicles; those that no camera saw under an id are not counted."""
+    """Number of distinct vehicles, by site and track id; vehicles without a track id are not counted."""
     per_image: float
     distance_m: tuple[float, float, float]
     box_height_px: tuple[float, float, float]
@@ -50,7 +50,7 @@ class SplitStats:
     types: Mapping[str, int]
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as JSON has them: null for those of which nothing was there to count."""
+        """The numbers as JSON values; null where there was nothing to count."""
         return {name: _without_nan(value) for name, value in asdict(self).items()}
 
 
@@ -61,7 +61,12 @@ def _without_nan(value: Any) -> Any:
 
 
 def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
-    """Numbers of one of a dataset's splits; reads at most `PICTURES` of its images."""
+    """Statistics of one split.
+
+    Args:
+        dataset: For the images; at most `PICTURES` of them are read.
+        file: Annotations of the split.
+    """
     known = [annotation for annotation in file.annotations if not annotation.iscrowd]
     sites = {image.id: image.site for image in file.images}
     seen = np.array([(a.keypoints[:, 2] == 2).mean() for a in known])

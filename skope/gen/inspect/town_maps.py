@@ -18,7 +18,7 @@ SIZE: Final = 1600
 VIEW: Final = 60.0
 """How far view cones are drawn, metres."""
 _FRAME: Final = 30.0
-"""Ground that is drawn around the network, metres."""
+"""Width of the ground that is drawn around the network, metres."""
 _SHIFT: Final = 4
 _GROUND, _WALK, _ROAD, _DECK, _ISLAND = (228, 230, 218), (205, 203, 197), (120, 122, 126), (88, 90, 98), (188, 202, 168)
 _HOUSE, _TREE, _TEXT = (196, 168, 148), (150, 180, 130), (30, 30, 34)

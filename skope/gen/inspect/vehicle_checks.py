@@ -41,14 +41,14 @@ PARTS: Final = {
 class VehicleFinding:
     text: str
     harmless: bool = False
-    """Of a model that was added: what its maker may have wanted."""
+    """Whether the maker of a user's own model may have wanted this."""
 
     def __str__(self) -> str:
         return self.text
 
 
 def findings(vehicle: Vehicle) -> Iterator[VehicleFinding]:
-    """What is wrong with a model."""
+    """Check a vehicle model: yields what is wrong with it."""
     added = isinstance(vehicle, AddedVehicle)
     for part in (_surface, _symmetry, _size, _wheels, _orientation, _sidecar):
         yield from map(VehicleFinding, part(vehicle))

@@ -27,7 +27,7 @@ VIEWS: Final = {
     "rear": (180.0, 6.0),
     "top": (90.0, 80.0),
 }
-"""Where the camera stands: degrees from straight ahead towards the vehicle's left, and above the horizon."""
+"""Directions of the camera: degrees from straight ahead towards the vehicle's left, and above the horizon."""
 _FOV: Final = math.radians(20)
 _MARGIN: Final = 1.12
 _CAR_COLOR: Final = "red"

@@ -1,4 +1,4 @@
-"""From a rendered view to annotations: projection, hidden points, occlusion rules, boxes and masks. Pure numpy."""
+"""Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks. Pure numpy."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,12 +26,15 @@ Mask = NDArray[np.bool_]
 
 OCCLUSION_RULES: Final = ("others", "paper")
 POINT_TOLERANCE: Final = 0.05
-"""A point this far behind the surface shown is still visible, metres."""
+"""A keypoint no farther than this behind the surface that the image shows counts as visible, metres."""
 VEHICLE_TOLERANCE: Final = 0.20
-"""The same for the rule that takes whole vehicles out (the paper's figure)."""
+"""A keypoint this far behind the surface shown counts as hidden where a whole vehicle is judged, metres (SKoPe3D)."""
 SLOPE_CAP: Final = 5.0
+"""Largest allowance for the slope of a surface within a pixel, metres; see `behind`."""
 MIN_PIXELS: Final = 20
+"""Vehicles with fewer visible pixels are ignored as `small`."""
 MIN_CONTRAST: Final = 1.0
+"""Vehicles that change the image by less than this on average, of 255, are ignored as `unseen`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +71,12 @@ class WorldKeypoints:
 
 
 def locate(moment: Moment, localizer: str) -> WorldKeypoints:
-    """Localise the keypoints of all labelled vehicles of a moment at once."""
+    """World positions of the keypoints of all N labelled vehicles of a moment.
+
+    Args:
+        moment: The frame.
+        localizer: "rigid" (keypoints move with the chassis) or "trilateration" (from distances to the wheels).
+    """
     moment = moment.labelled()
     vehicles = tuple(build(recorded.model, recorded.shape) for recorded in moment.vehicles)
     if not vehicles:
@@ -86,26 +94,36 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
 
 @dataclass
 class RuleCounts:
-    """What the rules did to a frame's vehicles, for the dataset's card."""
+    """How many of a frame's vehicles each rule applies to, for the dataset's card."""
 
     vehicles: int = 0
-    """With at least one visible pixel."""
+    """Vehicles with at least one visible pixel."""
     occluded_others: int = 0
-    """Vehicles that the rule `others` would take."""
+    """Vehicles that count as hidden by the rule `others`."""
     occluded_paper: int = 0
-    """Vehicles that the rule `paper` would take."""
+    """Vehicles that count as hidden by the rule `paper`."""
     ignored: dict[str, int] = field(default_factory=dict)
+    """Vehicles that are ignored, by reason."""
     apart_m: float = 0.0
-    """Sum over the vehicles of how far, on average over the keypoints, the two localizers are apart."""
+    """Sum over the vehicles of the mean distance between the two localizers' keypoints, metres."""
     most_apart_m: float = 0.0
+    """Largest distance between the two localizers' answers for a keypoint, metres."""
 
 
 def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
-    """How far points (..., 3) lie behind the surfaces that pixels show, metres, and those pixels' ids; (4, ...) each.
+    """How far points lie behind the surfaces that the four pixels around them show.
 
-    The pixels are the four whose centres are around the point, its own first. Distances are from the camera's centre.
-    A pixel's centre is not the point's own ray: the difference that the surface's slope makes between the two is
-    allowed for, up to `SLOPE_CAP`. NaN and -2 outside the image.
+    A pixel's depth is that of its centre, not of the point's ray: what the surface's slope can make between the two is
+    subtracted, up to `SLOPE_CAP`.
+
+    Args:
+        view: The rendered frame.
+        camera: Its camera.
+        points: (..., 3) world, metres.
+
+    Returns:
+        (4, ...) metres behind the surface, as distances from the camera's centre; NaN outside the image. (4, ...) ids
+        of the pixels; -2 outside the image. The first of the four is the pixel that the point is in.
     """
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
@@ -130,20 +148,20 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
 
 
-def _hidden(moment: Moment, located: WorldKeypoints, camera: Camera, gap: Array, shown: NDArray[np.int32]) -> Mask:
-    """(N, 33) which points something hides.
+def _find_hidden(moment: Moment, world: WorldKeypoints, camera: Camera, gap: Array, shown: NDArray[np.int32]) -> Mask:
+    """(N, 33) which keypoints are hidden, from what `behind` says of them: `gap` and `shown` (4, N, 33).
 
-    The four pixels around a point decide where they show the same and agree. Where an edge passes between them the
-    point's own ray does: the vehicles' shapes are known. What is not a vehicle hides the point if its own pixel shows
-    it.
+    Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
+    them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
+    point's own pixel shows it.
     """
-    # A wheel's centre may be inside the image while the middle of its face is not: then nothing says it is hidden.
+    # A wheel's centre may be inside the image while the middle of its face is not: it then counts as visible.
     blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
     hidden: Mask = blocked[0].copy()
     edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
     doubtful = edge & ~(blocked[0] & (shown[0] == STATIC))
     if doubtful.any():
-        points = located.tested[doubtful]
+        points = world.tested[doubtful]
         away = np.linalg.norm(points - camera.position, axis=-1)
         hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
         hidden[doubtful] = away - hits > POINT_TOLERANCE
@@ -153,31 +171,45 @@ def _hidden(moment: Moment, located: WorldKeypoints, camera: Camera, gap: Array,
 def annotate(
     moment: Moment, view: RenderedFrame, camera: Camera, rules: Rules, image_id: int
 ) -> tuple[list[Annotation], RuleCounts]:
-    """Annotations of a frame's vehicles, ignored ones included, in track order; their ids count from 1."""
-    located = locate(moment, rules.localizer)
-    pixels, _, valid = camera.project(located.points)
+    """Annotate the vehicles of a rendered frame.
+
+    Args:
+        moment: Poses of the road users, as the frame was rendered from them.
+        view: The rendered frame.
+        camera: Its camera.
+        rules: What is ground truth, what is ignored.
+        image_id: Id of the image, for the annotations.
+
+    Returns:
+        Annotations of all vehicles with a visible pixel, ignored ones included, by track id; their ids count from 1
+        (the rule `paper` leaves hidden vehicles out). And how many vehicles each rule applies to.
+    """
+    world = locate(moment, rules.localizer)
+    pixels, _, valid = camera.project(world.points)
     inside = valid & camera.inside(pixels)
-    gap, shown = behind(view, camera, located.tested)
-    own = shown[0] == np.arange(1, len(located.vehicles) + 1)[:, None]
-    v = np.where(inside, np.where(_hidden(moment, located, camera, gap, shown), 1, 2), 0)
+    gap, shown = behind(view, camera, world.tested)
+    own = shown[0] == np.arange(1, len(world.vehicles) + 1)[:, None]
+    v = np.where(inside, np.where(_find_hidden(moment, world, camera, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()
     out: list[Annotation] = []
-    order = sorted(range(len(located.vehicles)), key=lambda i: moment.vehicles[i].track_id)
+    order = sorted(range(len(world.vehicles)), key=lambda i: moment.vehicles[i].track_id)
     for i in order:
-        shape = _measure(view, i, camera)
+        shape = _measure_extent(view, i, camera)
         if shape is None:
             continue
         tally.vehicles += 1
         tally.occluded_others += int(by_others[i])
         tally.occluded_paper += int(by_paper[i])
-        tally.apart_m += float(located.difference[i].mean())
-        tally.most_apart_m = max(tally.most_apart_m, float(located.difference[i].max()))
+        tally.apart_m += float(world.difference[i].mean())
+        tally.most_apart_m = max(tally.most_apart_m, float(world.difference[i].max()))
         if rules.occlusion == "paper" and by_paper[i]:
             continue
-        points = np.concatenate([np.where(v[i, :, None] > 0, _within(pixels[i], camera), 0.0), v[i, :, None]], axis=1)
+        points = np.concatenate(
+            [np.where(v[i, :, None] > 0, _clip_to_image(pixels[i], camera), 0.0), v[i, :, None]], axis=1
+        )
         occluded = rules.occlusion == "others" and bool(by_others[i])
         reason = _ignore_reason(shape, occluded, float(view.contrast[i]), rules)
         if reason:
@@ -187,41 +219,49 @@ def annotate(
                 id=len(out) + 1,
                 image_id=image_id,
                 keypoints=points,
-                keypoints_3d=located.points[i],
+                keypoints_3d=world.points[i],
                 iscrowd=int(reason is not None),
                 ignore_reason=reason,
                 contrast=float(view.contrast[i]),
                 **shape.fields(),
-                **_vehicle_fields(moment, i, located.vehicles[i], camera),
+                **_vehicle_fields(moment, i, world.vehicles[i], camera),
             )
         )
     return out, tally
 
 
 def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
-    """Rule `others` (..., 33) -> (...,): something else hides more than half of the points inside the image."""
+    """(...,) whether a vehicle counts as hidden by the rule `others`.
+
+    It does where something else hides more than half of its keypoints inside the image; both masks are (..., 33).
+    """
     return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
 
 
-def _within(pixels: Array, camera: Camera) -> Array:
-    """Pixels that rounding to 0.01 does not push out of the image."""
+def _clip_to_image(pixels: Array, camera: Camera) -> Array:
+    """Pixels (..., 2), rounded to 0.01 as annotation files have them, and kept inside the image."""
     return np.clip(np.round(np.nan_to_num(pixels), 2), 0, [camera.width - 0.01, camera.height - 0.01])
 
 
 @dataclass(frozen=True, eq=False)
 class _Extent:
-    """A vehicle's pixels in numbers."""
+    """Boxes, mask and pixel counts of a vehicle in the image."""
 
     bbox: Array
+    """(4,) x, y, width, height of the silhouette inside the image, pixels."""
     bbox_visible: Array
+    """(4,) x, y, width, height of the visible pixels."""
     segmentation: dict[str, Any]
+    """Visible pixels as COCO's RLE."""
     visible: int
+    """Number of visible pixels."""
     inside: int
     """Pixels of the whole silhouette inside the image."""
     whole: int
-    """Pixels of the whole silhouette on the canvas."""
+    """Pixels of the whole silhouette, also outside the image."""
 
     def fields(self) -> dict[str, Any]:
+        """The fields of `Annotation` that follow from these."""
         return {
             "bbox": self.bbox,
             "bbox_visible": self.bbox_visible,
@@ -233,8 +273,8 @@ class _Extent:
         }
 
 
-def _measure(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
-    """Boxes, masks and counts of the frame's i-th vehicle; None without a visible pixel."""
+def _measure_extent(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
+    """Boxes, mask and pixel counts of the frame's i-th vehicle; None where none of its pixels is visible."""
     silhouette = view.silhouettes[i]
     height, width = silhouette.mask.shape
     x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
@@ -243,7 +283,8 @@ def _measure(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
     if not visible.any():
         return None
     whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
-    # Drawn in another window, an edge may round to the pixel beside it; what is visible is part of the vehicle.
+    # The silhouette is drawn in another window, where an edge may round to the pixel beside it; visible pixels are part
+    # of the vehicle in any case.
     inside = whole | visible
     corner = np.array([x0, y0, 0, 0])
     return _Extent(
@@ -259,12 +300,12 @@ def _measure(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
 def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
     """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
     (x0, y0), (width, height) = corner, size
-    # Runs go down the columns; an empty row at the end keeps them from going on in the next one.
+    # RLE runs go down the columns; an empty row at the end keeps a run from continuing in the next column.
     columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
     edges = np.flatnonzero(np.diff(columns, prepend=False))
     column, row = np.divmod(edges, len(mask) + 1)
     edges = (x0 + column) * height + y0 + row
-    # In a mask as high as the image a run may end where the next begins.
+    # In a mask as high as the image a run may end where the next begins: such runs are joined.
     meets = np.flatnonzero(edges[1:] == edges[:-1])
     edges = np.delete(edges, np.concatenate([meets, meets + 1]))
     counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()

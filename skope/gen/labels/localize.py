@@ -1,4 +1,4 @@
-"""Where the 33 keypoints of a frame's vehicles are in the world: by rigid transform or by trilateration."""
+"""World positions of the 33 keypoints of a frame's V vehicles: by rigid transform or by trilateration."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ LOCALIZERS: Final = ("rigid", "trilateration")
 
 
 def transform(T_world_vehicle: Array, points: Array) -> Array:
-    """Points (V, 33, 3) of the vehicle frames -> world (V, 33, 3), by poses (V, 4, 4)."""
+    """Move points (V, 33, 3) from vehicle frames to the world by poses (V, 4, 4); returns (V, 33, 3), metres."""
     return np.asarray(points @ T_world_vehicle[:, :3, :3].transpose(0, 2, 1) + T_world_vehicle[:, None, :3, 3])
 
 
@@ -38,7 +38,7 @@ def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
 
 
 def with_wheels(points: Array, wheels: Array) -> Array:
-    """Put the wheel links' own centres (V, 4, 3) in for keypoints 16-19 of (V, 33, 3)."""
+    """A copy of keypoints (V, 33, 3) in which 16 to 19, the wheels, are the wheel centres (V, 4, 3), metres."""
     out = points.copy()
     out[:, list(keypoints.WHEELS)] = wheels
     return out

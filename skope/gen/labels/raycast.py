@@ -1,4 +1,8 @@
-"""The camera's own rays to points, against the triangles of a moment's vehicles. Pure numpy."""
+"""Ray casting from the camera to points, against the triangles of a frame's vehicles. Pure numpy.
+
+Each vehicle's triangles are grouped in patches of `_PATCH`. A ray is tested against spheres around the vehicles, then
+spheres and boxes around their patches, and only then against triangles.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,103 +19,109 @@ from skope.gen.vehicles.model import Body
 Array = NDArray[np.float64]
 
 _PATCH: Final = 16
-"""Triangles that are looked at together."""
+"""Number of triangles of a patch, which are tested together."""
 _SLACK: Final = 1e-6
-"""More than rounding takes from a sphere or box, metres."""
+"""What spheres and boxes are enlarged by, metres: more than rounding errors."""
 
 
 class RayCaster:
-    """What of a moment's N vehicles a ray from the camera meets first."""
+    """Finds where rays from the camera first meet one of the N vehicles of a moment."""
 
     def __init__(self, moment: Moment, vehicles: Sequence[Body], camera: Camera) -> None:
         self._moment, self._vehicles, self._camera = moment, vehicles, camera
 
     def first_hits(self, points: Array) -> Array:
-        """World points (R, 3) -> (R,) metres from the camera to what its rays to them meet first; inf where nothing.
+        """Cast a ray from the camera to each of R points.
 
-        What begins behind a point need not be found.
+        Args:
+            points: (R, 3) world, metres.
+
+        Returns:
+            (R,) metres from the camera to the first vehicle's surface that the ray meets; inf where there is none.
+            Surfaces behind a point may be left out.
         """
         ahead = self._camera.to_camera(points)
         away = np.linalg.norm(ahead, axis=-1)
         rays = ahead / away[:, None]
         hits = np.full(len(points), np.inf)
-        passing = _near(rays, away, self._centers, self._radii)
-        found = [self._met(i, rays, away, passing[:, i]) for i in np.flatnonzero(passing.any(axis=0)).tolist()]
+        passing = _may_meet_spheres(rays, away, self._centers, self._radii)
+        found = [self._candidates(i, rays, away, passing[:, i]) for i in np.flatnonzero(passing.any(axis=0)).tolist()]
         if not found:
             return hits
-        # All vehicles' patches go through the arithmetic together: numpy's calls are what would cost.
+        # The patches of all vehicles are tested together: many small numpy calls would cost more.
         starts = np.cumsum([0, *(len(one.eyes) for one in found)])
         ray = np.concatenate([one.ray for one in found])
         patch = np.concatenate([one.patch + start for one, start in zip(found, starts, strict=False)])
         own = np.concatenate([one.own for one in found])
         eyes = np.concatenate([one.eyes for one in found])
-        edges, volume = _planes(np.concatenate([one.corners for one in found], axis=2) - eyes.T[:, None, :, None])
+        edges, volume = _edge_planes(np.concatenate([one.corners for one in found], axis=2) - eyes.T[:, None, :, None])
         sides = [np.einsum("pc,cpt->pt", own, edge[:, patch]) for edge in edges]
-        pair, triangle, facing = _crossings(sides)
+        pair, triangle, facing = _find_crossings(sides)
         reach = volume[patch[pair], triangle] / facing
         np.minimum.at(hits, ray[pair], np.where(reach > 0, reach, np.inf))
         return hits
 
     @cached_property
     def _radii(self) -> Array:
-        """(N,) of spheres around the vehicles, wheels and mirrors included."""
+        """(N,) radii of spheres around the vehicles, wheels and mirrors included, metres."""
         return np.array([0.5 * np.linalg.norm(vehicle.size_lwh) + 0.4 for vehicle in self._vehicles])
 
     @cached_property
     def _centers(self) -> Array:
-        """(N, 3) their centres in the camera frame."""
+        """(N, 3) centres of the spheres around the vehicles, camera frame, metres."""
         up = np.array([[0, 0, vehicle.size_lwh[2] / 2] for vehicle in self._vehicles]).reshape(-1, 3)
         T = self._moment.T_world_chassis
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
-    def _met(self, i: int, rays: Array, away: Array, chosen: NDArray[np.bool_]) -> "_Met":
-        """The i-th vehicle's patches that chosen ones of the rays may meet."""
+    def _candidates(self, i: int, rays: Array, away: Array, chosen: NDArray[np.bool_]) -> "_Candidates":
+        """Pairs of a ray and a patch of the i-th vehicle that may meet; `chosen` (R,) are the rays to test."""
         moment, patches = self._moment, _patches(self._vehicles[i])
         poses = self._camera.T_camera_world @ np.concatenate(
             [moment.T_world_chassis[i][None], moment.T_world_wheels[i]]
         )
         T = poses[patches.part]
         centers = np.einsum("pij,pj->pi", T[:, :3, :3], patches.centers) + T[:, :3, 3]
-        ray, patch = _near(rays[chosen], away[chosen], centers, patches.radii).nonzero()
+        ray, patch = _may_meet_spheres(rays[chosen], away[chosen], centers, patches.radii).nonzero()
         ray = np.flatnonzero(chosen)[ray]
-        # Rays are turned into the part's frame: they are fewer than its corners.
+        # Rays are moved to the part's frame, and not triangles to the camera's: there are fewer of them.
         eyes = -np.einsum("pji,pj->pi", poses[:, :3, :3], poses[:, :3, 3])
         own = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
         part = patches.part[patch]
-        through = _through(own, away[ray], patches.boxes[:, patch] - eyes[part])
+        through = _may_meet_boxes(own, away[ray], patches.boxes[:, patch] - eyes[part])
         used, index = np.unique(patch[through], return_inverse=True)
-        return _Met(ray[through], index, own[through], eyes[patches.part[used]], patches.corners[:, :, used])
+        return _Candidates(ray[through], index, own[through], eyes[patches.part[used]], patches.corners[:, :, used])
 
 
-def _near(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
-    """(R, N) whether unit rays (R, 3) from the origin, `away` long, may meet what is in spheres."""
+def _may_meet_spheres(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:
+    """(R, N) whether unit rays (R, 3) from the origin, `away` (R,) metres long, may meet what is inside spheres."""
     along = rays @ centers.T
     across = (centers**2).sum(axis=-1) - along**2
     return np.asarray((along > -radii) & (along - radii < away[:, None]) & (across < radii**2))
 
 
-def _through(rays: Array, away: Array, boxes: Array) -> NDArray[np.bool_]:
-    """(R,) whether unit rays (R, 3) from the origin, `away` long, may pass boxes (2, R, 3), one for each of them."""
+def _may_meet_boxes(rays: Array, away: Array, boxes: Array) -> NDArray[np.bool_]:
+    """(R,) whether unit rays (R, 3) from the origin, `away` (R,) metres long, may pass their boxes (2, R, 3)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = boxes / rays
     begin, end = np.minimum(first, second).max(axis=-1), np.maximum(first, second).min(axis=-1)
-    # A ray along the very side of a box gives NaN, which nothing here is true for.
+    # A ray along the side of a box gives NaN, for which all comparisons are false: it counts as a hit.
     return np.asarray(~((begin > end) | (end < 0) | (begin > away)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Met:
-    """Pairs of rays and patches, and U patches, in the frames of their parts."""
+class _Candidates:
+    """P pairs of a ray and a patch that may meet, and the U patches that occur, in the frames of their parts."""
 
     ray: NDArray[np.intp]
+    """(P,) number of each pair's ray."""
     patch: NDArray[np.intp]
-    """Of the U."""
+    """(P,) index of each pair's patch among the U patches."""
     own: Array
-    """(pairs, 3) the rays."""
+    """(P, 3) direction of each pair's ray in the patch's part."""
     eyes: Array
-    """(U, 3) the camera."""
+    """(U, 3) place of the camera in each patch's part, metres."""
     corners: Array
-    """(3 axes, 3 corners, U, _PATCH) metres."""
+    """(3 axes, 3 corners, U, _PATCH) corners of the patches' triangles, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +129,15 @@ class _Patches:
     """A vehicle's triangles in P patches of `_PATCH` that lie close together, and spheres and boxes around them."""
 
     corners: Array
-    """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; where there are fewer they repeat."""
+    """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; smaller patches repeat their triangles."""
     part: NDArray[np.int64]
-    """(P,) 0 for the body, then its moving parts."""
+    """(P,) part that a patch belongs to: 0 is the body, then its moving parts."""
     centers: Array
-    """(P, 3)"""
+    """(P, 3) centres of the spheres around the patches, metres."""
     radii: Array
-    """(P,)"""
+    """(P,) radii of these spheres, metres."""
     boxes: Array
-    """(2, P, 3) their lowest and highest corners."""
+    """(2, P, 3) lowest and highest corners of the boxes around the patches, metres."""
 
 
 @lru_cache(maxsize=256)
@@ -135,7 +145,7 @@ def _patches(vehicle: Body) -> _Patches:
     corners, part = list[Array](), list[int]()
     for number, mesh in enumerate(vehicle.parts):
         triangles = mesh.vertices[mesh.triangles]
-        for chosen in _halved(triangles.mean(axis=1), np.arange(len(triangles))):
+        for chosen in _split_in_patches(triangles.mean(axis=1), np.arange(len(triangles))):
             corners.append(triangles[np.resize(chosen, _PATCH)])
             part.append(number)
     points = np.array(corners)
@@ -146,51 +156,64 @@ def _patches(vehicle: Body) -> _Patches:
     return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), np.array(part), centers, radii, boxes)
 
 
-def _halved(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Halves of the chosen places (N, 3), halved across their longest side until none has more than `_PATCH`."""
+def _split_in_patches(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Split the `chosen` indices of `places` (N, 3) into groups of at most `_PATCH` that lie close together.
+
+    Each group is halved across its longest side until it is small enough.
+    """
     if len(chosen) <= _PATCH:
         return [chosen] if len(chosen) else []
     there = places[chosen]
     order = chosen[there[:, np.ptp(there, axis=0).argmax()].argsort(kind="stable")]
     middle = len(order) // 2
-    return _halved(places, order[:middle]) + _halved(places, order[middle:])
+    return _split_in_patches(places, order[:middle]) + _split_in_patches(places, order[middle:])
 
 
 class Fan:
-    """Triangles (T, 3, 3) as seen from the origin."""
+    """Triangles (T, 3, 3), metres, for rays that all begin at the origin."""
 
     def __init__(self, triangles: Array) -> None:
-        self._edges, self._volume = _planes(np.ascontiguousarray(triangles.transpose(2, 1, 0)))
+        self._edges, self._volume = _edge_planes(np.ascontiguousarray(triangles.transpose(2, 1, 0)))
 
     def first_hits(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Rays (R, 3) from the origin -> how far they get, in their own lengths, and whether they meet a front there.
+        """Cast rays from the origin.
 
-        inf and False where they meet nothing. Fronts are counter-clockwise.
+        Args:
+            rays: (R, 3) directions, of any length.
+
+        Returns:
+            (R,) distance to the first triangle in lengths of the ray, inf where it meets none; (R,) whether it meets
+            the triangle's front, which is the side that shows the corners counter-clockwise.
         """
-        ray, triangle, facing = _crossings([rays @ edge for edge in self._edges])
+        ray, triangle, facing = _find_crossings([rays @ edge for edge in self._edges])
         reach = self._volume[triangle] / facing
         order = np.lexsort([reach, ray])[::-1]
         order = order[reach[order] > 0]
         hits, front = np.full(len(rays), np.inf), np.zeros(len(rays), dtype=bool)
-        # Of what a ray meets, the nearest comes last and stays.
+        # Crossings are in falling order of distance: the nearest one of a ray is assigned last.
         hits[ray[order]], front[ray[order]] = reach[order], facing[order] < 0
         return hits, front
 
 
-def _planes(corners: Array) -> tuple[tuple[Array, Array, Array], Array]:
-    """Corners (3 axes, 3, ...) of triangles -> normals (3, ...) of the planes through the origin and each edge.
+def _edge_planes(corners: Array) -> tuple[tuple[Array, Array, Array], Array]:
+    """Planes through the origin and each edge of triangles, whose corners are (3 axes, 3, ...).
 
-    Their sum is the triangle's own normal; with it comes (...,) the volume of six tetrahedra from the origin.
+    Returns the normals of the three planes, (3 axes, ...) each, whose sum is the triangle's own normal; and (...,) six
+    times the volume of the tetrahedron between origin and triangle.
     """
     a, b, c = corners.swapaxes(0, 1)
     edges = _cross(a, b), _cross(b, c), _cross(c, a)
     return edges, (a * sum(edges)).sum(axis=0)
 
 
-def _crossings(sides: Sequence[Array]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """On which side rays pass of the planes of triangles, (R, T) for each edge -> rays and triangles that cross.
+def _find_crossings(sides: Sequence[Array]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Pairs of a ray and a triangle that cross.
 
-    With them comes how much the ray goes along the triangle's normal.
+    Args:
+        sides: For each of a triangle's three edges (R, T) products of ray and the normal of the edge's plane.
+
+    Returns:
+        Row of the ray and column of the triangle, and the product of the ray with the triangle's normal: (P,) each.
     """
     # A ray passes inside a triangle when it is on the same side of all three planes.
     u, v, w = sides
@@ -202,5 +225,5 @@ def _crossings(sides: Sequence[Array]) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Of vectors (3, ...), whose axes are apart: many times faster than numpy's."""
+    """Cross product of vectors (3, ...), axes first; many times faster than `np.cross`."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -24,14 +24,24 @@ PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph,
 _PARAMETERS: Final[dict[str, type]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format"), str),
     **dict.fromkeys(("rules", "encoding", "frames", "settings", "cameras", "vehicles", "versions"), dict),
-    **{"seed": int, "sites": list, "shape_jitter": bool, "interval_s": float, "fov_deg": float},
+    "seed": int,
+    "sites": list,
+    "shape_jitter": bool,
+    "interval_s": float,
+    "fov_deg": float,
 }
-"""What is needed of the parameters, but `own`, which may be null."""
+"""Parameters that a card must have, with their types; `own`, which may be null, is checked apart."""
 _KINDS: Final = {str: "text", dict: "an object", int: "a whole number", list: "a list", bool: "true or false"}
 
 
 def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dict[str, Any]:
-    """What dataset.json holds, for parameters as `Parameters.to_dict` gives them."""
+    """The content of dataset.json.
+
+    Args:
+        values: Parameters, as `Parameters.to_dict` gives them.
+        takes: Site, name, split and number of frames of each recording.
+        counts: Images and vehicles of the whole dataset.
+    """
     own, solid = values["own"], values["renderer"] == "pybullet"
     return {
         "version": schema.VERSION,

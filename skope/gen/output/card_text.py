@@ -40,7 +40,7 @@ class Section:
 
 
 def sections(card: Card) -> list[Section]:
-    """What is to be said of a dataset, in the order of reading."""
+    """The sections of a dataset's README, in the order of reading."""
     parts = [
         Section("What it is for", purposes()),
         Section("How it was made", [*_command(card), made(card), _sources(card)]),
@@ -69,7 +69,7 @@ def summary(card: Card) -> str:
 
 
 def _scheme(card: Card) -> str:
-    """Which keypoints they are, where they are not ours."""
+    """The name of the keypoint scheme in brackets, where it is not `skope33`."""
     scheme = card.get("keypoint_scheme")
     return f" (scheme {scheme})" if scheme != keypoints.SCHEME else ""
 

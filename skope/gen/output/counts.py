@@ -1,4 +1,4 @@
-"""What a card counts."""
+"""Counts of images and vehicles, for the dataset's card."""
 
 import math
 from collections import Counter, defaultdict
@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 Kind = tuple[str, str | None]
-"""What a vehicle counts as, "ground_truth" or "ignored", and its type."""
+"""How a vehicle is counted: "ground_truth" or "ignored", and its type."""
 
 
 def kind_of(iscrowd: int, vehicle_type: str | None) -> Kind:
-    """Of a vehicle, by two fields of its annotation."""
+    """The kind of a vehicle, by two fields of its annotation."""
     return "ignored" if iscrowd else "ground_truth", vehicle_type
 
 

@@ -30,7 +30,7 @@ class Encoding:
 
     image: str = "jpeg"
     quality: int = 95
-    """Of JPEG and WebP, 1 to 100."""
+    """Quality of JPEG and WebP, 1 to 100."""
     depth: bool = True
     """Whether depth files are written."""
 
@@ -61,11 +61,22 @@ class FrameFiles:
 def frames_of(
     recording: Recording, renderer: Renderer, rules: Rules, encoding: Encoding, frames: Iterable[int]
 ) -> Iterator[FrameFiles]:
-    """Render, annotate and encode frames of a recording."""
+    """Render, annotate and encode frames of a recording.
+
+    Args:
+        recording: What is rendered.
+        renderer: As `make_renderer` makes it for the recording.
+        rules: What is ground truth, what is ignored.
+        encoding: Format of images, and whether there are depth files.
+        frames: Numbers of the frames.
+
+    Yields:
+        The bytes of each frame's files, and its labels.
+    """
     for frame in frames:
         view = renderer.render(frame)
         annotations, tally = annotate(recording.moment(frame), view, recording.camera, rules, image_id=0)
-        name = recording.take.frame_name(frame)
+        name = recording.info.frame_name(frame)
         files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
         depth_name = f"depth/{name}.png" if encoding.depth else None
         if depth_name:
@@ -83,7 +94,7 @@ def frames_of(
 
 
 def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:
-    """What an annotation file says of a frame of a recording."""
+    """The image record of a recording's frame, as annotation files have it."""
     return Image(
         id=image_id,
         file_name=file_name,

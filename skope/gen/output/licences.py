@@ -2,7 +2,7 @@
 
 Creative Commons' own rules for what may be built from what: share-alike material may only go into something under its
 own licence, which NonCommercial beside plain share-alike is not, and material under NoDerivatives goes into nothing
-else. Other words are not judged: they stand side by side, unless somebody's licence demands to hold for all.
+else. Other words are not judged: they stand side by side, unless one of the licences demands to hold for all.
 """
 
 import itertools
@@ -46,7 +46,7 @@ def _bare(name: str) -> str:
 
 
 def terms_of(licence: str) -> Terms | None:
-    """What a Creative Commons licence asks for, of BY, NC, SA and ND; None for other words.
+    """The conditions (BY, NC, SA, ND) of a Creative Commons licence; None for any other text.
 
     The licence must stand at the beginning: "what is drawn is CC0, the photograph ..." is not CC0.
     """

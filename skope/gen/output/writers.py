@@ -28,24 +28,24 @@ class Labels:
     """<site>/<recording>_<frame>."""
     image: Mapping[str, Any]
     rows: list[bytes]
-    """Its annotations in JSON, which nothing here needs to look into; `id` and `image_id` come first."""
+    """Annotations of the frame, a JSON object each; `id` and `image_id` come first."""
     kinds: list[Kind]
-    """Of each of them."""
+    """Kind of each annotation."""
     sha256: Mapping[str, str]
-    """Checksums of its files, by path in the dataset."""
+    """Checksums of the frame's files, by path in the dataset."""
     tally: Any
-    """What the card counts."""
+    """What the rules did to the frame's vehicles, for the card's counts."""
 
 
 class DatasetWriter(Protocol):
-    """Writes the labels of takes, and then the manifest."""
+    """Writes the labels of recordings, one after the other, and then the manifest."""
 
     def add_file(self, path: Path) -> None:
         """Name a file of the dataset, by its path in it, in the manifest."""
         ...
 
     def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
-        """Write the frames of a take, whose files are in the folder `source`."""
+        """Write the frames of a recording, whose image and depth files are in the folder `source`."""
         ...
 
     def finish(self) -> None: ...
@@ -72,7 +72,7 @@ class Folder(_Manifest):
         super().__init__(root)
         self._files = ExitStack()
         self._splits: dict[str, tuple[list[bytes], IO[bytes]]] = {}
-        """Rows of images, and those of vehicles a line each: in a file that nobody sees when they are many."""
+        """Rows of images in memory, and those of vehicles, a line each, in a temporary file when they are many."""
 
     def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
         if split not in self._splits:
@@ -103,7 +103,7 @@ class Folder(_Manifest):
 
 
 class Shards(_Manifest):
-    """A shard for each take, which takes the place of its loose files."""
+    """Writes a tar shard for each recording, in place of its loose files."""
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
@@ -149,9 +149,9 @@ class Shards(_Manifest):
 
 
 def unpack_shards(root: Path) -> None:
-    """Make images and depth of all whole shards loose files again, and remove shards.
+    """Turn the images and depth of all whole shards back into loose files, and remove the shards.
 
-    A shard without its index is not whole: its frames are loose files still.
+    A shard without its index was not finished: its frames are still loose files.
     """
     for shard in sorted((root / shards.FOLDER).glob("*.tar")):
         for name in shards.members_of(shard):
@@ -182,7 +182,7 @@ def writer_of(form: str, root: Path) -> DatasetWriter:
 
 
 def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
-    """The frames of a dataset that `skope gen` made, as they are written down."""
+    """Labels of the frames of a split, of a dataset that `skope gen` made; a UserError names what is missing."""
     manifest = read_manifest(dataset.root)
     for image, annotations in rows_of(dataset, split):
         lost = [key for key in ("site", "recording", "frame_index") if image.get(key) is None]
@@ -194,14 +194,14 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
             sums, tally = {file: manifest["sha256"][file] for file in files}, manifest["tallies"][files[0]]
         except KeyError as error:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
-        # Whoever has rewritten the file: ids come first, as `numbered` needs them.
+        # Other tools may have rewritten the file: ids are put first, as `numbered` needs them.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
         kinds = [kind_of(row["iscrowd"], row.get("vehicle_type")) for row in annotations]
         yield Labels(name, image, rows, kinds, sums, tally)
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:
-    """A split's images as its files have them, each with its annotations; a UserError names an image that is wrong."""
+    """JSON records of a split's images, each with those of its annotations; a UserError names a wrong image."""
     if dataset.sharded:
         for shard in shards.shards_of(dataset.root, split):
             for labels in shards.labels_in(shard):

@@ -1,1 +1,1 @@
-"""From flags and presets to a finished dataset: what is planned, who works on it, what goes on after a stop."""
+"""From presets and parameters to a finished dataset: plans, workers, the folder under construction, footage."""

@@ -1,4 +1,4 @@
-"""What a dataset will hold: presets, the parameters that decide every byte, and the recordings they ask for."""
+"""Presets, the parameters that decide every byte of a dataset, and the plans of its recordings."""
 
 import math
 import re
@@ -26,7 +26,7 @@ from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 
 _SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
-"""Conditions that belong to a light."""
+"""Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,20 +45,21 @@ class Parameters:
     fov_deg: float
     renderer: str
     driver: str
-    """What the renderer draws with: pixels are the same on the same one only."""
+    """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
     rules: Rules
     settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that are set; the others follow each site's weather and hour."""
+    """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges that each recording's camera is drawn from; none for the sites' own cameras."""
+    """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
-    """Models that were added and drive by too, with the digests of their files."""
+    """Models of the user (`skope gen vehicles add`) that drive beside the fleet: name to SHA-256 of the files."""
     shape_jitter: bool = False
+    """Whether each vehicle gets a shape of its own near its model's."""
     own: OwnSite | None = None
-    """A user's own site, in place of those of the package."""
+    """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
-    """What the dataset is kept in, one of `skope.gen.output.writers.FORMATS`."""
+    """How the dataset is stored, one of `skope.gen.output.writers.FORMATS`."""
     licence: str = licences.DEFAULT
     """What the images may be used under, as the card states it."""
 
@@ -84,7 +85,7 @@ class Parameters:
             self._check_own(self.own)
 
     def _check_lens(self) -> None:
-        """The strongest distortions at the widest view must not fold the image."""
+        """Raise a UserError where the strongest distortion at the widest angle would fold the image."""
         widest = self.cameras.get("fov_deg", (self.fov_deg, self.fov_deg))[1]
         low, high = map(round, self.settings.get("fisheye", (0.0, 0.0)))
         for k1 in set(self.settings.get("k1", (0.0, 0.0))):
@@ -120,7 +121,7 @@ class Parameters:
         return self.own.site if self.own else site(name)
 
     def plans(self) -> list[RecordingPlan]:
-        """The recordings, site by site; a site's frames are shared out evenly."""
+        """One plan for each recording, site by site; a site's frames are shared out evenly to its recordings."""
         return [
             RecordingPlan(
                 site=self._in_its_light(name, index),
@@ -136,19 +137,19 @@ class Parameters:
                 shape_jitter=self.shape_jitter,
             )
             for name in self.sites
-            for index, frames in enumerate(_shared(self.frames_of(name), self.recordings))
+            for index, frames in enumerate(_share_out(self.frames_of(name), self.recordings))
         ]
 
     def _in_its_light(self, name: str, index: int) -> Site:
-        """A site as its recording `index` has it."""
+        """The site with the weather, hour and traffic of its recording `index`."""
         if self.own is None:
             return in_its_light(site(name), index, self.seed)
         own = replace(self.own.site, split=self.own.splits[index])
-        # A photograph has its own light.
+        # A photograph shows one light, which all recordings share.
         return own if self.own.road.photograph else in_its_light(own, index, self.seed)
 
     def frames_of(self, name: str) -> int:
-        """How many frames a site has; one of a split that the preset has not, as many as the first one."""
+        """Number of frames of the site of that name; where its split is not among `frames`, that of the first split."""
         return self.frames.get(self.site(name).split, next(iter(self.frames.values())))
 
     @property
@@ -157,7 +158,7 @@ class Parameters:
         return sum(self.frames_of(name) for name in self.sites)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the card holds them, with the versions that decide the content too."""
+        """The parameters as JSON values for the card, and the versions of skope and libraries that made the dataset."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         own = self.own.to_dict() if self.own else None
         return {
@@ -172,21 +173,25 @@ class Parameters:
         }
 
 
-def _shared(frames: int, recordings: int) -> list[int]:
-    """Frames of each recording, as even as can be."""
+def _share_out(frames: int, recordings: int) -> list[int]:
+    """Number of frames of each recording, as even as can be; there are no more recordings than frames."""
     count = min(recordings, frames)
     return [frames // count + (i < frames % count) for i in range(count)]
 
 
 def in_its_light(own: Site, index: int, seed: int) -> Site:
-    """A site in the light and with the traffic of its recording `index`, as its split has them; its own at 0."""
+    """A site with the weather, hour and traffic of its recording `index`.
+
+    Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
+    and a share of the site's vehicles an hour that `seed` draws.
+    """
     if index == 0:
         return own
     splits = _tables()["splits"]
     split = splits.get(own.split, splits["train"])
     lights = split["light"]
     if own.road:
-        # Its first recording may be in any light: the others are at other hours.
+        # The site file decides the first recording's light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     weather, time_of_day = lights[(index - 1) % len(lights)].split()
     share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*split["traffic"])
@@ -195,7 +200,7 @@ def in_its_light(own: Site, index: int, seed: int) -> Site:
     return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1), conditions=fixed)
 
 
-def _spans(table: Mapping[str, list[float]]) -> dict[str, Range]:
+def _range_pairs(table: Mapping[str, list[float]]) -> dict[str, Range]:
     return {name: (low, high) for name, (low, high) in table.items()}
 
 
@@ -223,10 +228,22 @@ def from_preset(
     settings: Mapping[str, Range] | None = None,
     **overrides: Any,
 ) -> Parameters:
-    """A preset's parameters with those `overrides` that are not None in their place; `frames` are per site.
+    """The parameters of a preset, with changes.
 
-    `settings` of conditions add to the preset's; with `camera_jitter` each recording's camera hangs a little
-    differently. An `own` site comes in place of the preset's sites, with its camera and its number of recordings.
+    Args:
+        preset: A name of `presets()`.
+        seed: From 0; everything random follows from it.
+        renderer: "gl" or "pybullet".
+        driver: What the renderer draws with, as `choose_renderer` names it.
+        rules: What is labelled, what is ignored.
+        frames: Frames per site, in place of the preset's.
+        own: A user's own site in place of the preset's sites; its file gives camera and image size.
+        camera_jitter: Whether each recording's camera hangs a little differently.
+        settings: Ranges of conditions, on top of the preset's.
+        overrides: Other fields of `Parameters`; None leaves the preset's value.
+
+    Raises:
+        UserError: There is no such preset, or a value is out of range.
     """
     row = presets()[one_of("--preset", preset, tuple(presets()))]
     known = {f.name for f in fields(Parameters)}
@@ -242,8 +259,8 @@ def from_preset(
             "fov_deg": round(math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])), 3),
         }
     values |= {name: value for name, value in overrides.items() if value is not None}
-    values["settings"] = _spans(row.get("settings", {})) | dict(settings or {})
-    values["cameras"] = _spans(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
+    values["settings"] = _range_pairs(row.get("settings", {})) | dict(settings or {})
+    values["cameras"] = _range_pairs(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
     return Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)

@@ -25,12 +25,12 @@ from skope.outputs import changed
 from skope.schema import Annotation, AnnotationFile, Image
 
 FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
-"""Frame rates that traffic's steps of whole milliseconds divide."""
+"""Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""
 
 
 @dataclass(frozen=True)
 class WrittenFootage:
-    """What `write_footage` wrote."""
+    """Paths of the files that `write_footage` writes."""
 
     video: Path
     labels: Path
@@ -38,9 +38,16 @@ class WrittenFootage:
 
 
 def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "--size") -> RecordingPlan:
-    """The plan with as many frames, as far apart, as a video has.
+    """A recording's plan, changed to the frames of a video.
 
-    Raises UserError for what a video cannot be, `size_field` being what gave the image size.
+    Args:
+        plan: Site, size and conditions.
+        fps: Frames a second, one of `FPS`.
+        seconds: Length of the video, up to 3600.
+        size_field: The option or field that gave the image size, for the error message.
+
+    Raises:
+        UserError: A video cannot have this frame rate, length, or size (odd numbers of pixels).
     """
     if fps not in FPS:
         raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FPS)}, got {fps:g}")
@@ -53,7 +60,7 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
 
 
 def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
-    """Raise a UserError where one of the files is there, of footage with other options or of nobody knows what."""
+    """Raise a UserError where one of the files exists, unless the labels' file says it was made with `options`."""
     there = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
     if not there:
         return
@@ -65,7 +72,7 @@ def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
 
 
 def _options_of(labels: Path) -> Mapping[str, Any]:
-    """What footage was asked for with, as its labels say; nothing where no file of labels says it."""
+    """The options that footage was made with, which its file of labels holds; empty where there is no such file."""
     try:
         document = read_json(labels)
     except UserError:
@@ -84,9 +91,18 @@ def write_footage(
     with_overlay: bool,
     console: Console,
 ) -> WrittenFootage:
-    """Simulate and render a plan into `out`/<site>.mp4 with <site>.json, and <site>_labels.mp4 when asked for.
+    """Simulate and render a video with labels: `out`/<site>.mp4, <site>.json and, with overlay, <site>_labels.mp4.
 
-    `options` (JSON values) are what the footage was asked for with, kept in the labels' `info`.
+    Args:
+        plan: The recording, as `plan_of` makes it.
+        renderer: "gl" or "pybullet".
+        out: Folder of the files.
+        options: What the user asked for, as JSON values; kept in the labels' `info`.
+        with_overlay: Whether to write a second video with the labels drawn in.
+        console: Where progress is shown.
+
+    Raises:
+        UserError: Files of other footage are there, or the video cannot be written.
     """
     name = plan.site.name
     footage = WrittenFootage(
@@ -100,9 +116,9 @@ def write_footage(
     images: list[Image] = []
     annotations: list[Annotation] = []
     with ExitStack() as stack:
-        plain = stack.enter_context(_video(footage.video, size, fps))
-        drawn = stack.enter_context(_video(footage.overlay, size, fps)) if footage.overlay else None
-        frames = _frames(recording, renderer, footage.video.name)
+        plain = stack.enter_context(_open_video(footage.video, size, fps))
+        drawn = stack.enter_context(_open_video(footage.overlay, size, fps)) if footage.overlay else None
+        frames = _render_frames(recording, renderer, footage.video.name)
         for pixels, image, vehicles in console.bar(frames, total=len(recording), unit="image", label="rendering"):
             numbered = [replace(vehicle, id=len(annotations) + i + 1) for i, vehicle in enumerate(vehicles)]
             plain.add(pixels)
@@ -112,12 +128,12 @@ def write_footage(
             annotations += numbered
         info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
         file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name)
-        # Before the videos take their places: of what lies there, something says what it is of.
+        # The labels come first, before the videos are renamed into place: they say which footage the files are of.
         write(footage.labels, file)
     return footage
 
 
-def _frames(
+def _render_frames(
     recording: Recording, renderer_name: str, video: str
 ) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation]]]:
     renderer = make_renderer(renderer_name, recording)
@@ -141,7 +157,7 @@ class _Video:
 
 
 @contextmanager
-def _video(path: Path, size: tuple[int, int], fps: float) -> Iterator[_Video]:
+def _open_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[_Video]:
     """An MP4 file that takes its place when it is whole."""
     with replacing(path) as temporary, closing(_Video(temporary, size, fps)) as video:
         yield video

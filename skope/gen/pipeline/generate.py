@@ -1,6 +1,6 @@
-"""Make a dataset: simulate, render and annotate, write, merge; by one process, several, or a cluster's, the same bytes.
+"""Generate a dataset: simulate, render, annotate, write, merge. The bytes do not depend on the number of workers.
 
-The two halves go apart too: recordings travel to where the rendering is done.
+Simulating and rendering can be done apart, on two machines: the folder with the recordings is what travels.
 """
 
 import time
@@ -15,80 +15,121 @@ from skope.gen.output import card
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import Parameters
 from skope.gen.pipeline.store import Store
-from skope.gen.pipeline.workers import Crew, RenderJobSpec
+from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose import choose_renderer
 from skope.gen.scene import recording
 from skope.gen.scene.versions import versions
 
-Hire = Callable[[], AbstractContextManager[Crew]]
+PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
+"""Starts the worker processes; they stop when the context ends."""
 
 
-def produce(parameters: Parameters, root: Path, hire: Hire, console: Console) -> bool:
-    """Make the dataset at `root`, or go on with it; False when it was complete already.
+def generate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory, console: Console) -> bool:
+    """Make the dataset at `root`, or resume it where a stopped run was.
 
-    Raises UserError when the folder cannot be written or was begun with other parameters.
+    Args:
+        parameters: Everything that decides the dataset's content.
+        root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
+        start_pool: Starts the workers, as `local_pool` or `ray_pool` do.
+        console: Where progress is shown.
+
+    Returns:
+        False when the dataset was complete already.
+
+    Raises:
+        UserError: The folder cannot be written, holds other files, or was begun with other parameters.
     """
     store, begun = Store(root), time.perf_counter()
     with store.locked():
-        store.begin(parameters.to_dict(), [plan.take for plan in parameters.plans()])
+        store.begin(parameters.to_dict(), [plan.info for plan in parameters.plans()])
         if store.complete:
             return False
-        with hire() as crew:
-            _simulate(store, parameters, crew, console)
-            _render(store, crew, console)
+        with start_pool() as pool:
+            _simulate(store, parameters, pool, console)
+            _render(store, pool, console)
         _finish(store, console, begun)
     return True
 
 
-def simulate_only(parameters: Parameters, root: Path, hire: Hire, console: Console) -> bool:
-    """The first half of `produce`: what is left is rendering. False when there was nothing to do."""
+def simulate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory, console: Console) -> bool:
+    """Make a dataset's recordings only; `render_dataset` makes its frames, here or on another machine.
+
+    Args:
+        parameters: Everything that decides the dataset's content; renderer and driver stay open until rendering.
+        root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
+        start_pool: Starts the workers.
+        console: Where progress is shown.
+
+    Returns:
+        False when all recordings were there already.
+
+    Raises:
+        UserError: The folder cannot be written, holds other files, or was begun with other parameters.
+    """
     store = Store(root)
     with store.locked():
         open_ = parameters.to_dict() | {"renderer": "", "driver": ""}
-        begun = store.begun()
+        begun = store.read_plan()
         if begun and begun["parameters"]["renderer"]:
             open_ |= {name: begun["parameters"][name] for name in ("renderer", "driver")}
-        store.begin(open_, [plan.take for plan in parameters.plans()])
-        if store.complete or all(store.recorded(plan.take) for plan in parameters.plans()):
+        store.begin(open_, [plan.info for plan in parameters.plans()])
+        if store.complete or all(store.recorded(plan.info) for plan in parameters.plans()):
             return False
-        with hire() as crew:
-            _simulate(store, parameters, crew, console)
+        with start_pool() as pool:
+            _simulate(store, parameters, pool, console)
     return True
 
 
-def render_only(root: Path, renderer: str, hire: Hire, console: Console) -> bool:
-    """The second half of `produce`, of recordings that may come from another machine; False when it was complete."""
+def render_dataset(root: Path, renderer: str, start_pool: PoolFactory, console: Console) -> bool:
+    """Render, annotate and complete a dataset whose recordings `simulate_dataset` made, here or on another machine.
+
+    Args:
+        root: The dataset folder.
+        renderer: "gl", "pybullet" or "auto". Frames that are done must have been drawn with the same one.
+        start_pool: Starts the workers.
+        console: Where progress is shown.
+
+    Returns:
+        False when the dataset was complete already.
+
+    Raises:
+        UserError: The folder holds no recordings, one is missing or broken, or the renderer or the versions of
+            libraries differ from those that the frames of before were made with.
+    """
     store = Store(root)
-    if store.begun() is None:
+    if store.read_plan() is None:
         raise UserError(f"{root}: holds no recordings; `skope gen simulate --out {root}` makes them")
     with store.locked():
         if store.complete:
             return False
-        finish_rendering(store, renderer, hire, console)
+        finish_rendering(store, renderer, start_pool, console)
     return True
 
 
-def finish_rendering(store: Store, renderer: str, hire: Hire, console: Console) -> None:
-    """Render what is missing of a begun dataset whose recordings are there, and complete it."""
+def finish_rendering(store: Store, renderer: str, start_pool: PoolFactory, console: Console) -> None:
+    """Render the missing frames of a dataset under construction, and complete it; see `render_dataset`."""
     begun = time.perf_counter()
-    _settle_renderer(store, renderer)
-    absent = [store.recording_path(take) for take in store.takes() if not store.recorded(take)]
+    _fix_renderer(store, renderer)
+    absent = [store.recording_path(info) for info in store.recordings() if not store.recorded(info)]
     if absent:
         raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
-    with hire() as crew:
-        _render(store, crew, console)
+    with start_pool() as pool:
+        _render(store, pool, console)
     _finish(store, console, begun)
 
 
-def _settle_renderer(store: Store, renderer: str) -> None:
-    """Choose what the frames are drawn with when none is done; else it must be what those were drawn with."""
-    begun = store.begun()
+def _fix_renderer(store: Store, renderer: str) -> None:
+    """Choose and save the renderer of a dataset that has none yet; else check that it is the same one here.
+
+    Raises UserError where renderer, driver or a library's version differs from that of the frames of before.
+    """
+    begun = store.read_plan()
     assert begun is not None
     parameters = begun["parameters"]
     chosen, driver, _ = choose_renderer(parameters["renderer"] or renderer)
     here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}
     if not parameters["renderer"]:
-        store.settle({"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here})
+        store.fix_renderer({"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here})
         return
     is_now = {"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here}
     for name, value in is_now.items():
@@ -99,42 +140,42 @@ def _settle_renderer(store: Store, renderer: str) -> None:
             )
 
 
-def _simulate(store: Store, parameters: Parameters, crew: Crew, console: Console) -> None:
-    todo = [plan for plan in parameters.plans() if not store.recorded(plan.take)]
-    for path in (store.recording_path(plan.take) for plan in todo):
+def _simulate(store: Store, parameters: Parameters, pool: WorkerPool, console: Console) -> None:
+    todo = [plan for plan in parameters.plans() if not store.recorded(plan.info)]
+    for path in (store.recording_path(plan.info) for plan in todo):
         if path.is_file() and not recording.sound(path):
             console.say(f"{path}: is broken, and is made again")
-    for _ in console.bar(crew.simulate(store, todo), total=len(todo), unit="recording", label="simulating"):
+    for _ in console.bar(pool.simulate(store, todo), total=len(todo), unit="recording", label="simulating"):
         pass
 
 
-def _render(store: Store, crew: Crew, console: Console) -> None:
-    takes = store.takes()
-    missing = {take: frames for take in takes if (frames := store.missing(take))}
+def _render(store: Store, pool: WorkerPool, console: Console) -> None:
+    infos = store.recordings()
+    missing = {info: frames for info in infos if (frames := store.missing(info))}
     todo = sum(map(len, missing.values()))
     if not todo:
         return
-    style = style_of(store)
-    console.say(f"{todo} frames with {style.renderer}")
-    total = sum(take.frames for take in takes)
+    spec = spec_of(store)
+    console.say(f"{todo} frames with {spec.renderer}")
+    total = sum(info.frames for info in infos)
     with console.bar(total=total, unit="image", label="rendering") as bar:
         bar.update(total - todo)
-        for count in crew.render(store, missing, style):
+        for count in pool.render(store, missing, spec):
             bar.update(count)
 
 
-def style_of(store: Store) -> RenderJobSpec:
-    """How the frames of a begun dataset are made."""
-    begun = store.begun()
+def spec_of(store: Store) -> RenderJobSpec:
+    """How the frames of a dataset under construction are drawn, labelled and written, from its saved parameters."""
+    begun = store.read_plan()
     assert begun is not None
     values = begun["parameters"]
     return RenderJobSpec(values["renderer"], values["driver"], Rules(**values["rules"]), Encoding(**values["encoding"]))
 
 
 def _finish(store: Store, console: Console, begun: float) -> None:
-    takes, values = store.takes(), store.begun()
+    infos, values = store.recordings(), store.read_plan()
     assert values is not None
-    counts = store.merge(takes, values["parameters"]["format"])
+    counts = store.merge(infos, values["parameters"]["format"])
     content = card.card(values["parameters"], values["takes"], counts)
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())

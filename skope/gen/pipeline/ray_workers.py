@@ -1,4 +1,4 @@
-"""A Ray cluster's workers. They share no disk with this machine: recordings go out to them, frames come back."""
+"""Workers of a Ray cluster. They share no disk with this machine: recordings are sent to them, frames come back."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,28 +9,31 @@ from typing import Any, Final
 from skope.errors import UserError
 from skope.gen.output.frames import FrameFiles, frames_of
 from skope.gen.pipeline.store import Store
-from skope.gen.pipeline.workers import Backlog, Crew, RenderJob, RenderJobSpec
+from skope.gen.pipeline.workers import JobQueue, RenderJob, RenderJobSpec, WorkerPool
 from skope.gen.render.choose import choose_renderer, make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.recording import Recording, RecordingPlan, Take
+from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.scene.versions import versions
 from skope.gen.simulation.simulate import simulate
 
 _LOST: Final = 20
-"""So many workers may be lost before the run is given up."""
+"""How many workers may be lost before the run is given up."""
 _START_S: Final = 60.0
 """A cluster that cannot start a worker in this time is too small, seconds."""
 
 
 class Worker:
-    """What runs in the cluster: one process, which keeps the recording that it works on open."""
+    """The Ray actor: one process of the cluster, which keeps the recording open that it works on.
+
+    Libraries must have the versions `same`, or bytes would differ; a UserError otherwise.
+    """
 
     def __init__(self, same: Mapping[str, str]) -> None:
         from skope.gen.pipeline.workers import one_thread
 
         one_thread()
-        self._take: Take | None = None
+        self._recording: RecordingInfo | None = None
         self._opened: tuple[Recording, Renderer] | None = None
         here = versions()
         for name, version in same.items():
@@ -40,58 +43,58 @@ class Worker:
     def simulate(self, plan: RecordingPlan) -> bytes:
         return recordings.packed(simulate(plan))
 
-    def render(self, data: bytes, style: RenderJobSpec, job: RenderJob) -> list[FrameFiles]:
-        if self._take != job.take or self._opened is None:
-            _, driver, _ = choose_renderer(style.renderer)
-            if driver != style.driver:
-                raise UserError(f"draws with {driver}, this run is drawn with {style.driver}")
-            source = recordings.unpacked(data, Path(f"{job.take.site}_{job.take.name}.npz"))
-            self._opened, self._take = (source, make_renderer(style.renderer, source)), job.take
+    def render(self, data: bytes, spec: RenderJobSpec, job: RenderJob) -> list[FrameFiles]:
+        if self._recording != job.recording or self._opened is None:
+            _, driver, _ = choose_renderer(spec.renderer)
+            if driver != spec.driver:
+                raise UserError(f"draws with {driver}, this run is drawn with {spec.driver}")
+            source = recordings.unpacked(data, Path(f"{job.recording.site}_{job.recording.name}.npz"))
+            self._opened, self._recording = (source, make_renderer(spec.renderer, source)), job.recording
         source, renderer = self._opened
-        return list(frames_of(source, renderer, style.rules, style.encoding, job.frames))
+        return list(frames_of(source, renderer, spec.rules, spec.encoding, job.frames))
 
 
-class Cluster:
-    """Keeps every worker of a Ray cluster busy with one job at a time; a lost worker's job is done by another."""
+class RayPool:
+    """A pool of `count` workers of a Ray cluster. The job of a lost worker is done by another one."""
 
     def __init__(self, ray: Any, count: int) -> None:
         self._ray, self._lost = ray, 0
         self._actor = ray.remote(num_cpus=1)(Worker)
-        self._workers = [self._hired() for _ in range(count)]
+        self._workers = [self._start_worker() for _ in range(count)]
 
-    def _hired(self) -> Any:
+    def _start_worker(self) -> Any:
         return self._actor.remote(versions())
 
     def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
         left = deque(plans)
-        for plan, data in self._spread(
+        for plan, data in self._keep_busy(
             left, lambda _: left.popleft(), left.appendleft, lambda worker, plan: worker.simulate.remote(plan)
         ):
-            store.keep_recording(plan.take, data)
+            store.write_recording(plan.info, data)
             yield 1
 
-    def render(self, store: Store, missing: Mapping[Take, list[int]], style: RenderJobSpec) -> Iterator[int]:
-        backlog, held, sent = Backlog(missing), dict[Any, Take](), dict[Take, Any]()
+    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+        queue, held, sent = JobQueue(missing), dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()
 
         def next_for(worker: Any) -> RenderJob:
-            job = backlog.next_for(held.get(worker))
-            held[worker] = job.take
+            job = queue.next_for(held.get(worker))
+            held[worker] = job.recording
             return job
 
         def begin(worker: Any, job: RenderJob) -> Any:
-            if job.take not in sent:
-                # Recordings that no worker has in hand any more may leave the cluster's memory.
-                for take in sent.keys() - set(held.values()):
-                    del sent[take]
-                sent[job.take] = self._ray.put(store.recording_path(job.take).read_bytes())
-            return worker.render.remote(sent[job.take], style, job)
+            if job.recording not in sent:
+                # Recordings that no worker works on any more may leave the cluster's memory.
+                for recording in sent.keys() - set(held.values()):
+                    del sent[recording]
+                sent[job.recording] = self._ray.put(store.recording_path(job.recording).read_bytes())
+            return worker.render.remote(sent[job.recording], spec, job)
 
-        for _, frames in self._spread(backlog, next_for, backlog.put_back, begin):
+        for _, frames in self._keep_busy(queue, next_for, queue.put_back, begin):
             for frame in frames:
-                store.keep(frame)
+                store.write_frame(frame)
             yield len(frames)
 
-    def _spread(
+    def _keep_busy(
         self,
         left: Any,
         next_for: Callable[[Any], Any],
@@ -110,7 +113,7 @@ class Cluster:
                 result = self._ray.get(done[0])
             except self._ray.exceptions.RayActorError as error:
                 put_back(task)
-                idle.append(self._replaced(worker, error))
+                idle.append(self._replace_worker(worker, error))
                 continue
             except self._ray.exceptions.RayTaskError as error:
                 if isinstance(error.cause, UserError):
@@ -119,7 +122,7 @@ class Cluster:
             idle.append(worker)
             yield task, result
 
-    def _replaced(self, worker: Any, error: Exception) -> Any:
+    def _replace_worker(self, worker: Any, error: Exception) -> Any:
         if "UserError" in str(error):  # it refused to start
             text = next(line for line in reversed(str(error).splitlines()) if "UserError" in line)
             raise UserError(f"a worker of the cluster {text.split('UserError: ')[-1]}") from None
@@ -129,13 +132,21 @@ class Cluster:
                 f"{self._lost} workers of the cluster were lost, perhaps for want of memory; "
                 "the same command goes on from here"
             ) from None
-        self._workers[self._workers.index(worker)] = hired = self._hired()
+        self._workers[self._workers.index(worker)] = hired = self._start_worker()
         return hired
 
 
 @contextmanager
-def cluster(count: int | None, address: str | None) -> Iterator[Crew]:
-    """So many workers, by default one per core, of the cluster at `address`, of one that is found, or of a new one."""
+def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
+    """A pool of workers of a Ray cluster.
+
+    Args:
+        count: Number of workers. Default: one per core of the cluster.
+        address: Address of the cluster. Default: the one that this machine belongs to, or a new one on it.
+
+    Raises:
+        UserError: Ray is not installed, there is no cluster at `address`, or it has fewer cores than `count`.
+    """
     try:
         import ray
     except ImportError:
@@ -151,7 +162,7 @@ def cluster(count: int | None, address: str | None) -> Iterator[Crew]:
         cores = int(ray.cluster_resources().get("CPU", 0))  # type: ignore[no-untyped-call]
         if not 0 < (count or cores) <= cores:
             raise UserError(f"--workers {count or cores}: the Ray cluster has {cores} cores")
-        yield Cluster(ray, count or cores)
+        yield RayPool(ray, count or cores)
     finally:
         if own:
             ray.shutdown()

@@ -1,4 +1,4 @@
-"""Who does the work: worker processes of this machine, each with a recording of its own as long as there are enough."""
+"""Worker processes of this machine, which simulate and render a dataset's recordings, and the queue of their jobs."""
 
 import os
 import threading
@@ -21,7 +21,7 @@ from skope.gen.render.choose import make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.render.gl.context import WORKER
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.recording import Recording, RecordingPlan, Take
+from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 
 CHUNK = 8
@@ -33,68 +33,73 @@ class RenderJobSpec:
     """How a dataset's frames are drawn, labelled and written."""
 
     renderer: str
+    """"gl" or "pybullet"."""
     driver: str
+    """What the renderer must draw with, or bytes would differ: the name that `choose_renderer` gives."""
     rules: Rules
     encoding: Encoding
 
 
 @dataclass(frozen=True)
 class RenderJob:
-    """Some frames of a take."""
+    """Some frames of a recording, which one worker renders in one go."""
 
-    take: Take
+    recording: RecordingInfo
     frames: tuple[int, ...]
 
 
-class Crew(Protocol):
-    """Simulates and renders; what is done is in the store when it is yielded."""
+class WorkerPool(Protocol):
+    """One or more workers that simulate and render into a store. What they yield is already written."""
 
     def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
         """Yields 1 for each recording that is done."""
         ...
 
-    def render(self, store: Store, missing: Mapping[Take, list[int]], style: RenderJobSpec) -> Iterator[int]:
-        """Yields how many more of the frames of each take are done."""
+    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+        """Render the `missing` frames of each recording; yields how many frames are done since the last time."""
         ...
 
 
-class Backlog:
-    """Frames to do. A hand goes on with its take, then takes one that nobody has had, then helps with the longest.
+class JobQueue:
+    """Frames to render, handed out so that workers seldom change recording and town.
 
-    Takes of a town stand together and a worker keeps the towns that it has met, so hands spread over the takes: each
-    goes on from its last take, or from the middle of the longest stretch that is untouched.
+    A worker is given the rest of its own recording first, then a recording that no worker has had, and then a part of
+    the one that has most left. Recordings of a town follow each other, and a worker keeps the towns in memory that it
+    has loaded. So the next new recording is the one after its last, or else the middle of the longest run of
+    recordings that no worker has had.
     """
 
-    def __init__(self, missing: Mapping[Take, list[int]], chunk: int = CHUNK) -> None:
+    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = CHUNK) -> None:
         self._left = {
-            take: deque(RenderJob(take, tuple(frames[i : i + chunk])) for i in range(0, len(frames), chunk))
-            for take, frames in missing.items()
+            recording: deque(RenderJob(recording, tuple(frames[i : i + chunk])) for i in range(0, len(frames), chunk))
+            for recording, frames in missing.items()
             if frames
         }
         self._order = list(self._left)
-        self._place = {take: place for place, take in enumerate(self._order)}
+        self._place = {recording: place for place, recording in enumerate(self._order)}
         self._untouched = {0: len(self._order)} if self._order else {}
-        """Ends of the stretches of takes that no hand has had, by their beginnings."""
+        """Runs of recordings that no worker has had: places in `_order`, first: last + 1."""
 
     def __bool__(self) -> bool:
         return bool(self._left)
 
-    def next_for(self, holding: Take | None) -> RenderJob:
-        """The next job of a hand that has last worked on a take."""
-        take = holding
-        if take not in self._left:
+    def next_for(self, holding: RecordingInfo | None) -> RenderJob:
+        """The next job of a worker whose last job was of the recording `holding` (None: it has had none)."""
+        recording = holding
+        if recording not in self._left:
             if self._untouched:
-                take = self._order[self._begun(0 if take is None else self._place[take] + 1)]
+                recording = self._order[self._claim_place(0 if recording is None else self._place[recording] + 1)]
             else:
-                take = max(self._left, key=lambda t: len(self._left[t]))
-        assert take is not None
-        job = self._left[take].popleft()
-        if not self._left[take]:
-            del self._left[take]
+                recording = max(self._left, key=lambda t: len(self._left[t]))
+        assert recording is not None
+        job = self._left[recording].popleft()
+        if not self._left[recording]:
+            del self._left[recording]
         return job
 
-    def _begun(self, wanted: int) -> int:
-        """A place in the order, the wanted one if it is the first of a stretch; it is untouched no more."""
+    def _claim_place(self, wanted: int) -> int:
+        """Take a recording out of `_untouched`: the one at `wanted` if a run begins there, else the middle of the
+        longest run. Returns its place in `_order`."""
         at = begin = wanted
         if wanted not in self._untouched:
             begin = max(self._untouched, key=lambda begin: self._untouched[begin] - begin)
@@ -106,31 +111,32 @@ class Backlog:
         return at
 
     def put_back(self, job: RenderJob) -> None:
-        """A job whose hand was lost."""
-        self._left.setdefault(job.take, deque()).appendleft(job)
+        """Hand a job out again, because the worker that had it was lost."""
+        self._left.setdefault(job.recording, deque()).appendleft(job)
 
 
 # --------------------------------------------------------------------------------------------------- what a worker does
 
 
 def simulate_one(root: Path, plan: RecordingPlan) -> int:
-    """Simulate into a dataset folder."""
-    Store(root).keep_recording(plan.take, recordings.packed(simulate(plan)))
+    """Simulate a recording and write it to the dataset folder `root`; returns 1, the recordings that are done."""
+    Store(root).write_recording(plan.info, recordings.packed(simulate(plan)))
     return 1
 
 
-def render_job(root: Path, style: RenderJobSpec, job: RenderJob) -> int:
-    """Render frames of a dataset folder's recording into it."""
+def render_job(root: Path, spec: RenderJobSpec, job: RenderJob) -> int:
+    """Render and write a job's frames to the dataset folder `root`; returns how many they are."""
     store = Store(root)
-    path = store.recording_path(job.take)
-    source, renderer = _opened(path, path.stat().st_mtime_ns, style.renderer)
-    for frame in frames_of(source, renderer, style.rules, style.encoding, job.frames):
-        store.keep(frame)
+    path = store.recording_path(job.recording)
+    source, renderer = _open_recording(path, path.stat().st_mtime_ns, spec.renderer)
+    for frame in frames_of(source, renderer, spec.rules, spec.encoding, job.frames):
+        store.write_frame(frame)
     return len(job.frames)
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path, _changed: int, renderer: str) -> tuple[Recording, Renderer]:
+def _open_recording(path: Path, _changed: int, renderer: str) -> tuple[Recording, Renderer]:
+    """A recording and its renderer, kept until a job is of another one, or of a file written since (`_changed`, ns)."""
     source = recordings.load(path)
     return source, make_renderer(renderer, source)
 
@@ -138,62 +144,62 @@ def _opened(path: Path, _changed: int, renderer: str) -> tuple[Recording, Render
 # ------------------------------------------------------------------------------------------------------ on this machine
 
 
-class Alone:
-    """This process does it all."""
+class InProcessPool:
+    """A pool without worker processes: this process simulates and renders."""
 
     def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
         return (simulate_one(store.root, plan) for plan in plans)
 
-    def render(self, store: Store, missing: Mapping[Take, list[int]], style: RenderJobSpec) -> Iterator[int]:
-        backlog, take = Backlog(missing), None
-        while backlog:
-            job = backlog.next_for(take)
-            take = job.take
-            yield render_job(store.root, style, job)
+    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+        queue, recording = JobQueue(missing), None
+        while queue:
+            job = queue.next_for(recording)
+            recording = job.recording
+            yield render_job(store.root, spec, job)
 
 
 @dataclass
-class _Hand:
-    """One worker process, and the take whose recording it has open."""
+class _Worker:
+    """One worker process, and the recording that it has open."""
 
     pool: ProcessPoolExecutor
-    take: Take | None = None
+    recording: RecordingInfo | None = None
 
 
-class Processes:
-    """Worker processes, one thread each."""
+class ProcessPool:
+    """A pool of `count` worker processes of this machine, one thread each."""
 
     def __init__(self, count: int) -> None:
         context = get_context("spawn")
-        self._hands = [
-            _Hand(ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(number,)))
+        self._workers = [
+            _Worker(ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(number,)))
             for number in range(count)
         ]
 
     def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
         queue = deque(plans)
-        return self._spread(queue, lambda hand: partial(simulate_one, store.root, queue.popleft()))
+        return self._keep_busy(queue, lambda worker: partial(simulate_one, store.root, queue.popleft()))
 
-    def render(self, store: Store, missing: Mapping[Take, list[int]], style: RenderJobSpec) -> Iterator[int]:
-        backlog = Backlog(missing)
-        for hand in self._hands:
-            hand.take = None
+    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+        queue = JobQueue(missing)
+        for worker in self._workers:
+            worker.recording = None
 
-        def next_for(hand: _Hand) -> Callable[[], int]:
-            job = backlog.next_for(hand.take)
-            hand.take = job.take
-            return partial(render_job, store.root, style, job)
+        def next_for(worker: _Worker) -> Callable[[], int]:
+            job = queue.next_for(worker.recording)
+            worker.recording = job.recording
+            return partial(render_job, store.root, spec, job)
 
-        return self._spread(backlog, next_for)
+        return self._keep_busy(queue, next_for)
 
-    def _spread(self, left: Any, next_for: Callable[[_Hand], Callable[[], int]]) -> Iterator[int]:
-        """Keep every hand busy with one job at a time while anything is left."""
-        idle, busy = list(self._hands), dict[Future[int], _Hand]()
+    def _keep_busy(self, left: Any, next_for: Callable[[_Worker], Callable[[], int]]) -> Iterator[int]:
+        """Give every idle worker the job that `next_for` names while `left` is true; yields what jobs return."""
+        idle, busy = list(self._workers), dict[Future[int], _Worker]()
         try:
             while left or busy:
                 while left and idle:
-                    hand = idle.pop(0)
-                    busy[hand.pool.submit(next_for(hand))] = hand
+                    worker = idle.pop(0)
+                    busy[worker.pool.submit(next_for(worker))] = worker
                 done, _ = wait(busy, return_when=FIRST_COMPLETED)
                 for future in done:
                     idle.append(busy.pop(future))
@@ -205,38 +211,38 @@ class Processes:
             ) from None
 
     def close(self, *, now: bool) -> None:
-        """Let the workers go; `now` without waiting for what they do."""
-        for hand in self._hands:
+        """Stop the worker processes; with `now`, without waiting for the jobs they are at."""
+        for worker in self._workers:
             if now:
-                for process in list((hand.pool._processes or {}).values()):
+                for process in list((worker.pool._processes or {}).values()):
                     process.terminate()
-            hand.pool.shutdown(wait=not now, cancel_futures=now)
+            worker.pool.shutdown(wait=not now, cancel_futures=now)
 
 
 @contextmanager
-def local(workers: int) -> Iterator[Crew]:
-    """This process alone, or so many workers."""
+def local_pool(workers: int) -> Iterator[WorkerPool]:
+    """A pool of `workers` processes of this machine; for one worker, this process itself."""
     if workers == 1:
-        yield Alone()
+        yield InProcessPool()
         return
-    crew = Processes(workers)
+    pool = ProcessPool(workers)
     try:
-        yield crew
+        yield pool
     except BaseException:
-        crew.close(now=True)
+        pool.close(now=True)
         raise
-    crew.close(now=False)
+    pool.close(now=False)
 
 
 def one_thread() -> None:
-    """Keep to one thread in this process; others work beside it."""
+    """Keep OpenCV to one thread in this process: there is a worker for each core."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def _start_worker(number: int) -> None:
-    """One thread per worker, Ctrl-C left to the parent, and no worker that outlives it."""
+    """Set a worker process up: one thread, Ctrl-C left to the parent, and an end when the parent ends."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -253,11 +259,12 @@ def _start_worker(number: int) -> None:
 
 
 def default_workers() -> int:
-    """As many workers as this process may use cores."""
+    """The number of cores that this process may use."""
     return max(1, len(os.sched_getaffinity(0)))
 
 
 def check_workers(workers: int) -> int:
+    """The number of `--workers`; a UserError below 1."""
     if workers < 1:
         raise UserError(f"--workers: expected a whole number from 1, got {workers}")
     return workers

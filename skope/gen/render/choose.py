@@ -1,4 +1,4 @@
-"""Which renderer there is on this machine."""
+"""Choose the renderer that this machine can run, and make one for a recording."""
 
 from typing import Final
 
@@ -10,9 +10,17 @@ RENDERERS: Final = ("auto", "gl", "pybullet")
 
 
 def choose_renderer(name: str) -> tuple[str, str, str]:
-    """The renderer of a `--renderer` flag, the driver behind it, and what to say of the choice.
+    """Resolve a `--renderer` flag.
 
-    `auto` is `gl` where an OpenGL context can be had and else `pybullet`; asked for by name, `gl` must be there.
+    Args:
+        name: One of `RENDERERS`. "auto" is "gl" where an OpenGL context can be created, else "pybullet".
+
+    Returns:
+        "gl" or "pybullet"; the driver that it draws with (pixels are the same on the same driver only); a sentence
+        for the user about the choice.
+
+    Raises:
+        UserError: There is no such renderer, or "gl" is asked for and no OpenGL context can be created.
     """
     if one_of("--renderer", name, RENDERERS) == "pybullet":
         return "pybullet", "TinyRenderer", "renderer pybullet"
@@ -27,7 +35,12 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
 
 
 def make_renderer(name: str, recording: Recording) -> Renderer:
-    """The renderer of that name (one of `RENDERERS` but "auto") for a recording, seen through its lens and sensor."""
+    """Make a renderer for a recording's frames, with the distortion of its lens and the noise of its sensor.
+
+    Args:
+        name: "gl" or "pybullet", as `choose_renderer` returns it.
+        recording: What is drawn.
+    """
     from skope.gen.render.sensor import Sensor
 
     if name == "gl":

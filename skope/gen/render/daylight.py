@@ -12,14 +12,15 @@ from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
 Array = NDArray[np.float64]
 
 _OPTICAL_DEPTH: Final = np.array([0.12, 0.19, 0.34])
-"""Of clear air with some haze at red, green and blue, after the 1976 US standard atmosphere and 25 km of visibility."""
+"""Vertical optical depth of clear air with some haze at red, green and blue, after the 1976 US standard atmosphere and
+25 km of visibility."""
 _TWILIGHT_DEG: Final = 4.5
-"""The sky fades to a tenth for so many degrees that the sun sinks."""
+"""Degrees that the sun must sink below the horizon for the sky to fade to a tenth."""
 _NIGHT_SKY: Final = 0.006
-"""Of the sky's light at sunset; more than a true night's, as the street lights are more than true ones: only what lies
-between them shows once the camera has adapted."""
+"""The night sky's light as a share of the sky's at sunset. A true night's is less; but street lights here are brighter
+than true ones too, and after exposure only the ratio of the two shows."""
 _DIM: Final = 0.24
-"""In stops per stop: how much darker than a day's an automatic exposure leaves a darker scene."""
+"""Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is darker."""
 _FULL_LIGHT: Final = 2.0
 """Irradiance on the ground from which on it does not."""
 
@@ -48,7 +49,7 @@ class Daylight:
     horizon: Array
     """(3,)"""
     afterglow: Array
-    """(3,) what the horizon has more over the sun that has set."""
+    """(3,) light that the horizon over the sun has more when the sun has set."""
     sunset: Array
     """(2,) direction of that, east and north."""
     clouds: float
@@ -145,8 +146,8 @@ class Daylight:
 
     @property
     def lamp_radiance(self) -> float:
-        """Of vehicles' lamps, over what they have by day.
+        """Factor on the radiance of vehicles' lamps, relative to that by day.
 
-        What is far brighter than the rest saturates in the sensor and would be white; this keeps its colour.
+        Lamps far brighter than the rest would saturate in the sensor and turn white; this factor keeps their colour.
         """
         return float((self.exposure.mean() / 0.33) ** -0.72) if self.dark else 1.0

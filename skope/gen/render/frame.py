@@ -1,4 +1,4 @@
-"""What a renderer makes of a recording's frame; labels know nothing else of renderers."""
+"""The interface between renderers and labels: a rendered frame and the protocol of renderers."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 SKY: Final = -1
+"""Id of pixels that show the sky."""
 STATIC: Final = 0
+"""Id of pixels that show the ground or scenery."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,13 +22,14 @@ class Silhouette:
     x: int
     """Image column of the mask's first column; negative left of the image."""
     y: int
+    """Image row of the mask's first row; negative above the image."""
     mask: NDArray[np.bool_]
     """(h, w)"""
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedFrame:
-    """One rendered frame of N vehicles. Depth and ids are sampled at pixel centres."""
+    """One rendered frame of a moment's N road users. Depth and ids are sampled at pixel centres."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3) sRGB."""
@@ -35,15 +38,17 @@ class RenderedFrame:
     slope: NDArray[np.float32]
     """(H, W, 2) change of depth per pixel to the right and down on the surface shown, metres."""
     ids: NDArray[np.int32]
-    """(H, W) `SKY`, `STATIC`, or i + 1 for the frame's i-th vehicle."""
+    """(H, W) `SKY`, `STATIC`, or i + 1 for the moment's i-th road user."""
     silhouettes: tuple[Silhouette, ...]
-    """N of them."""
+    """N silhouettes, in the order of the moment's road users."""
     contrast: NDArray[np.float64]
     """(N,) mean absolute difference over the visible pixels between the frame with and without the vehicle, before
     noise, of 255; 0 without visible pixels."""
 
 
 class Renderer(Protocol):
-    """Draws the frames of one recording; the same frame always gives the same view."""
+    """Draws the frames of one recording."""
 
-    def render(self, frame: int) -> RenderedFrame: ...
+    def render(self, frame: int) -> RenderedFrame:
+        """Draw a frame by its number; the same number always gives the same pixels."""
+        ...

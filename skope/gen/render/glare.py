@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 COARSE: Final = 4
 """Pixels of the image per cell of the grid, on each axis."""
 HAZY: Final = 2000.0
-"""By day too lamps glare when one sees less far than this, metres."""
+"""Lamps glare by day too when the visibility is below this, metres."""
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
 _FULL: Final = 15.0
-"""Up to so many metres lamps glare at their strongest."""
+"""Distance up to which lamps glare at their strongest, metres."""
 _LEAST: Final = 0.006
-"""What is weaker, exposed, does not show."""
+"""Glare that is weaker than this after exposure is not drawn."""
 _SLACK: Final = 0.35
 """How much nearer than a lamp the surface shown there may be without hiding it, metres."""
 

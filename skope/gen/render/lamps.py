@@ -26,9 +26,9 @@ _KINDS: Final = {
     "indicator_right": ("indicator_right", _AMBER, 0.5),
     "reverse_light": ("reverse", _WHITE, 0.25),
 }
-"""By material: what lights it, its colour, its luminous intensity straight ahead."""
+"""Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
 _SIDE: Final = 0.12
-"""Lamps nearer to the middle than this are one, metres."""
+"""Lamps nearer to the vehicle's middle than this count as one, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Lit:
     """A lamp that is lit, in the world."""
 
     index: int
-    """Of its vehicle in the frame."""
+    """Index of its vehicle in the frame."""
     center: Array
     facing: Array
     color: tuple[float, float, float]

@@ -61,7 +61,7 @@ class Lens:
         """(H, W, 2, 2) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
 
     def straightened(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What the pinhole camera would show where `rgb` (H, W, 3) is what the lens shows; its rim goes on outwards."""
+        """The picture of a pinhole camera, from that of the lens (`rgb`, (H, W, 3)); the rim is continued outwards."""
         pinhole, camera = self.pinhole, self._camera
         columns, rows = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
         ideal, _ = pinhole.rays(np.stack([columns, rows], axis=-1))

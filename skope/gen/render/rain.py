@@ -13,13 +13,13 @@ from skope.gen.scene.streams import Stream
 Image = NDArray[np.uint8]
 
 _FIELD: Final = 1.25
-"""Streaks are drawn on a field so many times as large as the image; each frame takes a window of it."""
+"""Size of the field that streaks are drawn on, in sizes of the image; each frame shows a window of it."""
 _STREAKS: Final = 12000
-"""In the field of a 1920x1080 image, in rain of 10 mm/h."""
+"""Number of streaks in the field of a 1920x1080 image, in rain of 10 mm/h."""
 _EXPOSED: Final = (0.012, 0.025)
 """Streaks are as long as in exposures within this range, seconds: cameras expose longer in rain."""
 _DROPS: Final = 9
-"""On the glass, in rain of 10 mm/h."""
+"""Mean number of drops on the glass, in rain of 10 mm/h."""
 _STAYS: Final = 6.0
 """Seconds that a drop stays."""
 

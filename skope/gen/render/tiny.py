@@ -39,9 +39,9 @@ Slices = tuple[slice, slice]
 FINE: Final = 3
 FAR: Final = 1200.0
 SHADOW: Final = 0.45
-"""How much of the light a vehicle's shadow takes from the road."""
+"""Share of the light that a vehicle's shadow takes from the road."""
 WET_LOSS: Final = 0.4
-"""How much of it water takes."""
+"""Share of the road's light that water takes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class _FineLayer:
         return self.x, self.y, self.x + columns // FINE, self.y + rows // FINE
 
     def within(self, window: Window) -> tuple[Slices, Slices] | None:
-        """Which fine samples of a window the layer covers, and with which of its own; None when with none."""
+        """Fine samples of a window that the layer covers, and the layer's own there; None if they do not overlap."""
         x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), self.window, window, strict=True))
         if x0 >= x1 or y0 >= y1:
             return None
@@ -128,7 +128,10 @@ class _Stage:
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
         sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(light.direction)
         _, _, rgba, buffer, segmentation = self._engine.getCameraImage(
-            *(width, height, view.T.ravel().tolist(), projection.T.ravel().tolist()),
+            width,
+            height,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
             lightDirection=(100 * sun).tolist(),
             lightColor=light.tint,
             lightAmbientCoeff=light.ambient,

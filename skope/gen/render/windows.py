@@ -1,4 +1,4 @@
-"""Which pixels a vehicle may cover, on a canvas of three times the image's width and height."""
+"""Windows of pixels that vehicles may cover, on a canvas of three times the image's width and height."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -20,7 +20,7 @@ _SHIFT: Final = 4
 NEAR: Final = 0.3
 """Silhouettes are clipped at this depth, metres."""
 TILE: Final = 8
-"""Pixels; what changes in a frame is drawn in whole tiles."""
+"""Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
 CONTACT: Final = 1.8
 """How far around itself a vehicle takes sky from the road, metres."""
 

@@ -1,1 +1,1 @@
-"""What a recording is: its camera, its weather, its sun, who drives in it."""
+"""Recordings: their cameras, conditions, sun and road users."""

@@ -1,4 +1,4 @@
-"""What a recording's road users look like: vehicles of the fleet, added ones, people."""
+"""Bodies of a recording's road users: vehicles of the fleet, models of the user, people."""
 
 from skope.gen.bystanders import bystander
 from skope.gen.scene.recording import RecordedVehicle

@@ -1,4 +1,4 @@
-"""Cameras that differ from recording to recording, as they hang along real roads: height, pose and field of view."""
+"""Draw a recording's camera at random: height, pose and field of view, near those of its site."""
 
 import math
 from collections.abc import Mapping
@@ -29,6 +29,7 @@ LIMITS: Final[Mapping[str, Range]] = {
 """What a camera can be drawn by: in place of the site's (height over the road), or added to the site's (`zoom_by` is a
 factor on the focal length)."""
 _TRIES: Final = 500
+"""Cameras that are drawn until one sees enough road."""
 _CAR: Final = 1.5
 """Height of a car, metres."""
 _LARGE: Final = 24.0
@@ -36,7 +37,7 @@ _LARGE: Final = 24.0
 _BRIDGE: Final = 12.0
 """A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
 _ROAD: Final = 40.0
-"""So many metres of lanes a camera sees at least; or half of what the site's own sees, if that is less."""
+"""Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
 
 
 def check_ranges(spans: Mapping[str, Range]) -> None:
@@ -55,9 +56,18 @@ def drawn(
     spans: Mapping[str, Range],
     rng: np.random.Generator,
 ) -> Camera:
-    """A camera on the site's mast, drawn evenly from `spans` (see `LIMITS`) among those that see enough road.
+    """Draw a camera on the site's mast that sees enough road.
 
-    Raises UserError when hardly any of them does.
+    Args:
+        site: The camera site.
+        size: Width and height of the image, pixels.
+        fov_deg: Horizontal field of view where `spans` has none.
+        distortion: That of the lens; None for none, or that of a user's own camera.
+        spans: Ranges of `LIMITS`, from which values are drawn evenly; empty for the site's own camera.
+        rng: Draws them.
+
+    Raises:
+        UserError: None of `_TRIES` cameras sees enough road.
     """
     own = site.camera(size, fov_deg, distortion)
     if not spans:

@@ -17,16 +17,16 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What a recording was made in and with; what has a default is a dry street and a plain camera."""
+    """Conditions of a recording: light, weather, lens and sensor. The defaults are a dry street and a plain camera."""
 
     sun_elevation_deg: float
-    """Above the horizon."""
+    """Height of the sun above the horizon."""
     sun_azimuth_deg: float
-    """Counter-clockwise from east."""
+    """Direction of the sun, counter-clockwise from east."""
     latitude_deg: float = 45.0
     """North of the equator."""
     day: float = 172.0
-    """Of the year, 1 is the first of January."""
+    """Day of the year; 1 is the first of January."""
     hour: float = 12.0
     """Local solar time when the recording begins."""
     clouds: float
@@ -36,7 +36,7 @@ class Conditions:
     rain_mm_h: float = 0.0
     """Rain that falls."""
     wetness: float = 0.0
-    """Of the ground, from dry to a closed film of water."""
+    """Wetness of the ground, from 0 (dry) to 1 (a closed film of water)."""
     puddles: float = 0.0
     """Share of wet ground that water stands on."""
     street_lighting: float = 1.0
@@ -46,7 +46,7 @@ class Conditions:
     lit_windows: float = 0.3
     """Share of rooms that are lit when it is dark."""
     exposure_ev: float
-    """Stops over what an automatic exposure takes."""
+    """Stops by which a picture is brighter than an automatic exposure would make it."""
     white_balance_k: float = 6500.0
     """Colour temperature of the light that the camera shows white."""
     shutter_s: float = 0.001
@@ -72,9 +72,9 @@ class Conditions:
 
     @classmethod
     def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
-        """Even draws from a range for each field, rounded so that they can be written down and set again.
+        """Draw each field evenly from its range, rounded so that the values can be written down and set again.
 
-        Without ranges for the sun it stands where latitude, day and hour put it.
+        Without ranges for the sun, its position follows from latitude, day and hour.
         """
         names = [f.name for f in fields(cls) if f.name in ranges]
         values = {name: _rounded(name, rng.uniform(*ranges[name])) for name in names}
@@ -85,7 +85,7 @@ class Conditions:
 
     @property
     def distortion(self) -> Distortion | None:
-        """Of the lens; None without any."""
+        """The lens' distortion; None for a pinhole camera."""
         if self.fisheye:
             return Distortion("fisheye", (self.k1, 0.0, 0.0, 0.0))
         return Distortion("brown", (self.k1, 0.0, 0.0, 0.0)) if self.k1 else None
@@ -99,9 +99,9 @@ def _rounded(name: str, value: float) -> float:
 
 
 OVERCAST: Final = 0.9
-"""With more clouds than this nothing throws a shadow."""
+"""Cloud cover above which nothing throws a shadow."""
 DARK_DEG: Final = 1.0
-"""With the sun lower than this street lights burn and windows are lit."""
+"""Sun's elevation below which street lights and windows are lit, degrees."""
 LIMITS: Final[Mapping[str, Range]] = {
     "sun_elevation_deg": (-90.0, 90.0),
     "sun_azimuth_deg": (0.0, 360.0),
@@ -129,7 +129,7 @@ LIMITS: Final[Mapping[str, Range]] = {
     "rescale": (0.1, 1.0),
     "compression_quality": (1.0, 100.0),
 }
-"""What can be set at all."""
+"""Least and greatest value of each condition that can be set."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _CLOCK: Final = ("latitude_deg", "day", "hour")
 _WHOLE: Final = ("day", "infrared", "screen_text", "fisheye")
@@ -199,9 +199,16 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
 
 
 def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None = None) -> dict[str, Range]:
-    """The range of every field in a weather at an hour, with some set otherwise.
+    """Ranges of the conditions in a weather at an hour.
 
-    Whoever sets latitude, day or hour, and not the sun, gets none for the sun: it stands where these put it.
+    Args:
+        weather: One of the weathers of the table, such as "clear".
+        time_of_day: One of the hours of the table, such as "noon".
+        overrides: Ranges to use instead. Where they set latitude, day or hour but not the sun, the result has no
+            range for the sun, whose position then follows from them.
+
+    Raises:
+        UserError: There is no such weather or hour.
     """
     own = overrides or {}
     spans = {

@@ -1,4 +1,4 @@
-"""A recording: everything that happened before one camera, so that rendering is a function of (recording, frame).
+"""A recording: everything that happened before one camera, so that a rendered frame depends on nothing else.
 
 One small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses. Equal recordings
 have equal bytes.
@@ -29,11 +29,12 @@ from skope.gen.towns.town import Town, towns
 Array = NDArray[np.float64]
 
 VERSION: Final = 3
+"""Version of the file format of recordings."""
 
 
 @dataclass(frozen=True)
-class Take:
-    """What a dataset knows of a recording without opening it."""
+class RecordingInfo:
+    """Site, name, split and number of frames of a recording, as the dataset's card lists them under "takes"."""
 
     site: str
     name: str
@@ -41,56 +42,62 @@ class Take:
     frames: int
 
     def frame_name(self, frame: int) -> str:
-        """<site>/<recording>_<frame>: what image, depth and label files of a frame are called, without suffix."""
+        """<site>/<recording>_<frame>: name of a frame's image, depth and label files, without suffix."""
         return f"{self.site}/{self.name}_{frame:06d}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPlan:
-    """What fixes a recording, seed included."""
+    """Everything that decides a recording's content, its seed included."""
 
     site: Site
     index: int
+    """Which of the site's recordings it is, from 0."""
     frames: int
     interval: float
     """Seconds between frames, a multiple of 0.005."""
     size: tuple[int, int]
+    """Width and height of the images, pixels."""
     fov_deg: float
+    """Horizontal field of view of the site's camera; a user's own camera has its own."""
     seed: int
     settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that are set; the others follow the site's weather and hour."""
+    """Ranges of conditions that the user or preset sets; the others follow the site's weather and hour."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of `skope.gen.scene.camera_sampling.LIMITS` that the camera is drawn from; none for the site's own."""
+    """Ranges of `skope.gen.scene.camera_sampling.LIMITS` that the camera is drawn from; empty for the site's own."""
     vehicles: tuple[str, ...] = ()
-    """Models that were added and drive by too."""
+    """Models of the user (`skope gen vehicles add`) that drive beside the fleet."""
     shape_jitter: bool = False
-    """Each vehicle has a shape of its own near its model's."""
+    """Whether each vehicle gets a shape of its own near its model's."""
 
     @property
-    def take(self) -> Take:
-        """The recording that this plan leads to."""
-        return Take(self.site.name, f"{self.index:02d}", self.site.split, self.frames)
+    def info(self) -> RecordingInfo:
+        """Site, name, split and number of frames of the recording that this plan describes."""
+        return RecordingInfo(self.site.name, f"{self.index:02d}", self.site.split, self.frames)
 
     def rng(self, stream: Stream, *which: int) -> np.random.Generator:
         """The generator of one of this recording's streams; `which` is what the stream takes."""
         return rng(self.seed, self.site.name, self.index, stream, *which)
 
     def rng_of(self, name: str) -> np.random.Generator:
-        """The generator of the vehicle or rider of that name."""
+        """The random generator of the vehicle or rider of that name."""
         return self.rng(Stream.ROAD_USER, zlib.crc32(name.encode()))
 
 
 @dataclass(frozen=True)
 class RecordedVehicle:
-    """What stays the same about a vehicle, or about somebody else on the road."""
+    """What stays the same about a road user through a recording: a vehicle, or a bystander that is not labelled."""
 
     track_id: int
     model: str
+    """Model of a vehicle; kind of a bystander ("pedestrian", "cyclist", "motorcyclist")."""
     shape: Mapping[str, float]
+    """Dimensions of a vehicle, or numbers of a bystander's `Look`."""
     color: str
+    """Name of a vehicle's paint."""
     parked: bool = False
     labelled: bool = True
-    """False for people on foot and on two wheels; these come after the vehicles."""
+    """False for bystanders: people on foot and on two wheels. They come after the vehicles."""
 
     def __post_init__(self) -> None:
         names.name("model", self.model)
@@ -98,23 +105,24 @@ class RecordedVehicle:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One frame: the state of the N vehicles that are near the camera, and of others on the road after them."""
+    """One frame: the state of N road users near the camera, labelled vehicles first, then bystanders."""
 
     time_s: float
     vehicles: tuple[RecordedVehicle, ...]
     T_world_chassis: Array
-    """(N, 4, 4) pose of each vehicle frame."""
+    """(N, 4, 4) pose of each vehicle frame in the world."""
     T_world_wheels: Array
-    """(N, 4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
+    """(N, 4, 4, 4) poses of the wheels: front right, front left, rear right, rear left; y is the axle, pointing left.
+    A bystander's four moving parts take their place."""
     velocity: Array
     """(N, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(N,) bits of `skope.gen.traffic.sumo.LAMPS`."""
+    """(N,) lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
     signals: Mapping[str, str]
-    """State string of each signal program."""
+    """SUMO's state string of each signal program."""
 
     def labelled(self) -> "Moment":
-        """The vehicles alone."""
+        """The same moment without bystanders."""
         n = sum(vehicle.labelled for vehicle in self.vehicles)
         poses = (self.T_world_chassis[:n], self.T_world_wheels[:n], self.velocity[:n], self.lamps[:n])
         return Moment(self.time_s, self.vehicles[:n], *poses, self.signals)
@@ -122,6 +130,8 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
+    """What happened before one camera: F frames, with R rows of a road user in a frame each."""
+
     town: Town
     site: str
     name: str
@@ -136,21 +146,21 @@ class Recording:
     times_s: Array
     """(F,) seconds since the recording began."""
     signals: tuple[Mapping[str, str], ...]
-    """State strings of the signal programs in each frame."""
+    """SUMO's state strings of the signal programs in each frame."""
     frame: NDArray[np.int32]
-    """(R,) frame of each row below, rising."""
+    """(R,) frame of each row, rising."""
     vehicle: NDArray[np.int32]
-    """(R,) index into `vehicles`."""
+    """(R,) index into `vehicles` of each row."""
     T_world_chassis: Array
-    """(R, 4, 4)"""
+    """(R, 4, 4) pose of the vehicle frame, as in `Moment`."""
     T_world_wheels: Array
-    """(R, 4, 4, 4)"""
+    """(R, 4, 4, 4) poses of wheels or moving parts, as in `Moment`."""
     velocity: Array
-    """(R, 3)"""
+    """(R, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(R,)"""
+    """(R,) lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
     photograph: NDArray[np.uint8] | None = None
-    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery: the own road's, unless given."""
+    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
 
     def __post_init__(self) -> None:
         names.name("town", self.town.name)
@@ -182,11 +192,12 @@ class Recording:
         )
 
     @property
-    def take(self) -> Take:
-        return Take(self.site, self.name, self.split, len(self))
+    def info(self) -> RecordingInfo:
+        """Site, name, split and number of frames."""
+        return RecordingInfo(self.site, self.name, self.split, len(self))
 
     def starts_like(self, other: "Recording") -> bool:
-        """Whether its first frames are all that `other` has."""
+        """Whether the first frames are exactly those of `other`, a recording that is not longer."""
         same = ("town", *_HEADER, "conditions", "photograph")
         rows = len(other.frame)
         return (
@@ -204,17 +215,17 @@ class Recording:
 _ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
 _ARRAYS: Final = ("times_s", *_ROWS)
 _FILES: Final = ("network", "photograph")
-"""Of an own road."""
+"""Fields of `OwnRoad` that are stored as bytes."""
 _HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
 
 
 def save(path: Path, recording: Recording) -> None:
-    """Write a recording atomically."""
+    """Write a recording to a .npz file, whole or not at all."""
     write_bytes(path, packed(recording))
 
 
 def packed(recording: Recording) -> bytes:
-    """What a recording's file holds."""
+    """The bytes of a recording's .npz file; equal recordings have equal bytes."""
     header = {
         "version": VERSION,
         "town": recording.town.name,
@@ -235,7 +246,7 @@ def packed(recording: Recording) -> bytes:
 
 
 def length(path: Path) -> int:
-    """Frames of a recording's file; 0 for a broken one."""
+    """Number of frames of the recording at a path; 0 for a broken file."""
     try:
         with np.load(path, allow_pickle=False) as file:
             return len(file["times_s"])
@@ -244,21 +255,29 @@ def length(path: Path) -> int:
 
 
 def sound(path: Path) -> bool:
-    """Whether all members of a recording's file have their checksums."""
+    """Whether the recording's file at a path is whole, by the checksums of its members."""
     try:
         with zipfile.ZipFile(path) as file:
             return file.testzip() is None
-    except Exception:  # of a damaged file they come in a dozen types
+    except Exception:  # zip errors of a damaged file come in a dozen types
         return False
 
 
 def load(path: Path) -> Recording:
-    """Read a recording; a broken file or one of another version is a UserError."""
+    """Read a recording; a UserError for a broken file or one of another version."""
     return unpacked(read_bytes(path), path)
 
 
 def unpacked(data: bytes, path: Path) -> Recording:
-    """The recording that a file holds; `path` is what errors call it."""
+    """Read a recording from the bytes of its file.
+
+    Args:
+        data: What `packed` returned.
+        path: What error messages call it.
+
+    Raises:
+        UserError: The bytes are damaged, or of another version, or name a town that is not in the package.
+    """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             header: dict[str, Any] = json.loads(str(file["header"]))
@@ -279,7 +298,7 @@ def unpacked(data: bytes, path: Path) -> Recording:
 
 
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
-    """The recording of a file's header and arrays."""
+    """Put a recording together from the header and the arrays of its file."""
     own = header.get("place")
     road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
     return Recording(

@@ -10,22 +10,22 @@ import numpy as np
 
 
 class Stream(Enum):
-    """What is drawn at random for a recording."""
+    """The random streams of a recording: one for each thing that is drawn."""
 
     TRAFFIC = auto()
-    """How long the traffic runs before the recording, SUMO's seed, and who drives where."""
+    """Time that traffic runs before the recording, SUMO's seed, and which vehicles drive where."""
     PEDESTRIANS = auto()
     TRAFFIC_SHARE = auto()
-    """How much of its site's traffic a recording has."""
+    """Traffic of a recording, as a share of its site's."""
     PARKED_VEHICLES = auto()
     CONDITIONS = auto()
     """Weather, light, lens and sensor."""
     CAMERA = auto()
-    """Where the camera hangs, when that is not the site's own."""
+    """Pose of the camera, where it is not the site's own."""
     ROAD_USER = auto()
     """The shape of a vehicle or the look of a rider; takes the CRC-32 of the name."""
     RAIN = auto()
-    """How the wind slants it."""
+    """How the wind slants the rain of a recording."""
     RAIN_IN_FRAME = auto()
     """Takes the frame."""
     DROPS_ON_GLASS = auto()
@@ -47,7 +47,7 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.SENSOR_NOISE: (),
 }
 _IN_PICTURES: Final = (Stream.RAIN, Stream.RAIN_IN_FRAME, Stream.DROPS_ON_GLASS, Stream.SENSOR_NOISE)
-"""These spell the site's name out, the others take its CRC-32."""
+"""Streams that are seeded with the letters of the site's name; the others are seeded with its CRC-32."""
 
 
 def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Where the sun stands at a moment and a place on earth."""
+"""The sun's position at a time and place on earth."""
 
 import math
 from datetime import UTC, datetime
@@ -24,7 +24,7 @@ def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> 
 
 
 def time_of_day(elevation_deg: float, azimuth_deg: float) -> str:
-    """What annotations call the hour at which the sun stands so."""
+    """The field `time_of_day` of annotations, for a position of the sun."""
     if elevation_deg < 0:
         return "night"
     if elevation_deg < 10:

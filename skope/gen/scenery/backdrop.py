@@ -1,4 +1,4 @@
-"""What stands for the scenery behind a photograph: the ground that shadows fall on, and what hides the traffic."""
+"""Stand-ins for scenery behind a photograph: ground that shadows fall on, and objects that hide the traffic."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -16,12 +16,12 @@ from skope.gen.towns.town import Town
 Array = NDArray[np.float64]
 
 _FAR: Final = 2000.0
-"""Where level ground ends, metres from the camera."""
+"""Radius of level ground around the camera, metres."""
 _CELL: Final = 2.0
 _PLATES: Final = 15.0
 """Height of what throws a photograph's shadows, metres over the road."""
 _SLOPED: Final = 250.0
-"""Where ground that is not level ends, metres from the camera."""
+"""Radius of ground that is not level around the camera, metres."""
 
 
 def backdrop(layout: Layout, road: OwnRoad) -> Mesh:

@@ -33,7 +33,7 @@ STUDIO: Final = Town("studio")
 """An empty place, to look at vehicles."""
 STUDIO_RADIUS: Final = 200.0
 ARM_CLEARANCE: Final = 16.0
-"""Nearer than that to a camera no signal hangs over the road, metres."""
+"""Signals nearer to a camera than this do not hang over the road, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +53,16 @@ class Scenery:
     mesh: Mesh
     signals: tuple[Signal, ...]
     buildings: tuple[Polygon, ...] = ()
-    """Their footprints."""
+    """Footprints of the buildings."""
     trees: tuple[tuple[float, float, float], ...] = ()
     """x, y and reach of their crowns."""
     bays: tuple[Bay, ...] = ()
-    """Where vehicles may be parked."""
+    """Bays that vehicles may be parked in."""
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) where street lights shine down from."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """For a file."""
+        """Arrays to be stored in a file."""
         signals = self.signals
         return {
             **self.mesh.to_arrays("mesh"),
@@ -93,7 +93,15 @@ class Scenery:
 
 @cache
 def scenery(town: Town) -> Scenery:
-    """Everything of a town that does not move; of `STUDIO` a floor."""
+    """Grow everything of a town that does not move, or load it from the cache.
+
+    Args:
+        town: A town of the package or a user's road (with a photograph, only ground and occluders); `STUDIO` for an
+            empty floor.
+
+    Returns:
+        The scenery; the same town always has the same.
+    """
     if town == STUDIO:
         r = STUDIO_RADIUS
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
@@ -135,7 +143,7 @@ def _grown(town: Town) -> Scenery:
 
 
 def _out_of_mirror(seen: Scenery) -> Scenery:
-    """Scenery as the world has it, of scenery that was grown in the mirror of left-hand traffic."""
+    """Mirror scenery that was grown for the mirror image of a town with left-hand traffic."""
     flip = np.array([1.0, -1.0, 1.0])
     return Scenery(
         seen.mesh.mirrored(),

@@ -17,11 +17,11 @@ from skope.gen.towns.layout import FAR, Layout, beside, driven, is_minor, is_sig
 Array = NDArray[np.float64]
 
 CLEARANCE: Final = 0.4
-"""Between anything that stands and the carriageway, metres."""
+"""Least distance of street furniture from the carriageway, metres."""
 OVERHEAD: Final = 6.0
-"""What hangs higher than that may hang over the road, metres."""
+"""Height from which parts may hang over the road, metres."""
 SIGHT: Final = 26.0
-"""Furniture keeps out of the view of road that is nearer than that to a camera, metres."""
+"""Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
 
 
 def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iterator[Mesh]:
@@ -39,7 +39,7 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iter
 
 
 class _Spots:
-    """Where street furniture may still stand."""
+    """Places beside the road where street furniture may still stand."""
 
     def __init__(self, layout: Layout, blocked: Any) -> None:
         self._blocked, self._road = blocked, layout.road
@@ -62,7 +62,7 @@ class _Spots:
 
 
 def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
-    """What is wished for along an edge: distance from the kerb, metres along, how to make it."""
+    """Furniture to place along an edge: distance from the kerb and along the edge, metres, and how to make it."""
     length, kind, style = driven(edge)[0].getLength(), layout.kind(edge), layout.style
     first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
     if kind.lights:

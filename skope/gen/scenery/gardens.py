@@ -1,4 +1,4 @@
-"""What encloses the plots of houses: low walls, picket fences, railings and hedges in front, timber fences behind."""
+"""Enclosures of houses' plots: low walls, picket fences, railings and hedges in front, timber fences behind."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""
 OPEN_GROUND: Final = 46.0
-"""Open ground is enclosed as far as that from a camera, metres."""
+"""Distance from a camera up to which open ground is enclosed, metres."""
 
 
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
@@ -101,7 +101,7 @@ def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator
 
 
 def _margin(layout: Layout, edge: Any, beyond: float) -> float:
-    """From the kerb to what encloses the land beside a road, metres."""
+    """Distance from the kerb to the enclosure of the land beside a road, metres."""
     kind = layout.kind(edge)
     sidewalk = kind.sidewalk + layout.style.plaza
     return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond

@@ -39,7 +39,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Beside:
-    """What is laid out beside the carriageway by those who build there."""
+    """Areas beside the carriageway that other modules lay out: paths, drives, car parks."""
 
     forecourts: Any
     walks: Any

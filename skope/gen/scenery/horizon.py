@@ -1,4 +1,4 @@
-"""What stands where the ground ends: wooded hills, or a city's skyline before them."""
+"""The horizon: wooded hills where the ground ends, or a city's skyline before them."""
 
 from collections.abc import Iterator
 from typing import Final

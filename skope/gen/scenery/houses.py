@@ -21,9 +21,9 @@ from skope.gen.towns.style import Kind, Row
 Array = NDArray[np.float64]
 
 SIGHT: Final = 38.0
-"""Houses keep out of the view of road that is nearer than that to a camera, metres."""
+"""Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
 STEEP: Final = 2.2
-"""Nothing is built where the ground falls by more than that under a house, metres."""
+"""Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
 
 _BRICKS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
 _AXES: Final = {
@@ -41,19 +41,19 @@ class House:
 
     kind: Kind
     center: Array
-    """(2,) of the footprint."""
+    """(2,) middle of the footprint, metres."""
     heading: float
-    """Of the street, radians; the front looks to its left."""
+    """Direction of the street before the house, radians; the front looks to the left of it."""
     size: tuple[float, float]
-    """Along the street and across it, metres."""
+    """Size along the street and across it, metres."""
     setback: float
-    """From the sidewalk to the front, metres; 0 behind the rows."""
+    """Distance from the sidewalk to the front, metres; 0 behind the rows."""
     detail: int
     """2 near a camera, 0 where no camera makes out more than walls and windows."""
     floor: float
-    """Height of the ground at its highest corner, metres."""
+    """Height of the ground at the house's highest corner, metres."""
     footing: float
-    """Height at its lowest one."""
+    """Height of the ground at the house's lowest corner, metres."""
 
     @property
     def near(self) -> bool:
@@ -120,7 +120,7 @@ def _any(shares: Mapping[str, float], rng: np.random.Generator) -> str:
 
 
 class Taken:
-    """Where no further house may stand."""
+    """Areas where no further house may stand."""
 
     def __init__(self, layout: Layout) -> None:
         walled = layout.walled_road.buffer(3.0) if not layout.walled_road.is_empty else layout.walled_road
@@ -357,7 +357,7 @@ def _has_drive(i: int, house: House) -> bool:
 
 
 def drive_bays(houses: list[House]) -> list[Bay]:
-    """Where cars are parked beside houses."""
+    """Bays on the drives beside houses."""
     out = []
     for i, house in enumerate(houses):
         if _has_drive(i, house):

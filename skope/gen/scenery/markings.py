@@ -14,13 +14,13 @@ from skope.gen.towns.layout import Layout, driven, is_minor, is_signalled, joins
 Array = NDArray[np.float64]
 
 CROSSING: Final = (0.7, 3.7)
-"""Where a crossing lies beyond the end of the lanes that stop before it, metres."""
+"""Nearer and farther edge of a crossing, beyond the end of the lanes that stop before it, metres."""
 STRIPE: Final = 0.5
 ARROWS: Final = (9.0, 26.0)
 """Distances of lane arrows from the stop line, metres."""
 _LINE: Final = 0.06
 _THROUGH: Final = 12.0
-"""Junctions that are shorter than that and join two edges only have their lines continued, metres."""
+"""Lines are continued through junctions of two edges that are shorter than this, metres."""
 
 
 def markings(layout: Layout) -> Iterator[Polygon]:
@@ -47,7 +47,7 @@ def markings(layout: Layout) -> Iterator[Polygon]:
 
 
 def _left_line(layout: Layout, edge: Any, shape: LineString, half: float) -> Iterator[Polygon]:
-    """Where the other direction is beside, both draw their own line: together they are a double one."""
+    """The line to the left of an edge's lanes; where the other direction is beside, both draw one: a double line."""
     if layout.kind(edge).edge_lines and not _is_divided(edge):
         # Overtaking is allowed: a broken line, drawn by one of the two directions.
         if edge.getID() < min((e.getID() for e in _opposite(edge)), default="~"):
@@ -112,7 +112,7 @@ def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
 
 
 def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
-    """Where the lane leads, painted on it twice."""
+    """Arrows for the directions that a lane leads in, painted on it twice."""
     ways = {connection.getDirection().lower() for connection in lane.getOutgoing()} & {"s", "l", "r"}
     if ways == {"s"} and not is_signalled(lane.getEdge()):
         return

@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.scenery.solid import Solid
 
 OVERHANG: Final = 0.35
-"""Of eaves beyond walls, metres."""
+"""How far eaves stand out over the walls, metres."""
 THICKNESS: Final = 0.14
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 DECK: Final = 1.1
 """Thickness of bridge decks, metres."""
 GANTRY_CLEARANCE: Final = 5.7
-"""Under signs over the road, metres."""
+"""Clearance under signs over the road, metres."""
 _CELL: Final = 3.0
 
 
@@ -157,7 +157,7 @@ def _axis(layout: Layout, deck: Polygon) -> LineString:
 
 
 def _guard_rails(layout: Layout) -> Iterator[Mesh]:
-    """Along the right of roads that have them, and in medians; not where another carriageway joins."""
+    """Guard rails along the right of roads that have them, and in medians; not where another carriageway joins."""
     for edge in layout.edges:
         if not layout.kind(edge).guard_rails or layout.kind(edge).form != "ground":
             continue

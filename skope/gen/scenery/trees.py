@@ -17,12 +17,12 @@ from skope.gen.towns.layout import FAR, Layout, along, free, polygons, rectangle
 Array = NDArray[np.float64]
 
 CLEARANCE: Final = 0.4
-"""Between crowns and the carriageway, metres."""
+"""Least distance between crowns and the carriageway, metres."""
 SIGHT: Final = 32.0
-"""Trees keep out of the view of road that is nearer than that to a camera, metres."""
+"""Trees do not stand in a camera's view of road that is nearer to it than this, metres."""
 
 WIDE: Final = 2.6
-"""Crowns that reach farther are made of more clumps, metres."""
+"""Radius from which a crown is made of more clumps, metres."""
 CROWN: Final = 4.0
 """How far crowns reach at most, metres."""
 
@@ -61,18 +61,18 @@ SPECIES: Final = {
 class Tree:
     species: Species
     place: Array
-    """(2,) of its foot."""
+    """(2,) place of the foot, metres."""
     height: float
     room: float
-    """How far its crown may reach, metres."""
+    """Largest radius that the crown may have, metres."""
     detail: int
-    """0 to 3: of how much its crown is made."""
+    """Detail of the crown, from 0 to 3."""
     street: bool
     """Whether it stands in the sidewalk."""
 
     @property
     def reach(self) -> float:
-        """Of its crown, about; metres."""
+        """Approximate radius of the crown, metres."""
         return min(self.height * self.species.reach, self.room)
 
     @property

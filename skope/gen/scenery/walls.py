@@ -15,9 +15,9 @@ from skope.gen.towns.layout import GRID, Layout, polygons
 Array = NDArray[np.float64]
 
 WALL: Final = 0.4
-"""Steps higher than that between carriageway and ground are retaining walls, metres."""
+"""Height from which a step between carriageway and ground is a retaining wall, metres."""
 _STEP: Final = 2.0
-"""Kerbs on slopes are made of pieces as long as that, metres."""
+"""Length of the pieces that kerbs on slopes are made of, metres."""
 
 
 def kerbs(layout: Layout) -> Iterator[Mesh]:

@@ -1,4 +1,4 @@
-"""What traffic and repairs leave on the road: wheel tracks, patches, cracks, covers."""
+"""Wear of the road: wheel tracks, patches, cracks, covers."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def tracks(layout: Layout, width: float) -> Any:
-    """Where wheels run: two strips along each lane."""
+    """Areas that wheels run over: two strips along each lane."""
     strips = []
     for edge in layout.edges:
         for lane in driven(edge):

@@ -1,1 +1,1 @@
-"""Stage 2: vehicles as bodies, and people, driven past a camera."""
+"""Stage 2: vehicle dynamics by pybullet, parked vehicles and bystanders."""

@@ -1,4 +1,4 @@
-"""Ways that vehicles can drive, along where SUMO has them.
+"""Smooth SUMO's places of vehicles to ways that vehicles can drive.
 
 SUMO puts vehicles on the middle of lanes: it turns them at the corners of polylines, shifts them sideways within a
 step and decides speeds in jumps. Here the place of each is smoothed over time, and a bicycle model follows it: the rear
@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from skope.gen.traffic.sumo import Snapshot, SumoVehicle
 
 SPREADS_S: Final = (0.2, 0.5)
-"""Standard deviations of the bells over which places are averaged, seconds: of slow vehicles, and of fast ones,"""
+"""Standard deviations of the Gaussians that smooth places over time, seconds: for slow vehicles and for fast ones."""
 SLOW, FAST = 8.0, 16.0
-"""which drive slower and faster than this, m/s; those between are between."""
+"""Speeds up to which a vehicle is slow and from which it is fast, m/s; between them the two averages are mixed."""
 REACH_S: Final = 1.25
-"""How far to either side the bells are cut off, seconds."""
+"""Time to either side at which the Gaussians are cut off, seconds."""
 LOCK: Final = 0.65
-"""The front wheels' largest angle, radians: a sedan turns within 11 m from kerb to kerb, a bus within 21 m."""
+"""Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21 m."""
 _CHUNK: Final = 200
-"""Steps that are smoothed at once."""
+"""Number of steps that are smoothed at once."""
 
 
 @dataclass(frozen=True)
 class Driven:
-    """One vehicle at one step."""
+    """How one vehicle drives at one step, after smoothing."""
 
     position: tuple[float, float, float]
     """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
@@ -41,21 +41,25 @@ class Driven:
     pitch: float
     """Slope of the road from axle to axle, uphill positive, radians."""
     speed: float
-    """Of the rear axle, forwards, m/s."""
+    """Speed of the rear axle, forwards, m/s."""
     lamps: int
+    """Lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
 
 
 @dataclass
 class _Bicycle:
-    """A vehicle's rear axle and heading, as the last step left them."""
+    """A bicycle model: place of a vehicle's rear axle, and its heading, after the last step."""
 
     x: float
+    """World, metres."""
     y: float
+    """World, metres."""
     yaw: float
+    """Counter-clockwise from east, radians."""
 
     @classmethod
     def behind(cls, x: float, y: float, yaw: float, length: float) -> "_Bicycle":
-        """One whose rear axle is so many metres behind a point."""
+        """A bicycle with heading `yaw` whose rear axle is `length` metres behind the point (x, y)."""
         return cls(x - length * math.cos(yaw), y - length * math.sin(yaw), yaw)
 
     def follow(self, x: float, y: float, length: float, sharpest: float) -> float:
@@ -77,7 +81,7 @@ class _Bicycle:
 
 
 class _Way:
-    """What is known of one vehicle's way: where SUMO had it at each step since `first`, and its bicycle."""
+    """One vehicle's way: where SUMO had it at each step from `first` on, and the bicycle that follows."""
 
     def __init__(self, first: int) -> None:
         self.first = first
@@ -85,7 +89,14 @@ class _Way:
         self.bicycle: _Bicycle | None = None
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
-        """The steps from `start` until before `stop` at which SUMO had it, and how it drives there."""
+        """Steps in `start` <= step < `stop` at which SUMO had the vehicle, each with how it drives.
+
+        Args:
+            start: First step.
+            stop: Step after the last one.
+            weights: (2 * reach + 1, 2) weights of the steps around, for slow and for fast vehicles.
+            dt: Length of a step, seconds.
+        """
         start, stop = max(start, self.first), min(stop, self.first + len(self.placed))
         if start >= stop:
             return
@@ -94,27 +105,30 @@ class _Way:
             placed = self.placed[k - self.first]
             chassis, level = placed.chassis, math.cos(pitch)
             if self.bicycle is None:
-                self.bicycle = _Bicycle.behind(x, y, placed.yaw, chassis.guide * level)
+                self.bicycle = _Bicycle.behind(x, y, placed.yaw, chassis.lane_point * level)
                 travel = placed.speed * dt
             else:
-                travel = self.bicycle.follow(x, y, chassis.guide * level, math.tan(LOCK) / chassis.wheelbase)
+                travel = self.bicycle.follow(x, y, chassis.lane_point * level, math.tan(LOCK) / chassis.wheelbase)
             one, middle = self.bicycle, chassis.middle * level
             place = (one.x + middle * math.cos(one.yaw), one.y + middle * math.sin(one.yaw), height)
             yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps)
 
     def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """(stop - start, 4) x and y of the guide, height, slope; outside of what is known it goes on evenly.
+        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road.
 
-        Places are averaged over time; height and slope are those of the road where the vehicle then is.
+        Places are averaged over time; height and slope are those of the road at the averaged place. Before the first
+        and after the last known step the vehicle is assumed to drive on evenly.
         """
         half = len(weights) // 2
-        rows = np.array([(*one.guide, one.driven, one.speed, one.height, one.pitch) for one in self.placed])
+        rows = np.array([(*one.lane_point, one.driven, one.speed, one.height, one.pitch) for one in self.placed])
         begin, end = start - half - self.first, stop + half - self.first
         inside = rows[max(begin, 0) : end]
-        before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * _rate(self.placed[0]))
-        after = rows[-1] + np.arange(1, max(end - len(rows), 0) + 1)[:, None] * (dt * _rate(self.placed[-1]))
+        before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * _change_per_second(self.placed[0]))
+        after = rows[-1] + np.arange(1, max(end - len(rows), 0) + 1)[:, None] * (
+            dt * _change_per_second(self.placed[-1])
+        )
         known = np.concatenate([before, inside, after])
-        # Summed tap by tap: the same numbers however many steps are smoothed at once.
+        # Summed weight by weight, so that rounding does not depend on how many steps are smoothed at once.
         averages = np.zeros((2, stop - start, 4))
         for k, pair in enumerate(weights):
             averages += pair[:, None, None] * known[k : k + stop - start, :4]
@@ -125,28 +139,34 @@ class _Way:
         return np.column_stack([mean[:, :2], *road])
 
     def forget(self, before: int) -> None:
-        """Drop what lies before a step."""
+        """Drop the steps before a step."""
         count = min(max(before - self.first, 0), len(self.placed))
         del self.placed[:count]
         self.first += count
 
 
-def _rate(placed: SumoVehicle) -> NDArray[np.float64]:
-    """(6,) What changes a second: the guide's place, the way driven, the speed, the height, the slope."""
+def _change_per_second(placed: SumoVehicle) -> NDArray[np.float64]:
+    """(6,) change in a second of: x and y of the lane point, distance driven, speed, height, slope."""
     speed, level = placed.speed, placed.speed * math.cos(placed.pitch)
     ahead = level * math.cos(placed.yaw), level * math.sin(placed.yaw)
     return np.array([*ahead, speed, 0.0, speed * math.sin(placed.pitch), 0.0])
 
 
 def reach(step: float) -> int:
-    """How many steps ahead of what is driven SUMO has to be."""
+    """How many steps SUMO has to be ahead of the smoothed vehicles, for steps of `step` seconds."""
     return round(REACH_S / step)
 
 
 def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snapshot, dict[str, Driven]]]:
-    """Each snapshot but the first and last `reach(step)`, with its vehicles as they drive.
+    """Smooth SUMO's snapshots to how vehicles drive.
 
-    What is said of a step depends on nothing later than `reach(step)` steps after it.
+    Args:
+        snapshots: One for each step.
+        step: Length of a step, seconds.
+
+    Yields:
+        Each snapshot but the first and last `reach(step)`, with its vehicles as they drive, by name. It depends on
+        nothing later than `reach(step)` steps after it.
     """
     half = reach(step)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1)[:, None] * step / SPREADS_S) ** 2)

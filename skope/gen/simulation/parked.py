@@ -1,4 +1,4 @@
-"""Vehicles that are parked within a camera's view for as long as a recording takes."""
+"""Vehicles that stand parked in a camera's view through a whole recording."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from skope.gen.vehicles.paints import draw_paint
 OCCUPIED: Final = 0.5
 """Share of the bays that are taken."""
 MOST: Final = 14
-"""Vehicles parked in view; in larger car parks fewer bays are taken."""
+"""Mean number of parked vehicles in view at most; in larger car parks a smaller share of the bays is taken."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,20 @@ class Parked:
     state: Driven
 
     def footprint(self, vehicle: Vehicle) -> Polygon:
-        """What it stands on, world, metres."""
+        """Rectangle of ground that the vehicle stands on, world, metres."""
         length, width, _ = vehicle.size_lwh
         return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
 
 def parked(town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:
-    """Vehicles that fit, in some of the bays, nose or tail first."""
+    """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
+
+    Args:
+        town: For the height of the ground.
+        bays: Bays in view.
+        models: Models that drive in the town, by name.
+        rng: Draws bays, models, paints and places.
+    """
     if not bays:
         return []
     layout = Layout.of(town)

@@ -1,4 +1,4 @@
-"""Those on the road who are not labelled: riders, as SUMO moves them, and people who walk on the sidewalks."""
+"""Poses of bystanders: riders on two wheels, which SUMO moves, and pedestrians on the sidewalks."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,31 +18,32 @@ from skope.gen.traffic.sumo import SumoRider
 Array = NDArray[np.float64]
 
 _GRAVITY: Final = 9.81
+"""m/s^2."""
 _PER_HUNDRED_METRES: Final = 2.2
-"""People on a sidewalk."""
+"""Mean number of pedestrians on 100 m of sidewalk."""
 _STANDING: Final = 0.15
-"""Share of those who wait or look at something."""
+"""Share of pedestrians who stand still."""
 _ELBOW_ROOM: Final = 0.4
-"""From the middle of somebody who passes a parked vehicle to its side, metres."""
+"""Least distance from a pedestrian's middle to the side of a parked vehicle, metres."""
 _ASIDE: Final = 0.45
-"""Standard deviation of how far people walk beside the middle of the sidewalk, metres."""
+"""Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
 
 
 @dataclass(frozen=True, eq=False)
-class Present:
-    """A bystander at a moment."""
+class PlacedBystander:
+    """A bystander and its pose at one time."""
 
     body: Bystander
     T_world_body: Array
-    """(4, 4)"""
+    """(4, 4) pose of the body in the world."""
     velocity: Array
-    """(3,) m/s."""
+    """(3,) world, m/s."""
     travelled: float
-    """Metres since it came."""
+    """Distance since it appeared, metres; the phase of its steps or wheels follows from it."""
 
     @property
     def part_poses(self) -> Array:
-        """(4, 4, 4) of its moving parts in the world."""
+        """(4, 4, 4) poses of its moving parts in the world."""
         return self.T_world_body @ self.body.pose(self.travelled)
 
 
@@ -50,18 +51,18 @@ class Riders:
     """Follows SUMO's riders: how far each has come, and how it leans in curves."""
 
     def __init__(self, kinds: Mapping[str, str], rng_of: Callable[[str], np.random.Generator]) -> None:
-        """`kinds` is what each rider is, by name; `rng_of` gives the generator that a rider's look is drawn from."""
+        """Follow riders: `kinds` is each one's kind by name, `rng_of` gives the generator of a rider's look."""
         self._kinds, self._rng_of = kinds, rng_of
         self._bodies: dict[str, Bystander] = {}
         self._travelled: dict[str, float] = {}
         self._yaw: dict[str, float] = {}
         self._lean: dict[str, float] = {}
 
-    def follow(self, ridden: Mapping[str, SumoRider], dt: float) -> dict[str, Present]:
-        """Riders as they are `dt` seconds after the last call."""
-        return {name: self._present(name, state, dt) for name, state in sorted(ridden.items())}
+    def follow(self, ridden: Mapping[str, SumoRider], dt: float) -> dict[str, PlacedBystander]:
+        """Riders by name, `dt` seconds after the last call, where SUMO has them (`ridden`)."""
+        return {name: self._place(name, state, dt) for name, state in sorted(ridden.items())}
 
-    def _present(self, name: str, state: SumoRider, dt: float) -> Present:
+    def _place(self, name: str, state: SumoRider, dt: float) -> PlacedBystander:
         if name not in self._bodies:
             look = Look.drawn(self._rng_of(name))
             self._bodies[name] = build(self._kinds[name], look.to_dict())
@@ -72,23 +73,27 @@ class Riders:
         lean = math.atan(float(np.clip(turn * state.speed / _GRAVITY, -0.7, 0.7)))
         self._lean[name] += (lean - self._lean[name]) * dt / (0.3 + dt)
         T = _frame(state.position, state.yaw, state.pitch, -self._lean[name])
-        return Present(self._bodies[name], T, state.speed * T[:3, 0], self._travelled[name])
+        return PlacedBystander(self._bodies[name], T, state.speed * T[:3, 0], self._travelled[name])
 
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
+    """One pedestrian's walk to and fro."""
+
     body: Bystander
     path: Array
-    """(N, 3) of the middle of a sidewalk."""
+    """(N, 3) middle of a sidewalk, world, metres."""
     start: float
+    """Place along the path at time 0, metres."""
     speed: float
-    """Metres a second along the path; negative backwards."""
+    """Speed along the path, m/s; negative backwards, 0 for a pedestrian who stands."""
     aside: float
+    """Distance to the right of the path, metres."""
     facing: float
-    """Where somebody who stands looks, radians from the path."""
+    """Direction in which a pedestrian who stands looks, radians from the path's."""
 
     def meets(self, obstacles: shapely.Geometry) -> bool:
-        """Whether somebody who walks there and back comes upon what stands there."""
+        """Whether the walk, there or back, leads through an obstacle."""
         if obstacles.is_empty:
             return False
         line = LineString(self.path[:, :2])
@@ -96,10 +101,10 @@ class _Walk:
 
 
 class Walkers:
-    """People who walk to and fro on sidewalks; where they are depends on the time alone."""
+    """Pedestrians who walk to and fro on sidewalks; where they are depends on the time alone."""
 
     def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
-        """Middles of sidewalks (N, 3), and what vehicles stand on beside or on them, metres."""
+        """Draw pedestrians: `paths` are middles of sidewalks (N, 3), `parked` footprints of parked vehicles, metres."""
         self._walks: list[_Walk] = []
         standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
         for path in paths:
@@ -116,18 +121,18 @@ class Walkers:
                     float(rng.normal(0, _ASIDE)),
                     float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
                 )
-                # Whoever would walk into a parked vehicle keeps to the middle, or stays at home.
+                # A pedestrian who would walk into a parked vehicle keeps to the middle, or is left out.
                 free = [way for way in (walk, replace(walk, aside=0.0)) if not way.meets(standing)]
                 self._walks += free[:1]
 
-    def at(self, time: float) -> dict[str, Present]:
-        """Everyone at a time, seconds."""
-        return {f"p{i:04d}": _walked(walk, time) for i, walk in enumerate(self._walks)}
+    def at(self, time: float) -> dict[str, PlacedBystander]:
+        """All pedestrians by name at a time, seconds."""
+        return {f"p{i:04d}": _place_walker(walk, time) for i, walk in enumerate(self._walks)}
 
 
-def _walked(walk: _Walk, time: float) -> Present:
+def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
     length, travelled = _length(walk.path), abs(walk.speed) * time
-    # Whoever comes to an end turns round.
+    # Pedestrians turn round at the ends of the path.
     lap = (walk.start + walk.speed * time) % (2 * length)
     s, way = (lap, 1.0) if lap < length else (2 * length - lap, -1.0)
     way *= math.copysign(1.0, walk.speed)
@@ -136,12 +141,12 @@ def _walked(walk: _Walk, time: float) -> Present:
     before = np.array([np.interp(s - 0.4 * way, marks, c) for c in walk.path.T])
     along = ahead - before
     yaw = math.atan2(along[1], along[0])
-    # To the right of the path's own direction, whichever way somebody walks.
+    # To the right of the path's own direction, whichever way the pedestrian walks.
     right = np.array([along[1], -along[0], 0.0]) * way / max(float(np.hypot(along[0], along[1])), 1e-9)
     place = here + walk.aside * right
     place[2] -= lowered(walk.body.look, travelled)
     T = _frame((float(place[0]), float(place[1]), float(place[2])), yaw + walk.facing, 0.0, 0.0)
-    return Present(walk.body, T, abs(walk.speed) * np.array([math.cos(yaw), math.sin(yaw), 0.0]), travelled)
+    return PlacedBystander(walk.body, T, abs(walk.speed) * np.array([math.cos(yaw), math.sin(yaw), 0.0]), travelled)
 
 
 def _length(path: Array) -> float:
@@ -149,7 +154,7 @@ def _length(path: Array) -> float:
 
 
 def _frame(position: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> Array:
-    """(4, 4) pose: uphill pitch and a lean to the left are positive and negative roll about x."""
+    """(4, 4) pose at a position, metres. Angles in radians: pitch is positive uphill, roll positive to the right."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, -pitch, roll))
     R = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     T = np.eye(4)

@@ -36,12 +36,12 @@ _ROLL_CENTER: Final = 0.12
 _DAMPING: Final = 0.35
 """Share of critical damping, as passenger cars have it."""
 _GRIP: Final = 8.0
-"""What tyres hold on dry asphalt, m/s^2."""
+"""Largest acceleration that tyres hold on dry asphalt, m/s^2."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """What the engine says of one vehicle."""
+    """Pose and velocity of one vehicle, as the physics engine has them."""
 
     T_world_chassis: Array
     """(4, 4) pose of the vehicle frame."""
@@ -89,7 +89,7 @@ class _Suspension:
         return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
 
     def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
-        """What presses the chassis up (N), its nose down and its right side down (N m).
+        """Force that lifts the chassis (N), and the torques that press its nose down and its right side down (N m).
 
         `joints` are position and speed of heave, pitch and roll; the body is sped up by `ahead` and `aside`, m/s^2. The
         inertial force acts on the centre of mass, a lever above the axes: braking turns the nose down, which is
@@ -151,9 +151,8 @@ class _Body:
         )
         for link in range(count):
             e.setCollisionFilterGroupMask(body, link, 0, 0, physicsClientId=self.client)
-            e.changeDynamics(
-                *(body, link), linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self.client
-            )
+            damping = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
+            e.changeDynamics(body, link, **damping, physicsClientId=self.client)
             # Joints come with a velocity motor that holds them; these are free.
             e.setJointMotorControl2(body, link, e.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
         return int(body)
@@ -180,12 +179,12 @@ class _Body:
         # Drivers in SUMO may brake and turn harder than tyres hold, and decide speeds anew at each step: 0.1 s is what
         # tyres take to build up a force.
         share = dt / (0.1 + dt)
-        ahead, aside = (old + (_within(new, _GRIP) - old) * share for old, new in zip(self.load, loads, strict=True))
+        ahead, aside = (old + (_clamp(new, _GRIP) - old) * share for old, new in zip(self.load, loads, strict=True))
         self.load = ahead, aside
         if target is not before:  # as it is for one that has just come
             self.velocity = (np.array(target.position) - before.position) / dt
         e, radius = self.engine, self.vehicle.shape.wheel_radius
-        # Each wheel rolls what its own place on the vehicle travels.
+        # Each wheel rolls as fast as its own place on the vehicle moves: the outer ones faster in a curve.
         rolling = [math.hypot(target.speed - turn * y, turn * x) / radius for x, y in self.wheels]
         e.setJointMotorControlArray(
             self.id,
@@ -196,7 +195,9 @@ class _Body:
             physicsClientId=self.client,
         )
         e.setJointMotorControlArray(
-            *(self.id, _STEER, e.POSITION_CONTROL),
+            self.id,
+            _STEER,
+            e.POSITION_CONTROL,
             targetPositions=self._steering(turn, target.speed),
             forces=[2e3] * 2,
             positionGains=[0.2] * 2,
@@ -206,9 +207,9 @@ class _Body:
     def _steering(self, turn: float, speed: float) -> list[float]:
         """Ackermann angles of the front wheels (right, left) for a rate of turn."""
         s = self.vehicle.shape
-        curvature = _within(turn / speed, 0.2) if speed > 0.5 else 0.0
+        curvature = _clamp(turn / speed, 0.2) if speed > 0.5 else 0.0
         return [
-            _within(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), 0.7) for side in (-1, 1)
+            _clamp(math.atan2(s.wheelbase * curvature, 1 - side * curvature * s.track / 2), 0.7) for side in (-1, 1)
         ]
 
     def substep(self, target: Driven, share: float) -> None:
@@ -220,7 +221,9 @@ class _Body:
         e = self.engine
         joints = e.getJointStates(self.id, (_HEAVE, _PITCH, _CHASSIS), physicsClientId=self.client)
         e.setJointMotorControlArray(
-            *(self.id, (_HEAVE, _PITCH, _CHASSIS), e.TORQUE_CONTROL),
+            self.id,
+            (_HEAVE, _PITCH, _CHASSIS),
+            e.TORQUE_CONTROL,
             forces=self.suspension.forces([joint[:2] for joint in joints], *self.load),
             physicsClientId=self.client,
         )
@@ -282,5 +285,5 @@ def _angle(value: float) -> float:
     return math.remainder(value, 2 * math.pi)
 
 
-def _within(value: float, limit: float) -> float:
+def _clamp(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)

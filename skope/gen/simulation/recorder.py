@@ -1,4 +1,4 @@
-"""What of a simulation is recorded: whoever the camera can see, or may see soon."""
+"""Record a simulation: the poses of all road users that the camera can see, or may see soon, frame by frame."""
 
 import math
 import zlib
@@ -13,7 +13,7 @@ from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.scene.versions import versions
 from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.parked import Parked
-from skope.gen.simulation.pedestrians import Present
+from skope.gen.simulation.pedestrians import PlacedBystander
 from skope.gen.simulation.physics import Pose, at_rest
 from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
@@ -24,29 +24,37 @@ from skope.gen.vehicles.model import Vehicle
 REACH: Final = 150.0
 """Vehicles nearer to the camera than this are simulated physically, metres."""
 FARTHEST: Final = 600.0
-"""Beyond that nothing is recorded, metres."""
+"""Vehicles farther from the camera than this are not recorded, metres."""
 SPECK: Final = 3.0
-"""Nearer than that vehicles are recorded from where they are this high in the image, pixels."""
+"""Beyond `REACH`, vehicles are recorded where a car is at least this high in the image, pixels."""
 COMING: Final = 60.0
-"""Vehicles are followed from this much farther away, metres: they take a second to come onto a way they can drive."""
+"""Vehicles are followed from this much farther away than they are recorded, metres: it takes them a second to come onto
+a way that wheels can follow."""
 BEHIND: Final = 40.0
-"""Of what is behind the camera only what is nearer than this is recorded: it may throw shadows into the view."""
+"""Vehicles behind the camera are recorded up to this distance, metres: they may throw shadows into the view."""
 PARKED_REACH: Final = 120.0
 """Parked vehicles nearer to the camera than this are recorded, metres."""
 FLASH: Final = 0.667
 """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
 TRACKS_PER_RECORDING: Final = 100_000
+"""Track ids of a site's recordings are this far apart, so that they never meet."""
 
 
 def flashed(lamps: int, time: float, name: str) -> int:
-    """The lamps that are lit at a time: indicators flash, each vehicle's in its own time."""
+    """The lamps that are lit at a time: indicators flash, with a phase that follows from the vehicle's name.
+
+    Args:
+        lamps: Bits of `LAMPS` that are switched on.
+        time: Seconds.
+        name: The vehicle's name.
+    """
     indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
     phase = zlib.crc32(name.encode()) / 2**32
     return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
 
 
 class Recorder:
-    """Collects frames; vehicles are numbered in the order in which they come near."""
+    """Collects the frames of a recording; road users are numbered in the order in which they are first recorded."""
 
     def __init__(
         self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool
@@ -66,11 +74,11 @@ class Recorder:
         self._first_track = plan.index * TRACKS_PER_RECORDING + 1
 
     def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
-        """Vehicles that the physics are worth."""
+        """Vehicles near enough to be simulated physically, by name."""
         return self._within(0.0, REACH, everyone, traffic)
 
     def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
-        """Vehicles so far away that it is enough to know where they are."""
+        """Vehicles that are recorded, but too far away to be worth simulating physically, by name."""
         return self._within(REACH, self._reach, everyone, traffic)
 
     def _within(
@@ -83,14 +91,14 @@ class Recorder:
         }
 
     def watches(self, x: float, y: float) -> bool:
-        """Whether what drives at a place is recorded, or may be soon."""
+        """Whether a vehicle at a place (world, metres) is recorded, or may be soon."""
         east, north = x - self._eye[0], y - self._eye[1]
         away = math.hypot(east, north)
         ahead = east * self._ahead[0] + north * self._ahead[1]
         return away < COMING + (self._reach if ahead > -COMING else BEHIND)
 
     def _distance(self, position: Sequence[float]) -> float:
-        """How far a place (2 or more) is from the camera, metres; infinitely far when nothing of it can be seen."""
+        """Distance of a place (x, y, ...) from the camera on the map, metres; inf where the camera cannot see it."""
         east, north = position[0] - self._eye[0], position[1] - self._eye[1]
         away = math.hypot(east, north)
         return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < BEHIND else math.inf
@@ -124,16 +132,16 @@ class Recorder:
             self._note(frame, name, one.model, shape, one.color, pose, 0, parked=True)
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
-        """Bays whose vehicles are recorded."""
+        """The bays near enough that vehicles parked in them are recorded."""
         return [bay for bay in bays if self._distance(bay.place) < PARKED_REACH]
 
     def park(self, vehicles: Iterable[Parked]) -> None:
-        """Vehicles that are in every frame."""
+        """Add parked vehicles, which are in every frame."""
         for one in vehicles:
             self._parked[one.name] = one, at_rest(self._vehicle(one.name, one.model), one.state)
 
-    def add_others(self, others: Mapping[str, Present]) -> None:
-        """Those who are not labelled, into the last frame."""
+    def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
+        """Add bystanders, by name, to the last frame that was added."""
         for name, other in others.items():
             if self._distance(other.T_world_body[:2, 3].tolist()) < REACH:
                 pose = Pose(other.T_world_body, other.part_poses, other.velocity)
@@ -166,7 +174,7 @@ class Recorder:
         return Recording(
             town=site.town,
             site=site.name,
-            name=plan.take.name,
+            name=plan.info.name,
             split=site.split,
             camera=camera,
             weather=site.weather,

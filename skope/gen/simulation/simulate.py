@@ -1,4 +1,4 @@
-"""Make a recording: drive a site's traffic past its camera."""
+"""Simulate a recording: drive a site's traffic past its camera."""
 
 from typing import Final
 
@@ -22,19 +22,30 @@ from skope.gen.vehicles.fleet import FleetEntry, fleet
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""
 WARM_UP: Final = (60.0, 100.0)
-"""Range of the traffic's time before a recording starts, seconds: the first vehicles have crossed the town by then."""
+"""Range of the time that traffic runs before a recording, seconds: the first vehicles have crossed the town by then."""
 SETTLE: Final = 1.5
-"""Seconds that the physics run before the first frame, so that springs have come to rest."""
+"""Time that the physics run before the first frame, seconds, so that springs have come to rest."""
 ADDED_SHARE: Final = 0.1
-"""How often an added model drives by, for each vehicle of the fleet."""
+"""Number of vehicles of each of the user's own models for one vehicle of the fleet."""
 LAMPS_ON_DEG: Final = 10.0
-"""Vehicles drive with their lamps lit when the sun stands lower than this,"""
+"""Vehicles drive with their lamps lit when the sun's elevation is below this, degrees."""
 LAMPS_ON_VISIBILITY: Final = 1000.0
-"""when one sees less far than this, metres, and in rain."""
+"""Vehicles drive with their lamps lit when the visibility is below this, metres."""
 
 
 def simulate(plan: RecordingPlan) -> Recording:
-    """Run traffic and physics, and record every frame of the plan."""
+    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before a site's camera.
+
+    Args:
+        plan: Everything that decides the recording; equal plans give equal recordings.
+
+    Returns:
+        The recording, with all frames of the plan.
+
+    Raises:
+        UserError: The interval is no multiple of 5 ms, no camera that is drawn sees enough road, or the site's flows
+            do not fit its network.
+    """
     site = plan.site
     step = step_for(plan.interval)
     rng = plan.rng(Stream.TRAFFIC)
@@ -84,7 +95,7 @@ def simulate(plan: RecordingPlan) -> Recording:
 
 
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
-    """What drives by: the fleet, where detectors train without what is held out, and what was added."""
+    """Models that drive by: the fleet (in the split `train` without held-out models) and the user's own models."""
     train = plan.site.split == "train"
     usual = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
@@ -93,6 +104,6 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
 
 
 def lamps_on(conditions: Conditions) -> bool:
-    """Whether vehicles drive with their lamps lit."""
+    """Whether vehicles drive with their lamps lit: at a low sun, in bad visibility and in rain."""
     seen = conditions.sun_elevation_deg >= LAMPS_ON_DEG and conditions.visibility_m >= LAMPS_ON_VISIBILITY
     return not seen or conditions.rain_mm_h > 0

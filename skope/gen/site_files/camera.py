@@ -1,4 +1,4 @@
-"""The [camera] table of a site file: what it sees with, and where it hangs.
+"""Read the [camera] table of a site file: intrinsics, distortion and pose.
 
 Intrinsics are one of `K`, `fov_deg` and `file`; those of a file are scaled from its image size to the camera's. The
 pose is one of `T_camera_world`, `R` and `t` (x_camera = R x_world + t), `position` with `look_at` or `yaw_deg` and
@@ -24,14 +24,14 @@ Size = tuple[int, int]
 
 SIZE: Final = (1920, 1080)
 _WORST: Final = 0.05
-"""Control points that are farther than this share of the width from where they project are mistakes."""
+"""Largest reprojection error of a control point, as a share of the image's width; a larger one is a mistake."""
 
 
 @dataclass(frozen=True, eq=False)
 class OwnCamera:
     camera: Camera
     said: str
-    """How well it fits its control points; empty without any."""
+    """A sentence on how well the camera fits its control points; empty without any."""
 
 
 def read_camera(table: TomlTable, picture: Size | None) -> OwnCamera:

@@ -14,7 +14,7 @@ Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
 _REACH: Final = 200.0
-"""Lanes are drawn as far as that, metres."""
+"""Distance up to which lanes are drawn, metres."""
 _STEP: Final = 1.0
 _ARROWS: Final = 15.0
 """Metres from arrow to arrow."""

@@ -1,4 +1,4 @@
-"""A site file: `skope gen --site FILE.toml`. All that can be wrong with it is said before anything is written."""
+"""Read site files (`skope gen --site FILE.toml`); everything is checked before anything is written."""
 
 import hashlib
 import math
@@ -33,25 +33,25 @@ from skope.gen.traffic.demand import ways
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
-"""A camera looks at a road when lanes nearer than this are in its image, metres."""
+"""Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
 _LEVEL: Final = 5.0
-"""World heights are counted from about the road: farther from 0 it may not lie, metres."""
+"""Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
 _PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
-"""What a photograph has of its own is not added to it."""
+"""Ranges of conditions before a photograph, which shows its own exposure, vignetting and noise already."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnSite:
-    """What a site file asks for."""
+    """A user's own site, as its file describes it."""
 
     path: Path
     site: Site
     splits: tuple[str, ...]
-    """Of its recordings, in their order; empty where the file leaves that to the preset."""
+    """Split of each recording, in their order; empty where the file leaves that to the preset."""
     digests: Mapping[str, str]
-    """Of the file itself ("site") and of those that it names, by their keys."""
+    """Digests of the site file ("site") and of the files that it names, by their keys."""
     said: tuple[str, ...]
-    """Worth telling the user."""
+    """Lines that the user should be told, on what was read."""
 
     @property
     def road(self) -> OwnRoad:
@@ -59,11 +59,11 @@ class OwnSite:
         return self.site.road
 
     def with_recordings(self, count: int) -> Self:
-        """With so many recordings, one of them to test on and at least one to train on, unless it names its own."""
+        """The site with `count` recordings, the last one in the split `test`, unless its file names the splits."""
         return replace(self, splits=self.splits or ("train",) * max(1, count - 1) + ("test",))
 
     def to_dict(self) -> dict[str, Any]:
-        """As a dataset's card holds it; not where the file lies, which may change."""
+        """The site as JSON values for a dataset's card, without the folder that the file lies in."""
         return {
             "file": self.path.name,
             "digests": dict(self.digests),
@@ -74,7 +74,14 @@ class OwnSite:
 
 
 def read_site(path: Path) -> OwnSite:
-    """Read and check a site file; UserErrors name the file and the key."""
+    """Read and check a site file.
+
+    Args:
+        path: A TOML file (README, "Your own road"); files that it names are relative to its folder.
+
+    Raises:
+        UserError: A file cannot be read, or a key is missing, unknown or wrong; the message names file and key.
+    """
     table = TomlTable.read(path)
     name = table.text("name", path.stem)
     if not _NAME.fullmatch(name):
@@ -251,7 +258,7 @@ def _conditions(table: TomlTable) -> dict[str, Range]:
 
 
 def _traffic(table: TomlTable, road: OwnRoad, layout: Layout) -> tuple[float, str]:
-    """Vehicles per hour, or a route file's text."""
+    """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
     path = table.file("flows")
     if path is None:
         seen = layout.seen_by(road.camera, _SEEN)
@@ -281,7 +288,7 @@ def _splits(table: TomlTable) -> tuple[str, ...]:
 
 
 def _layout(table: TomlTable, road: OwnRoad) -> Layout:
-    """The place's layout. Raises UserError when no picture could come of it."""
+    """The layout of the road. Raises UserError where style, camera and road do not make a picture."""
     camera = road.camera
     if camera.distortion.model != "none":
         try:

@@ -11,7 +11,7 @@ from skope.files import read_bytes
 
 
 class TomlTable:
-    """One table; `done` refuses the keys that nobody asked for."""
+    """A TOML table; `done` refuses the keys that were not read."""
 
     def __init__(self, path: Path, name: str, values: Mapping[str, Any], files: dict[str, Path] | None = None) -> None:
         """`files` collects the files that are named, by their keys."""
@@ -37,7 +37,7 @@ class TomlTable:
         return key in self._values
 
     def value(self, key: str) -> Any:
-        """Whatever stands there; None for nothing."""
+        """The value of a key, of any type; None where the key is missing."""
         return self._values[key] if key in self else None
 
     def text(self, key: str, default: str = "") -> str:

@@ -1,4 +1,4 @@
-"""Where things may stand in a town: the carriageway, what lies beside it, and what its cameras must see."""
+"""Layout of a town: the carriageway, the areas beside it, and what its cameras must see."""
 
 import itertools
 import tempfile
@@ -27,21 +27,21 @@ Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
 
 GRID: Final = 1e-4
-"""Polygons' corners are rounded to that, so that parts cut out of each other keep common corners, metres."""
+"""Grid that polygons' corners are rounded to, metres, so that parts cut out of each other keep common corners."""
 KERB_WIDTH: Final = 0.15
 CAMERA_CLEARANCE: Final = 8.0
-"""Around a camera nothing stands higher than 1 m, metres."""
+"""Radius around a camera in which nothing stands higher than 1 m, metres."""
 NEAR: Final = 42.0
-"""Things nearer than that to a camera are drawn in full detail, metres."""
+"""Objects nearer to a camera than this are built in full detail, metres."""
 FAR: Final = 120.0
-"""Things farther than that from all cameras are drawn plainly, without what is small."""
+"""Objects farther from all cameras than this are built plainly, without small parts, metres."""
 HALF_VIEW_DEG: Final = 56.0
 BARRIER: Final = 1.5
-"""Medians narrower than twice that, between retaining walls, hold a barrier only, metres."""
+"""Half the width, metres, below which a median between retaining walls holds a barrier only."""
 ISLAND: Final = 20.0
-"""Ground within the carriageway that is nowhere farther than that from it is a median or an island, metres."""
+"""Ground within the carriageway counts as a median or island if it is nowhere farther from it than this, metres."""
 REACH: Final = 600.0
-"""Of a user's own network, roads nearer to the camera than this get scenery, metres."""
+"""Roads of a user's own network get scenery if they are nearer to the camera than this, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +57,10 @@ class Layout:
 
     @classmethod
     def of(cls, town: Town) -> "Layout":
+        """Read a town's network and style.
+
+        The layout of a town with left-hand traffic is that of its mirror image; `world` takes places back.
+        """
         path, cameras = town.network, sites_of(town)
         if not is_lefthand(path.read_bytes()):
             return cls(town, _read(path), style(town), cameras)
@@ -84,7 +88,7 @@ class Layout:
         return [edge for edge in edges if any(LineString(lane.getShape()).intersects(around) for lane in driven(edge))]
 
     def kind(self, edge: Any) -> Road:
-        """What belongs to an edge."""
+        """The features of an edge's road, by its SUMO type."""
         return self.style.roads.get(edge.getType(), self.style.road)
 
     def edges_of(self, form: str) -> list[Any]:
@@ -167,7 +171,7 @@ class Layout:
 
     @cached_property
     def detailed(self) -> Region:
-        """Where small things can be made out."""
+        """Area near enough to a camera that small things can be made out."""
         return unary_union([Point(site.position[:2]).buffer(FAR, quad_segs=4) for site in self.sites])
 
     @cached_property
@@ -225,7 +229,7 @@ class Layout:
         return out
 
     def seen_by(self, camera: Camera, reach: float) -> frozenset[str]:
-        """Edges of which a place nearer than `reach` metres is in a camera's image."""
+        """Names of the edges whose lanes a camera has in its image, nearer than `reach` metres."""
         out = set()
         for name, points in self.lane_points.items():
             pixels, depth, valid = camera.project(points)
@@ -240,7 +244,7 @@ class Layout:
         return float(np.median(points[away <= max(NEAR, away.min()), 2]))
 
     def height(self, place: ArrayLike) -> float:
-        """Of what one stands on at a place (2,) beside the carriageway, metres."""
+        """Height of the ground or sidewalk at a place (2,) beside the carriageway, metres."""
         return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
 
     def on_ground(self, place: ArrayLike) -> tuple[float, float, float]:
@@ -286,7 +290,7 @@ def joins(edge: Any) -> int:
 def is_minor(edge: Any) -> bool:
     """Whether an edge's traffic gives way where it ends."""
     connections = driven(edge)[0].getOutgoing()
-    # Whoever turns left from a main road gives way too.
+    # Vehicles that turn left from a main road give way too.
     return bool(connections) and all(connection.getState() in ("m", "s", "w") for connection in connections)
 
 
@@ -298,7 +302,7 @@ def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
     parts = [Polygon(node.getShape()) for node in nodes if len(node.getShape()) > 2]
     for edge in edges:
         parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in driven(edge)]
-    # Closing by a hand's breadth heals the slits between lanes and junctions.
+    # Growing and shrinking by some centimetres closes the slits between lanes and junctions.
     return unary_union(parts).buffer(0.2).buffer(-0.2).simplify(0.02)
 
 

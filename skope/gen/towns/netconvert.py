@@ -16,7 +16,7 @@ COMMON: Final[Mapping[str, str]] = {
     "offset.disable-normalization": "true",
     "default.lanewidth": "3.3",
     "tls.yellow.time": "3",
-    # Signals follow the traffic: nobody waits for an empty road, and a queue is gone when it turns red again.
+    # Signals follow the traffic: no vehicle waits for an empty road, and a queue is gone when it turns red again.
     "tls.default-type": "actuated",
     "tls.min-dur": "5",
     "tls.max-dur": "25",

@@ -25,7 +25,7 @@ class Occluder:
     """Something in the photograph that stands before the traffic."""
 
     polygon: Outline
-    """Its outline, pixels of the camera's image."""
+    """Outline of the object, pixels of the camera's image."""
     distance: float
     """Planar depth, metres."""
 
@@ -41,7 +41,8 @@ class OwnRoad:
     """A `town.toml`; empty for the generic one."""
     camera: Camera
     photograph: bytes = field(default=b"", repr=False)
-    """Of the empty road, as an image file of the camera's size or a multiple; empty to grow scenery instead."""
+    """Photograph of the empty road: the bytes of an image file of the camera's size or a multiple. Empty to grow
+    scenery instead."""
     occluders: tuple[Occluder, ...] = ()
     shades: tuple[Outline, ...] = ()
     """Ground that lies in shadow in the photograph, pixels of the camera's image."""
@@ -51,7 +52,7 @@ class OwnRoad:
 
     @property
     def name(self) -> str:
-        """What recordings and annotations call the town."""
+        """Name of the town in recordings and annotations."""
         return _name(self)
 
     def picture(self, size: tuple[int, int]) -> Image:
@@ -63,7 +64,7 @@ class OwnRoad:
         return np.asarray(cv2.cvtColor(sized, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
     def header(self) -> dict[str, Any]:
-        """What JSON can hold of it."""
+        """The fields that JSON can hold."""
         return {
             "title": self.title,
             "style": self.style,

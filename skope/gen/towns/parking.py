@@ -1,4 +1,4 @@
-"""Where vehicles are parked: in the bays of car parks, and on the drives beside houses."""
+"""Parking: bays of car parks, and on the drives beside houses."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ AISLE: Final = 6.8
 DRIVE: Final = 2.4
 """Width of a drive, metres."""
 _EDGE: Final = 1.0
-"""From a car park's edge to its bays, metres."""
+"""Distance from a car park's edge to its bays, metres."""
 
 
 @dataclass(frozen=True)
 class Bay:
-    """Room for a car."""
+    """A parking bay for one car."""
 
     place: tuple[float, float]
-    """Of its middle, metres."""
+    """World x and y of its middle, metres."""
     heading: float
-    """Into it, radians."""
+    """Direction in which a car drives into it, counter-clockwise from east, radians."""
 
 
 def lot_bays(lots: Any) -> list[Bay]:

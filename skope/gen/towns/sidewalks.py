@@ -1,4 +1,4 @@
-"""Where people walk: along the middle of the sidewalks."""
+"""Paths of pedestrians: the middles of the sidewalks."""
 
 from typing import Final
 

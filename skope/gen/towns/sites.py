@@ -17,23 +17,23 @@ from skope.gen.towns.town import Town, folder
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A camera where a road authority would hang one, with the traffic and the hour that it is recorded at."""
+    """A roadside camera with the traffic, weather and hour that it is recorded in."""
 
     name: str
     town: Town
     split: str
     mounting: str
-    """What the camera hangs on; the source is named in the town's file."""
+    """What the camera hangs on; the town's `sites.toml` names the source."""
     sees: str
-    """What traffic it looks at."""
+    """What traffic the camera looks at, in words."""
     position: tuple[float, float, float]
     """World x, y and z of the camera, metres."""
     yaw_deg: float
-    """Viewing direction, counter-clockwise from east."""
+    """Viewing direction, degrees counter-clockwise from east."""
     pitch_deg: float
-    """Downwards from the horizon."""
+    """Viewing direction, degrees down from the horizon."""
     vehicles_per_hour: float
-    """Over all ways into the town; over all ways that pass a user's own camera."""
+    """Traffic on all ways into the town together; for a user's own camera, on all ways that pass it."""
     weather: str
     time_of_day: str
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -47,10 +47,13 @@ class Site:
         return self.town.road
 
     def camera(self, size: tuple[int, int], fov_deg: float, distortion: Distortion | None = None) -> Camera:
-        """The site's camera for an image size (width, height), a horizontal field of view and a lens' distortion.
+        """The site's camera.
 
-        The field of view is that before a brown distortion, and what a fisheye lens shows. A user's own camera has its
-        own, and its own distortion unless one is given.
+        Args:
+            size: Width and height of the image, pixels.
+            fov_deg: Horizontal field of view: of a fisheye lens, what it shows; of another one, without its
+                distortion. A user's own camera has its own.
+            distortion: That of the lens. Default: none, or that of a user's own camera.
         """
         if self.road:
             own = self.road.camera.resized(size)
@@ -88,14 +91,14 @@ def site(name: str) -> Site:
 
 
 def sites_of(town: Town) -> tuple[Site, ...]:
-    """The cameras whose views a town's scenery keeps clear."""
+    """The camera sites of a town, whose views its scenery keeps clear."""
     if town.road is None:
         return tuple(site for site in sites().values() if site.town == town)
     return (site_of(town.road, split="", vehicles_per_hour=0.0, weather="", time_of_day=""),)
 
 
 def site_of(own: OwnRoad, **values: Any) -> Site:
-    """The site of a user's own camera."""
+    """The site of a user's own camera; `values` are the fields of `Site` that the road does not decide."""
     x, y, z = own.camera.position.tolist()
     yaw, pitch_down, _ = own.camera.angles
     return Site(

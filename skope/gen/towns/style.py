@@ -13,12 +13,12 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Road:
-    """What belongs to all edges of one SUMO edge type."""
+    """Features of all edges of one SUMO edge type."""
 
     form: Literal["ground", "walled", "bridge"] = "ground"
-    """On the ground or a bank; between retaining walls; on a deck over another road."""
+    """How the road lies: on the ground or a bank; between retaining walls; on a deck over another road."""
     sidewalk: float = 0.0
-    """Width, metres; 0 for none."""
+    """Width of the sidewalk, metres; 0 for none."""
     shoulder: float = 0.0
     """Width of the paved strip beside the lanes, metres."""
     main: bool = False
@@ -53,7 +53,7 @@ class Kind:
 
     form: Literal["house", "tower", "hall", "barn", "silo"] = "house"
     length: Range
-    """Along the street."""
+    """Range of the length along the street, metres."""
     depth: Range
     storeys: tuple[int, int] = (2, 3)
     ground: float = 2.95
@@ -69,7 +69,7 @@ class Kind:
     pane: Range = (1.35, 1.6)
     """Heights of windows."""
     terraced: bool = False
-    """Wall to wall with its neighbours."""
+    """Whether buildings stand wall to wall with their neighbours."""
     shop: bool = False
     balconies: bool = False
     shutters: bool = False
@@ -85,15 +85,15 @@ class Row:
     """What lines some of the roads; of a town's rows the first that fits a place counts."""
 
     roads: tuple[str, ...] = ()
-    """SUMO edge types; none for all."""
+    """SUMO edge types of the roads; empty for all."""
     within: float = 1e9
     """Distance from the nearest signalled junction, metres."""
     kinds: Mapping[str, float]
     """Shares of building kinds."""
     setback: Range = (3.2, 6.5)
-    """From the sidewalk to the front, metres."""
+    """Range of the distance from the sidewalk to the front, metres."""
     gap: Range = (3.0, 8.0)
-    """Between neighbours that are not terraced, metres."""
+    """Range of the gap between neighbours that are not terraced, metres."""
     empty: float = 0.0
     """Share of places that are left open."""
 
@@ -104,12 +104,12 @@ class Planting:
 
     spacing: float
     offset: float
-    """From the kerb, metres."""
+    """Distance from the kerb, metres."""
     chance: float
     wander: float = 0.25
     """How far from their places trees stand, as a share of the offset."""
     roads: tuple[str, ...] = ()
-    """SUMO edge types; none for all on the ground."""
+    """SUMO edge types of the roads; empty for all roads on the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ class Gantry:
 
     edge: str
     at: float
-    """Metres along it; negative from its end."""
+    """Place along the edge, metres; negative from its end."""
     signs: tuple[str, ...]
     """Colour material of each sign from left to right."""
 
@@ -132,9 +132,9 @@ class TownStyle:
     """Height of kerbs, metres; 0 for roads without."""
     terrain: Terrain = Terrain()
     roads: Mapping[str, Road]
-    """By SUMO edge type."""
+    """Features of roads by SUMO edge type."""
     road: Road = Road()
-    """What belongs to all other edges."""
+    """Features of all other roads."""
     rows: tuple[Row, ...]
     behind: Mapping[str, float] = field(default_factory=dict)
     """Shares of building kinds behind the rows."""
@@ -152,7 +152,7 @@ class TownStyle:
     plaza: float = 0.0
     """Width of the paved ground beside sidewalks where nothing is built, metres."""
     interchange: float = 0.0
-    """Nothing is built on ground between roads that is nowhere farther than that from one, metres."""
+    """Ground between roads that is nowhere farther from one than this is left without buildings, metres."""
     fields_from: float = 60.0
     """Distance of fields from roads, metres."""
     fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})
@@ -166,7 +166,7 @@ class TownStyle:
     """Noise barriers: edge, from and to (metres along it)."""
     horizon: Literal["hills", "skyline"] = "hills"
     hill_height: float = 1.0
-    """Of the hills around the town, as a multiple of 22 m."""
+    """Height of the hills around the town, as a multiple of 22 m."""
 
 
 @cache

@@ -17,7 +17,7 @@ _NEAR: Final = 0.25
 FINEST: Final = 2.0
 """Smallest cells that sloped ground is cut into, metres."""
 COARSEST: Final = 64
-"""Largest ones; their sides lie at multiples of that, metres."""
+"""Largest cells that ground is cut into, metres; their sides lie at multiples of it."""
 
 
 class Lanes:

@@ -1,4 +1,4 @@
-"""A town as a value: what layout, scenery and traffic are made from."""
+"""Towns: the SUMO networks of the package, or a user's own road, from which layout, scenery and traffic follow."""
 
 import hashlib
 import tempfile
@@ -16,20 +16,21 @@ class Town:
 
     name: str
     road: OwnRoad | None = field(default=None, compare=False, repr=False)
-    """What a user's own road comes from; None for the towns of the package."""
+    """The user's own road; None for the towns of the package."""
 
     @classmethod
     def of(cls, road: OwnRoad) -> "Town":
+        """The town that consists of a user's own road."""
         return cls(road.name, road)
 
     @property
     def network(self) -> Path:
-        """The compiled SUMO network."""
+        """Path of the compiled SUMO network, a .net.xml file."""
         return _network_file(self) if self.road else folder(self.name) / "town.net.xml"
 
 
 def folder(name: str) -> Path:
-    """Where the files of a town of the package are."""
+    """Folder with the files of a town of the package."""
     return Path(str(resources.files("skope.gen.towns"))) / name
 
 
@@ -40,7 +41,7 @@ def towns() -> tuple[Town, ...]:
 
 
 def source_digest(name: str) -> str:
-    """Of the plain XML files that the network of a town of the package is compiled from."""
+    """Digest of the plain XML files that the network of a town of the package is compiled from."""
     digest = hashlib.sha256()
     for path in sorted((folder(name) / "source").glob("*.xml")):
         digest.update(path.name.encode() + b"\n" + path.read_bytes())

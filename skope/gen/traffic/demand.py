@@ -18,11 +18,11 @@ from skope.gen.vehicles.paints import draw_paint
 HEAVY: Final = 3500.0
 """Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
 _HEAVY_SPEED: Final = 25.0
-"""What their speed limiters allow, m/s."""
+"""Speed that the limiters of heavy vehicles allow, m/s."""
 RIDERS: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """Road users on two wheels, by SUMO's vehicle class."""
 _RIDER_SHARE: Final = {"cyclist": 0.03, "motorcyclist": 0.02}
-"""How many there are for each vehicle."""
+"""Number of riders of each kind for one vehicle."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Trip:
 
     name: str
     model: str
-    """Of the fleet, or one of `RIDERS`."""
+    """A model of the fleet, or one of `RIDERS`."""
     driver: str
     color: str
     depart: float
@@ -79,13 +79,19 @@ def write_types(path: Path, models: Mapping[str, FleetEntry]) -> None:
 
 
 def _attributes(vehicle: Vehicle) -> dict[str, str]:
+    """Attributes of a vehicle's SUMO type: size, and how it follows others."""
     length, width, height = vehicle.size_lwh
     heavy = vehicle.mass > HEAVY
     limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
     return {
-        **{"length": f"{length:.3f}", "width": f"{width:.3f}", "height": f"{height:.3f}"},
-        **{"carFollowModel": "IDM", "minGapLat": "0.5"},
-        **{"accel": "1.2" if heavy else "2.0", "decel": "3.0" if heavy else "3.5", **limited},
+        "length": f"{length:.3f}",
+        "width": f"{width:.3f}",
+        "height": f"{height:.3f}",
+        "carFollowModel": "IDM",
+        "minGapLat": "0.5",
+        "accel": "1.2" if heavy else "2.0",
+        "decel": "3.0" if heavy else "3.5",
+        **limited,
     }
 
 
@@ -125,7 +131,7 @@ def driver_shares() -> dict[str, float]:
 
 
 def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    """One of the names, by their shares."""
+    """Draw one of the names, by their shares."""
     p = np.array(list(shares.values()))
     return list(shares)[rng.choice(len(p), p=p / p.sum())]
 

@@ -37,7 +37,7 @@ _RIDERS: Final = {vehicle_class: name for name, vehicle_class in RIDERS.items()}
 _EXPONENTIAL: Final = re.compile(r"exp\(([^)]+)\)")
 _HOUR: Final = 3600.0
 _MOST: Final = 1e5
-"""Vehicles an hour that a flow may ask for; no road takes more."""
+"""Most vehicles an hour that a flow may ask for; no road carries more."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class _Flow:
     begin: float
     end: float
     period: float
-    """Mean seconds from one to the next; inf for a single one, at `begin`."""
+    """Mean time between two departures, seconds; inf for a single one, at `begin`."""
     random: bool = False
 
     def departures(self, start: float, stop: float, rng: np.random.Generator) -> list[float]:
-        """Within a window of time, seconds."""
+        """Draw the times of departure within a window of time, seconds."""
         low, high = max(start, self.begin), min(stop, self.end)
         if self.period == math.inf:
             return [self.begin] if start <= self.begin < stop else []

@@ -22,27 +22,35 @@ from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.shape import Dimensions
 
 STEP: Final = 0.025
-"""Seconds a step, where the frames' interval is a multiple of it."""
+"""Default length of a step, seconds."""
 _STEPS_MS: Final = (25, 20, 10, 5)
-"""What a step can be: SUMO counts whole milliseconds and its drivers act every 100 of them."""
+"""Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
 
 LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 _SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
 
 _OPTIONS: Final = {
-    **{"no-step-log": "", "no-warnings": "", "time-to-teleport": -1, "collision.action": "none"},
-    **{"lateral-resolution": 0.6, "default.action-step-length": 0.1},
+    "no-step-log": "",
+    "no-warnings": "",
+    "time-to-teleport": -1,
+    "collision.action": "none",
+    "lateral-resolution": 0.6,
+    "default.action-step-length": 0.1,
 }
-_TRAIL_STEP: Final = 0.05
-"""Metres between the heights that are kept of the road that a vehicle has passed."""
-_GLANCE: Final = 4
-"""Steps from look to look at vehicles that are not reported."""
-_TRAIL: Final = 25.0
-"""How far back they are kept, metres."""
+"""SUMO's options: vehicles never vanish from a jam, and change lanes sideways in 0.6 m steps."""
+_ROAD_BEHIND_STEP_M: Final = 0.05
+"""Spacing of the places that are kept of the road behind a vehicle, metres."""
+_ROAD_BEHIND_M: Final = 25.0
+"""Length of the road behind a vehicle that is kept, metres."""
+_WATCH_EVERY: Final = 4
+"""Steps between two checks of whether a vehicle that is not reported has come into the watched area."""
 
 
 def step_for(interval: float) -> float:
-    """The longest step that frames `interval` seconds apart are whole numbers of; UserError when there is none."""
+    """Length of the longest step, seconds, that divides `interval`, the seconds between frames.
+
+    Raises UserError where no length that SUMO can run with does.
+    """
     milliseconds = round(1000 * interval)
     fits = [ms for ms in _STEPS_MS if milliseconds >= ms and milliseconds % ms == 0]
     if not fits or abs(1000 * interval - milliseconds) > 1e-6:
@@ -50,26 +58,28 @@ def step_for(interval: float) -> float:
     return fits[0] / 1000
 
 
-GUIDE: Final = math.sqrt(0.5)
-"""Where on the wheelbase the point is that is kept on the middle of the lane, from the rear axle: in curves the front
-axle then runs as far outside as the rear axle inside."""
+LANE_POINT_SHARE: Final = math.sqrt(0.5)
+"""Distance of the lane point from the rear axle, as a share of the wheelbase. The lane point of a vehicle is the one
+that is kept on the middle of the lane; with this share the front axle runs as far outside in curves as the rear axle
+inside."""
 
 
 @dataclass(frozen=True)
 class Chassis:
-    """Places along a vehicle, metres."""
+    """Distances along a vehicle, metres."""
 
     wheelbase: float
-    guide: float
-    """Of the point that follows the lane, ahead of the rear axle."""
+    lane_point: float
+    """From the rear axle forwards to the lane point (see `LANE_POINT_SHARE`)."""
     middle: float
-    """Of the vehicle's middle, ahead of the rear axle."""
+    """From the rear axle forwards to the vehicle's middle."""
     front_axle: float
-    """Of the front axle, behind the front bumper."""
+    """From the front bumper back to the front axle."""
 
     @classmethod
     def of(cls, shape: Dimensions) -> "Chassis":
-        return cls(shape.wheelbase, GUIDE * shape.wheelbase, -shape.rear_axle_x, shape.front_overhang)
+        """The distances of a vehicle of that shape."""
+        return cls(shape.wheelbase, LANE_POINT_SHARE * shape.wheelbase, -shape.rear_axle_x, shape.front_overhang)
 
 
 @dataclass(frozen=True)
@@ -77,62 +87,74 @@ class SumoVehicle:
     """Where SUMO has a vehicle at one step."""
 
     chassis: Chassis
-    guide: tuple[float, float]
-    """World: the place on its way over which the point that follows the lane is, metres."""
+    lane_point: tuple[float, float]
+    """World x and y of the vehicle's lane point (see `LANE_POINT_SHARE`), metres."""
     driven: float
-    """How far it has come, metres."""
+    """Distance that the vehicle has driven since it was first seen, metres."""
     height: float
-    """Of the road under the vehicle's middle, metres."""
+    """Height of the road under the vehicle's middle, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
     """Slope of the road from axle to axle, uphill positive, radians."""
     speed: float
+    """m/s."""
     lamps: int
+    """Lamps that are lit, as bits of `LAMPS`."""
 
 
 @dataclass(frozen=True)
 class SumoRider:
-    """Somebody on two wheels at one step."""
+    """Where SUMO has a bicycle or motorcycle at one step."""
 
     position: tuple[float, float, float]
     """World: on the road under the middle, metres."""
     yaw: float
+    """Heading, counter-clockwise from east, radians."""
     pitch: float
+    """Slope of the road, uphill positive, radians."""
     speed: float
+    """m/s."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
+    """Everything that moves in SUMO at one step, by name."""
+
     time: float
+    """Seconds since the simulation began."""
     vehicles: Mapping[str, SumoVehicle]
     riders: Mapping[str, SumoRider]
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
 
 
-class _Trail:
-    """The road that a vehicle's front bumper has passed: (x, y, z) by the distance driven."""
+class _RoadBehind:
+    """The road behind a vehicle: where its front bumper was, (x, y, z) in metres, by the distance driven."""
 
     def __init__(self, begun: float, place: tuple[float, float, float], yaw: float, slope: float) -> None:
-        """`begun` is how far SUMO says that the vehicle had come when it was first looked at."""
+        """Start with the vehicle at `place`; `begun` are the metres it has driven by SUMO's count.
+
+        The road before is assumed to be straight, with the heading `yaw` and the slope `slope`, radians.
+        """
         self.begun = begun
         x, y, z = place
-        level = _TRAIL * math.cos(slope)
-        behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - _TRAIL * math.sin(slope))
-        self._driven = [-_TRAIL, 0.0]
+        level = _ROAD_BEHIND_M * math.cos(slope)
+        behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - _ROAD_BEHIND_M * math.sin(slope))
+        self._driven = [-_ROAD_BEHIND_M, 0.0]
         self._places = [behind, place]
 
     def add(self, driven: float, place: tuple[float, float, float]) -> None:
-        if driven - self._driven[-1] >= _TRAIL_STEP:
+        """Note the bumper's place after `driven` metres, and forget what lies too far back."""
+        if driven - self._driven[-1] >= _ROAD_BEHIND_STEP_M:
             self._driven.append(driven)
             self._places.append(place)
-            if driven - self._driven[0] > 2 * _TRAIL:
-                first = next(i for i, at in enumerate(self._driven) if at > driven - _TRAIL) - 1
+            if driven - self._driven[0] > 2 * _ROAD_BEHIND_M:
+                first = next(i for i, at in enumerate(self._driven) if at > driven - _ROAD_BEHIND_M) - 1
                 del self._driven[:first], self._places[:first]
 
     def at(self, driven: float) -> tuple[float, float, float]:
-        """Where the bumper was when it had come so far."""
+        """Where the bumper was after `driven` metres, interpolated."""
         after = min(bisect(self._driven, driven), len(self._driven) - 1)
         start, end = self._driven[after - 1], self._driven[after]
         (ax, ay, az), (bx, by, bz) = self._places[after - 1], self._places[after]
@@ -156,12 +178,25 @@ class Traffic:
         step: float = STEP,
         watched: Callable[[float, float], bool] = lambda x, y: True,
     ) -> None:
-        """`flows` is a route file's text, in place of a density; with `passing`, that is of those over such edges.
+        """Draw the traffic; SUMO starts when the context is entered.
 
-        A vehicle is reported from the first time that `watched` says of its place, metres, that somebody looks there.
+        Args:
+            network: Compiled SUMO network.
+            fleet: Models that drive, by name.
+            vehicles_per_hour: Traffic on all ways into the network together.
+            duration: Seconds for which trips are drawn.
+            rng: Draws trips, models, drivers and SUMO's seed.
+            flows: Text of a SUMO route file, in place of `vehicles_per_hour`.
+            passing: Edges; where given, `vehicles_per_hour` counts only trips over one of them.
+            step: Length of a step, seconds.
+            watched: Whether a place (world x, y in metres) is watched. A vehicle is reported from the first time that
+                it comes to a watched place. Default: everywhere.
+
+        Raises:
+            UserError: `flows` does not fit the network.
         """
         self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
-        # Drawn before the trips, of which a longer recording has more: it begins like a shorter one.
+        # Drawn before the trips: a longer recording draws more trips, and must still begin like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
@@ -170,7 +205,7 @@ class Traffic:
         )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._chassis = {name: Chassis.of(entry.vehicle.shape) for name, entry in fleet.items()}
-        self._trails: dict[str, _Trail] = {}
+        self._roads_behind: dict[str, _RoadBehind] = {}
         self._reported: set[str] = set()
         self._steps = 0
 
@@ -202,64 +237,64 @@ class Traffic:
         self._sumo.close()
 
     def warm_up(self, steps: int) -> None:
-        """Go on by some steps, of which nothing is reported."""
+        """Run some steps without reporting anything."""
         for _ in range(steps):
             self._go_on()
 
     def _go_on(self) -> tuple[str, ...]:
-        """Go on by a step. Returns who is there."""
+        """Run a step; returns the names of all vehicles in the network."""
         sumo = self._sumo
         sumo.simulationStep()
         present: tuple[str, ...] = sumo.vehicle.getIDList()
-        if self._steps % _GLANCE == 0:
-            for gone in self._trails.keys() - set(present):
-                del self._trails[gone]
+        if self._steps % _WATCH_EVERY == 0:
+            for gone in self._roads_behind.keys() - set(present):
+                del self._roads_behind[gone]
             for name in present:
-                self._trail(name)
+                self._road_behind(name)
                 if name not in self._reported and self._watched(*sumo.vehicle.getPosition(name)):
                     self._reported.add(name)
         self._steps += 1
         return present
 
-    def _trail(self, name: str) -> tuple[_Trail, float]:
-        """A vehicle's trail with its present place in it, and how far it has driven."""
+    def _road_behind(self, name: str) -> tuple[_RoadBehind, float]:
+        """The road behind a vehicle, its present place included, and the metres that it has driven."""
         vehicle = self._sumo.vehicle
         driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
-        if name not in self._trails:
+        if name not in self._roads_behind:
             slope, yaw = math.radians(vehicle.getSlope(name)), math.radians(90.0 - vehicle.getAngle(name))
-            self._trails[name] = _Trail(driven, place, yaw, slope)
-        driven -= self._trails[name].begun
-        self._trails[name].add(driven, place)
-        return self._trails[name], driven
+            self._roads_behind[name] = _RoadBehind(driven, place, yaw, slope)
+        driven -= self._roads_behind[name].begun
+        self._roads_behind[name].add(driven, place)
+        return self._roads_behind[name], driven
 
     def steps(self, count: int) -> Iterator[Snapshot]:
-        """Go on by some steps, and say at each where everyone is."""
+        """Run some steps and report each; see `step`."""
         for _ in range(count):
             yield self.step()
 
     def step(self) -> Snapshot:
-        """Go on by a step and say where everyone is who is watched."""
+        """Run a step; returns where all reported vehicles and riders are, and the state of the signals."""
         sumo = self._sumo
         present = [name for name in self._go_on() if name in self._reported]
         riders = {name for name in present if self.trips[name].model in RIDERS}
         return Snapshot(
             sumo.simulation.getTime(),
-            {name: self._placed(name) for name in present if name not in riders},
-            {name: self._ridden(name) for name in riders},
+            {name: self._vehicle_state(name) for name in present if name not in riders},
+            {name: self._rider_state(name) for name in riders},
             {name: sumo.trafficlight.getRedYellowGreenState(name) for name in sumo.trafficlight.getIDList()},
         )
 
-    def _placed(self, name: str) -> SumoVehicle:
+    def _vehicle_state(self, name: str) -> SumoVehicle:
         vehicle = self._sumo.vehicle
         chassis = self._chassis[self.trips[name].model]
-        trail, driven = self._trail(name)
+        road, driven = self._road_behind(name)
         front = driven - chassis.front_axle
-        x, y, _ = trail.at(front - chassis.wheelbase + chassis.guide)
-        ahead, behind = trail.at(front)[2], trail.at(front - chassis.wheelbase)[2]
+        x, y, _ = road.at(front - chassis.wheelbase + chassis.lane_point)
+        ahead, behind = road.at(front)[2], road.at(front - chassis.wheelbase)[2]
         slope = (ahead - behind) / chassis.wheelbase
         return SumoVehicle(
             chassis=chassis,
-            guide=(x, y),
+            lane_point=(x, y),
             driven=driven,
             height=behind + chassis.middle * slope,
             yaw=math.radians(90.0 - vehicle.getAngle(name)),
@@ -268,13 +303,13 @@ class Traffic:
             lamps=_lamps(vehicle.getSignals(name)),
         )
 
-    def _ridden(self, name: str) -> SumoRider:
+    def _rider_state(self, name: str) -> SumoRider:
         vehicle = self._sumo.vehicle
         x, y, _ = vehicle.getPosition3D(name)
         yaw = math.radians(90.0 - vehicle.getAngle(name))
         length = vehicle.getLength(name)
-        trail, driven = self._trail(name)
-        ahead, behind = (trail.at(driven - share * length)[2] for share in (0.2, 0.8))
+        road, driven = self._road_behind(name)
+        ahead, behind = (road.at(driven - share * length)[2] for share in (0.2, 0.8))
         back, pitch = length / 2, math.atan2(ahead - behind, 0.6 * length)
         position = (x - back * math.cos(yaw), y - back * math.sin(yaw), (ahead + behind) / 2)
         return SumoRider(position, yaw, pitch, vehicle.getSpeed(name))
@@ -282,5 +317,5 @@ class Traffic:
 
 @cache
 def _lamps(signals: int) -> int:
-    """SUMO's bits of a vehicle's signals as ours of `LAMPS`."""
+    """Bits of `LAMPS` for the bits that SUMO has for a vehicle's signals."""
     return sum(ours for theirs, ours in _SUMO_LAMPS.items() if signals & theirs)

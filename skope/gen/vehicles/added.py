@@ -47,7 +47,7 @@ class AddedVehicle(Derived):
     wheel: Mesh
     points: Array
     digest: str = ""
-    """Of the model's files."""
+    """Digest of the model's files."""
     substituted: tuple[str, ...] = ()
 
     @property
@@ -64,7 +64,14 @@ def folder() -> Path:
 
 
 def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None) -> AddedVehicle:
-    """A vehicle from a model with markers."""
+    """Make a vehicle from a model with markers.
+
+    Args:
+        marked: What `read_marked` read.
+        name: Name of the new model.
+        vehicle_type: One of `VEHICLE_TYPES`.
+        mass: Kilograms. Default: estimated from the size.
+    """
     points = marked.points
     right_front, left_front, right_rear, _ = (points[k] for k in (16, 17, 18, 19))
     length, width, height = marked.size_lwh
@@ -170,7 +177,7 @@ def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -
 
 
 def names() -> list[str]:
-    """Of all models that were added."""
+    """Names of all models that the user has added."""
     return sorted(path.parent.name for path in folder().glob("*/vehicle.json"))
 
 

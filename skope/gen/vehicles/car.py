@@ -31,7 +31,7 @@ from skope.gen.vehicles.shape import Shape, VehicleStyle
 Array = NDArray[np.float64]
 
 ARCH: Final = 1.13
-"""Radius of a wheel arch over that of its wheel."""
+"""Radius of a wheel arch, in radii of its wheel."""
 _WELL: Final = 0.05
 """Room between a wheel's inner face and its well, metres."""
 _SILL, _LEDGE = 0.16, 0.40
@@ -211,11 +211,11 @@ class CarBody:
             within = (deck[:, 0] > start) & (deck[:, 0] < end)
             inside[within], floor[within] = 1, height
         crease = self._crease(deck[:, 0])
+        levels = (
+            (_RIM, 0.012, 1.0), (_PIT, 0.022, 1.0), (_OUTER, 0, crease), (_INNER, 0, crease - 0.11), (CENTER, 0, 0.0),
+        )  # fmt: skip
         rows = []
-        for level, inset, share in (
-            *((_RIM, 0.012, 1.0), (_PIT, 0.022, 1.0)),
-            *((_OUTER, 0, crease), (_INNER, 0, crease - 0.11), (CENTER, 0, 0.0)),
-        ):
+        for level, inset, share in levels:
             y = np.maximum(deck[:, 1] - inset, 0) * share
             z = deck[:, 2] + self._swell(deck[:, 0], deck[:, 1], y / np.maximum(deck[:, 1], 1e-9))
             rows.append(np.column_stack([deck[:, 0], y, np.where((inside > 0) & (level >= _PIT), floor, z)]))

@@ -57,7 +57,7 @@ class ParametricVehicle(Derived):
         return self._kept("vehicle", build)
 
     def _kept(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
-        """What is built of a model, on disk; a shape of a vehicle's own passes by once."""
+        """Arrays that `build` makes of a model, from the cache; jittered shapes, which occur once, are not cached."""
         entry = fleet().get(self.model)
         if entry is None or entry.vehicle.shape != self.shape:
             return build()
@@ -78,7 +78,7 @@ class ParametricVehicle(Derived):
 
     @cached_property
     def interior(self) -> Mesh:
-        """What is seen through the windows; it lies inside `mesh`."""
+        """Seats, dashboard and driver, which are seen through the windows; they lie inside `mesh`."""
         return Mesh.from_arrays(self._body, "interior")
 
     @cached_property
@@ -120,9 +120,9 @@ class ParametricVehicle(Derived):
 class FleetEntry:
     vehicle: Vehicle
     share: float
-    """How often the model drives by, relative to the others."""
+    """Frequency of the model in traffic, relative to the others."""
     held_out: bool = False
-    """Kept for testing."""
+    """Whether the model is kept for testing, and so never in a split `train`."""
 
 
 def _table(name: str) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _table(name: str) -> dict[str, Any]:
 
 @cache
 def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
-    """What vehicles of a type measure, metres: least and greatest by dimension; nothing of those of no class."""
+    """Least and greatest value of each dimension of a vehicle type, metres; empty for a type without a class."""
     ranges = _table("classes.toml").get(vehicle_type, {}).get("range", {})
     return {name: (low, high) for name, (low, high) in ranges.items()}
 
@@ -168,9 +168,14 @@ def _build(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicl
 
 
 def build(model: str, shape: Mapping[str, float]) -> Vehicle:
-    """The vehicle of a model with the given shape parameters (see `Shape`); equal ones are built once.
+    """Build a vehicle; equal vehicles are built once.
 
-    A model that was added has one shape only.
+    Args:
+        model: A model of the fleet, or one that the user added.
+        shape: Shape parameters (fields of `Shape`); a model of the user has one shape only, and ignores them.
+
+    Raises:
+        UserError: There is no such model or parameter.
     """
     if model not in fleet():
         return load(model)

@@ -51,7 +51,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
 
 
 def _against(shell: Surface, plate: float) -> tuple[float, float, float]:
-    """Where a plate leans against a front: x of its lower edge, height, how far it leans back."""
+    """Place of a number plate at a front: x of its lower edge, height, how far it leans back."""
     _, high = parts.PLATE
     (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP)[0] for z in (0.0, high))
     return max(float(low_x), float(high_x)) + 0.002, plate, float(np.clip(low_x - high_x, 0.0, 0.03))
@@ -67,8 +67,11 @@ def _grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> Non
         "slim": [(edge - 0.015, top - 0.1), (edge, top - 0.035)],
         "hexagon": [(edge * 0.62, intake + 0.03), (edge * 0.88, bottom + 0.02), (edge * 0.7, top - 0.05)],
         "oval": [
-            *((edge * 0.38, bottom - 0.06), (edge * 0.64, bottom - 0.02), (edge * 0.72, bottom + 0.3 * tall)),
-            *((edge * 0.64, bottom + 0.72 * tall), (edge * 0.4, top - 0.01)),
+            (edge * 0.38, bottom - 0.06),
+            (edge * 0.64, bottom - 0.02),
+            (edge * 0.72, bottom + 0.3 * tall),
+            (edge * 0.64, bottom + 0.72 * tall),
+            (edge * 0.4, top - 0.01),
         ],
         "bar": [(edge - 0.01, bottom - 0.1), (edge, bottom), (edge, top - 0.01)],
     }
@@ -94,7 +97,7 @@ def _grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> Non
 
 
 def _intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
-    """What the bumper takes in air by, fog lamps, the lip below."""
+    """Draw the air intakes of the front bumper, the fog lamps, and the lip below."""
     low, high = z
     if style.intake == "wide":
         shell.sink(mirrored([(wide - 0.16, low), (wide - 0.1, high - 0.03)]), WRAP, 0.04, "grille_slats", wall="trim")

@@ -1,4 +1,4 @@
-"""What stands on a car's lower body: pillars, panes and roof, one loft."""
+"""The greenhouse of a car: pillars, panes and roof above the lower body, one loft."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -35,7 +35,7 @@ _EDGE_ROWS: Final = ((1.3, 0.015, 0.015), (1.65, 0.042, 0.027))
 _ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
 """Rows of the roof: share of the way from its spine to its edge."""
 _CROWN: Final = 0.052
-"""How much higher the roof is along its spine than at its edge."""
+"""Height of the roof's spine over its edge, metres."""
 _SCREEN_HIGH: Final = 0.985
 _SUNK: Final = 0.012
 """How far the foot of the pillars stands in the lower body."""
@@ -71,9 +71,9 @@ class Greenhouse:
         bow = 0.15 if s.width < 1.95 else 0.12
         base = Plan(half, s.cowl_x, s.backlight_x, bow, 0.07, 0.15, 0.15, 0.05, 0.05)
         roof = Plan(
-            *(half - s.roof_inset, s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run),
-            *(0.07, 0.05, 0.15, 0.15, 0.025, 0.035),
-        )
+            half - s.roof_inset, s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run,
+            0.07, 0.05, 0.15, 0.15, 0.025, 0.035,
+        )  # fmt: skip
         share, bulge = min(t, 1.0), 4 * min(t, 1.0) * (1 - min(t, 1.0))
         values = {f.name: (1 - share) * getattr(base, f.name) + share * getattr(roof, f.name) for f in fields(Plan)}
         values["half_width"] += 0.022 * bulge
@@ -99,9 +99,9 @@ class Greenhouse:
         top = self._plan(1.0)
         for _, inset, over in _EDGE_ROWS:
             plan = Plan(
-                *(top.half_width - inset, top.front - inset * 1.6, top.rear + inset * 1.6),
-                *(top.front_round, top.rear_round, 0.15, 0.15, top.front_taper, top.rear_taper),
-            )
+                top.half_width - inset, top.front - inset * 1.6, top.rear + inset * 1.6,
+                top.front_round, top.rear_round, 0.15, 0.15, top.front_taper, top.rear_taper,
+            )  # fmt: skip
             rows.append(np.column_stack([plan.outline(stations), high + over]))
         edge = rows[-1]
         reach = min(0.4, 0.3 * float(np.ptp(edge[:, 0])))

@@ -1,4 +1,4 @@
-"""What is seen through the windows: dashboard, seats, steering wheel and a driver."""
+"""The interior of a vehicle, as seen through the windows: dashboard, seats, steering wheel and a driver."""
 
 import numpy as np
 

@@ -10,19 +10,17 @@ from skope.errors import one_of
 from skope.gen.vehicles.fleet import class_ranges, fleet, parametric
 from skope.gen.vehicles.shape import Shape
 
-_ALONG: Final = frozenset(
-    (
-        *("length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length"),
-        "cab_length",
-    )
-)
+_ALONG: Final = frozenset((
+    "length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length", "cab_length",
+))  # fmt: skip
+"""Dimensions along a vehicle, which are stretched together."""
 _ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
-_UP: Final = frozenset(
-    (
-        *("height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high"),
-        *("hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance"),
-    )
-)
+"""Dimensions across a vehicle, which are stretched together."""
+_UP: Final = frozenset((
+    "height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high",
+    "hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance",
+))  # fmt: skip
+"""Dimensions upwards, which are stretched together."""
 _STRETCH: Final = 0.025
 """Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
 

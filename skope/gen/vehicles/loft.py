@@ -72,7 +72,7 @@ class Plan:
         return np.asarray(self.half_width - taper * np.abs(share) ** 3)
 
     def _end(self, sign: float) -> Array:
-        """From the middle of one end to the side, around its corner."""
+        """Points from the middle of one end to the side, around its corner."""
         ahead, back, radius = (
             (self.front, self.front_round, self.front_radius)
             if sign > 0

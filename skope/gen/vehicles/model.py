@@ -1,4 +1,4 @@
-"""What every vehicle model has, wherever its surfaces come from."""
+"""Interfaces and base of all vehicle models, wherever their surfaces come from."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -14,11 +14,11 @@ from skope.gen.vehicles.sidecar import Sidecar
 Array = NDArray[np.float64]
 
 COARSE: Final = 0.25
-"""About the share of its triangles that a body far away is drawn with."""
+"""Share of its triangles, about, that a body far away is drawn with."""
 
 
 class Body(Protocol):
-    """What renderers draw: a body with four parts that move."""
+    """The interface of what renderers draw: a body with four parts that move."""
 
     def __hash__(self) -> int: ...
 
@@ -28,7 +28,7 @@ class Body(Protocol):
 
     @property
     def interior(self) -> Mesh | None:
-        """What is seen through the windows, inside `mesh`."""
+        """Seats, dashboard and driver, which are seen through the windows, inside `mesh`."""
 
     @property
     def parts(self) -> tuple[Mesh, ...]:
@@ -37,7 +37,7 @@ class Body(Protocol):
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The same with about `COARSE` of their triangles, for pictures from afar."""
+        """The parts with about the share `COARSE` of their triangles, for pictures from afar."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -93,7 +93,7 @@ def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
 
 
 class Derived:
-    """What follows from a vehicle's dimensions, surfaces and keypoints."""
+    """Base of vehicle models: the properties that follow from dimensions, surfaces and keypoints."""
 
     @property
     def size_lwh(self: Vehicle) -> tuple[float, float, float]:

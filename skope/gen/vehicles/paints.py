@@ -13,13 +13,13 @@ class Paint(NamedTuple):
     """A vehicle's colours."""
 
     share: float
-    """How often it is seen, relative to the others of its palette."""
+    """Frequency of the paint, relative to the others of its palette."""
     rgb: tuple[int, int, int]
     """sRGB of the body."""
     livery: tuple[int, int, int]
-    """sRGB of what is of a second colour: a stripe, a box, the lower half."""
+    """sRGB of parts in a second colour: a stripe, a box, the lower half."""
     color: str
-    """What annotations call it: one of `skope.schema.COLORS`."""
+    """Name of the colour in annotations: one of `skope.schema.COLORS`."""
     palette: str
 
 

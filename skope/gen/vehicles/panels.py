@@ -12,7 +12,7 @@ Points = dict[str, Array]
 
 
 def quad(a: float, b: float, low: tuple[float, float], high: tuple[float, float]) -> Array:
-    """From `a` to `b` along the shell; lower and upper edge at either end."""
+    """Outline of a panel from `a` to `b` along the shell, with its lower and upper edge at either end, metres."""
     return np.array([(a, low[0]), (b, low[1]), (b, high[1]), (a, high[0])])
 
 

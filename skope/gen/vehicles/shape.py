@@ -1,4 +1,4 @@
-"""What a vehicle model is made from: its dimensions, a point in the shape space, and the style of its parts."""
+"""Parameters of a vehicle model: its dimensions (a point in the shape space) and the style of its parts."""
 
 from dataclasses import dataclass, fields
 
@@ -10,11 +10,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Dimensions:
-    """What every vehicle measures, metres."""
+    """Dimensions that every vehicle has, metres."""
 
     length: float
     width: float
-    """Without mirrors."""
+    """Width without mirrors."""
     height: float
     wheelbase: float
     """Foremost to rearmost axle."""
@@ -118,13 +118,13 @@ class VehicleStyle:
     grille: str = "wide"
     """"wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"."""
     intake: str = "wide"
-    """In the front bumper: "wide", "triple", "deep", "slot", "skid" or "plain"."""
+    """Air intake in the front bumper: "wide", "triple", "deep", "slot", "skid" or "plain"."""
     headlight: str = "swept"
     """"swept", "hook", "slim", "drop", "box", "twin" or "round"."""
     taillight: str = "wide"
     """"wide", "tall", "band", "hook" or "round"."""
     exhausts: str = ""
-    """Between the rear bumper's corners: "pipes", "blend", "fins", or nothing."""
+    """Exhausts between the rear bumper's corners: "pipes", "blend", "fins", or none."""
     chrome: bool = False
     """Bright frames around grille and side panes, bright door handles."""
     soft: bool = False
@@ -134,7 +134,7 @@ class VehicleStyle:
     spoiler: bool = False
     """A lip over the rear window."""
     palette: str = "private"
-    """Which of the `PAINTS` it comes in."""
+    """Name of the group of `PAINTS` that the model comes in."""
     sign: bool = False
     """A taxi's sign on the roof."""
     spokes: int = 5
@@ -152,7 +152,7 @@ class VehicleStyle:
     bed: bool = False
     """An open cargo bed behind the cabin."""
     body: str = "box"
-    """What a truck carries: "box", "flatbed", "tipper" or "curtain"."""
+    """Cargo body of a truck: "box", "flatbed", "tipper" or "curtain"."""
     axles: tuple[float, ...] = ()
     """Middle axles' distances before the rearmost one, metres."""
     dual: bool = False

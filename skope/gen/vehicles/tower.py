@@ -12,7 +12,7 @@ from skope.gen.vehicles.shape import Shape
 Array = NDArray[np.float64]
 
 ARCH = 1.13
-"""Radius of a wheel arch over that of its wheel."""
+"""Radius of a wheel arch, in radii of its wheel."""
 _EDGE = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
 """Rows of the edge between wall and roof: shares of its radius inwards and up."""
 

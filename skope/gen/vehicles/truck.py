@@ -17,7 +17,7 @@ from skope.gen.vehicles.wheels import steel_wheel
 Array = NDArray[np.float64]
 
 _GAP = 0.09
-"""Between cab and body, metres."""
+"""Gap between cab and body, metres."""
 _LEFT = (0.0, 1.0, 0.0)
 
 
@@ -99,9 +99,9 @@ class TruckBody:
         s = self.shape
         ahead, behind = self.nose - 0.2, self.nose - min(1.35, s.cab_length - 0.32)
         window = [
-            *((ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02)),
-            *((behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02)),
-        ]
+            (ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02),
+            (behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02),
+        ]  # fmt: skip
         cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=_LEFT)
         cab.paint(window, SIDE, "glass", facing=_LEFT)
         sill = s.wheel_radius * (1 + ARCH) + 0.04

@@ -146,10 +146,14 @@ def test_a_video_that_is_cut_off_names_the_frame_from_which_it_is(tmp_path: Path
 
 
 def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
+    before = set(threading.enumerate())
     with streams.mjpeg(1000, 50) as address:
         frames = open_footage(address, Cut(end_s=0.3)).frames()
         assert 1 <= len(list(frames)) < 30
-    assert threading.active_count() < 8
+    left = set(threading.enumerate()) - before
+    for thread in left:
+        thread.join(timeout=5)
+    assert not any(thread.is_alive() for thread in left)
 
 
 def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, random_run: Path, tmp_path: Path) -> None:
@@ -491,8 +495,8 @@ def test_marked_points_that_are_off_are_named(skope: Any) -> None:
 
 
 def test_a_camera_that_nobody_knows_is_not_written(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fit(sample: fit_camera.SampledVehicles) -> fit_camera.CameraFit:
-        return fit_camera.CameraFit(CAMERA, len(sample.found), 554_225.0, 0.01, 0.01, 0.2)
+    def fit(sample: fit_camera.SampledVehicles) -> fit_camera.CameraEstimate:
+        return fit_camera.CameraEstimate(CAMERA, len(sample.found), 554_225.0, 0.01, 0.01, 0.2)
 
     coco.write(Path("road.json"), drive(2, 5, speeds=(6.0, 3.0)))
     monkeypatch.setattr("skope.eval.pose.fit_camera.fit_camera", fit)

@@ -11,12 +11,12 @@ from scipy.optimize import minimize
 
 from skope import coco
 from skope.console import Console
-from skope.dataset import last_frames
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.metrics.reliability import calibration_error, reliability
+from skope.sampling import last_frames
 from skope.schema import AnnotationFile, Image
 from tests.samples import make_annotation, make_dataset
 

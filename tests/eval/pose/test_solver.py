@@ -13,8 +13,8 @@ from skope import keypoints
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.eval.pose import search, solver
-from skope.eval.pose.hidden import facing
 from skope.eval.pose.records import locate_view
+from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes, read_shapes
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene

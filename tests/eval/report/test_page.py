@@ -10,7 +10,7 @@ import pytest
 from skope import coco, keypoints
 from skope.eval.report import curves, gallery
 from skope.keypoints import INDEX
-from skope.metrics.breakdown import Fleet
+from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options
 from skope.metrics.split_scores import SplitScores, measure
 from skope.page.charts import Axes, Line, chart
@@ -106,7 +106,7 @@ def measured_split(count: int, results: list[Result] | None = None) -> SplitScor
     images = tuple(make_image(i) for i in range(1, count + 1))
     vehicles = tuple(make_annotation(i, i, (20, 20, 80, 60)) for i in range(1, count + 1))
     file = AnnotationFile(images=images, annotations=vehicles, name="a<b")
-    return measure(file, results or detector_of(file), Options(score=0.5), Fleet())
+    return measure(file, results or detector_of(file), Options(score=0.5), FleetInfo())
 
 
 def test_curves_agree_with_the_figures_at_their_place() -> None:
@@ -173,5 +173,5 @@ def test_points_of_another_scheme_alone_are_drawn() -> None:
     few = tuple(sorted(keypoints.VERI20.values()))
     options = Options(score=0.5, points=few)
     file = replace(measured_split(4).file)
-    measured = measure(file, detector_of(file), options, Fleet())
+    measured = measure(file, detector_of(file), options, FleetInfo())
     assert list(measured.entry["by"]["keypoint"]) == [keypoints.NAMES[k] for k in few]

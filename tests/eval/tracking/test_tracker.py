@@ -16,7 +16,8 @@ from skope.errors import UserError
 from skope.eval.pose.views import read_scene
 from skope.eval.tracking import run
 from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
-from skope.eval.tracking.tracker import Track, follow
+from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.tracks import Track
 from skope.metrics import inputs
 from skope.schema import Result
 from tests.eval.cli.test_footage import rows_of

@@ -94,7 +94,7 @@ def test_cvat_returns_what_it_holds(skope: Any, ours: Path, target: str) -> None
 
 
 def foreign(folder: Path) -> dict[str, Any]:
-    """A file of somebody who labels three points, one of them not ours, with boxes of people beside."""
+    """A file with three labelled points, one of them not of skope's, and with boxes of people beside."""
     (folder / "frames").mkdir(parents=True)
     cv2.imwrite(str(folder / "frames" / "a 1.png"), np.full((60, 80, 3), 90, np.uint8))
     return {

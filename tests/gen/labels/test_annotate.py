@@ -224,13 +224,13 @@ def agreement(name: str, recording: Recording, frames: Sequence[int]) -> Counter
     for frame in frames:
         moment, view = recording.moment(frame), renderer.render(frame)
         annotations, _ = annotate(moment, view, recording.camera, Rules(), 1)
-        located = locate(moment, "rigid")
+        world = locate(moment, "rigid")
         triangles = [vehicle_triangles(moment, i) for i in range(len(moment.vehicles))]
         tracks = {vehicle.track_id: i for i, vehicle in enumerate(moment.vehicles)}
         for annotation in annotations:
             assert annotation.track_id is not None
             i = tracks[annotation.track_id]
-            points = located.tested[i]
+            points = world.tested[i]
             direction = points - recording.camera.position
             distance = np.linalg.norm(direction, axis=1)
             shapes = np.concatenate(triangles_towards(recording.camera.position, triangles, i))

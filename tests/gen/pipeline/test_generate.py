@@ -267,7 +267,7 @@ def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> Non
     assert content(out) == content(whole)
 
 
-def test_a_dataset_that_somebody_wrote_anew_goes_on(tmp_path: Path, whole: Path) -> None:
+def test_a_dataset_that_another_tool_rewrote_goes_on(tmp_path: Path, whole: Path) -> None:
     """Other tools sort the fields of a row."""
     out = tmp_path / "d"
     shutil.copytree(whole, out)

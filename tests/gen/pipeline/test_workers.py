@@ -1,44 +1,44 @@
 from collections import Counter
 from itertools import pairwise
 
-from skope.gen.pipeline.workers import Backlog
-from skope.gen.scene.recording import Take
+from skope.gen.pipeline.workers import JobQueue
+from skope.gen.scene.recording import RecordingInfo
 
-TAKES = [Take(f"t0{town}_{site}", "00", "train", 20) for town in range(1, 5) for site in "abcd"]
+RECORDINGS = [RecordingInfo(f"t0{town}_{site}", "00", "train", 20) for town in range(1, 5) for site in "abcd"]
 
 
-def test_hands_spread_and_each_goes_on_from_its_last_take() -> None:
-    backlog = Backlog({take: list(range(take.frames)) for take in TAKES})
-    holding: dict[int, Take | None] = dict.fromkeys(range(4))
-    taken: dict[int, list[Take]] = {hand: [] for hand in holding}
-    done: Counter[tuple[Take, int]] = Counter()
-    while backlog:
-        for hand in holding:
-            if backlog:
-                job = backlog.next_for(holding[hand])
-                holding[hand] = job.take
-                done.update((job.take, frame) for frame in job.frames)
-                if job.take not in taken[hand]:
-                    taken[hand].append(job.take)
-    assert done == {(take, frame): 1 for take in TAKES for frame in range(20)}
-    first = [TAKES.index(takes[0]) for takes in taken.values()]
+def test_workers_spread_and_each_goes_on_from_its_last_recording() -> None:
+    queue = JobQueue({recording: list(range(recording.frames)) for recording in RECORDINGS})
+    holding: dict[int, RecordingInfo | None] = dict.fromkeys(range(4))
+    taken: dict[int, list[RecordingInfo]] = {worker: [] for worker in holding}
+    done: Counter[tuple[RecordingInfo, int]] = Counter()
+    while queue:
+        for worker in holding:
+            if queue:
+                job = queue.next_for(holding[worker])
+                holding[worker] = job.recording
+                done.update((job.recording, frame) for frame in job.frames)
+                if job.recording not in taken[worker]:
+                    taken[worker].append(job.recording)
+    assert done == {(recording, frame): 1 for recording in RECORDINGS for frame in range(20)}
+    first = [RECORDINGS.index(recordings[0]) for recordings in taken.values()]
     assert first == [0, 8, 4, 12]
-    for takes in taken.values():
-        assert [TAKES.index(b) - TAKES.index(a) for a, b in pairwise(takes)] == [1, 1, 1]
+    for recordings in taken.values():
+        assert [RECORDINGS.index(b) - RECORDINGS.index(a) for a, b in pairwise(recordings)] == [1, 1, 1]
 
 
-def test_one_hand_goes_through_all_in_order() -> None:
-    backlog, take, met = Backlog({take: [0, 9] for take in TAKES}), None, list[Take]()
-    while backlog:
-        take = backlog.next_for(take).take
-        met.append(take)
-    assert met == TAKES
+def test_one_worker_goes_through_all_recordings_in_order() -> None:
+    queue, recording, met = JobQueue({recording: [0, 9] for recording in RECORDINGS}), None, list[RecordingInfo]()
+    while queue:
+        recording = queue.next_for(recording).recording
+        met.append(recording)
+    assert met == RECORDINGS
 
 
-def test_a_lost_job_is_done_by_another() -> None:
-    backlog = Backlog({TAKES[0]: [0, 1], TAKES[1]: [5]})
-    job, other = backlog.next_for(None), backlog.next_for(None)
-    assert not backlog
-    backlog.put_back(job)
-    assert backlog.next_for(other.take) == job
-    assert not backlog
+def test_the_job_of_a_lost_worker_is_done_by_another() -> None:
+    queue = JobQueue({RECORDINGS[0]: [0, 1], RECORDINGS[1]: [5]})
+    job, other = queue.next_for(None), queue.next_for(None)
+    assert not queue
+    queue.put_back(job)
+    assert queue.next_for(other.recording) == job
+    assert not queue

@@ -19,7 +19,7 @@ CHASSIS = Chassis.of(fleet()["sedan"].vehicle.shape)
 
 
 def driven(place: Callable[[float], tuple[float, float, float, float]], seconds: float) -> list[Driven]:
-    """How a sedan drives whose guide is at (x, y) with a heading and a speed at each time."""
+    """How a sedan drives whose lane point is at (x, y) with a heading and a speed at each time."""
     out = []
     for _, states in drivable((snapshot(place, k) for k in range(round(seconds / STEP))), STEP):
         out.append(states["car"])
@@ -39,18 +39,18 @@ def test_an_even_drive_stays_as_it_is() -> None:
     states = driven(lambda t: (12 * t, 3.0, 0.0, 12.0), 6)
     assert len(states) == round(6 / STEP) - 2 * reach(STEP)
     for k, state in enumerate(states, start=reach(STEP)):
-        x = 12 * k * STEP - CHASSIS.guide + CHASSIS.middle
+        x = 12 * k * STEP - CHASSIS.lane_point + CHASSIS.middle
         assert state.position == pytest.approx((x, 3.0, 0.0), abs=1e-9)
         assert (state.yaw, state.speed) == pytest.approx((0.0, 12.0), abs=1e-9)
 
 
 def test_on_a_circle_the_rear_axle_runs_inside_and_moves_along_the_heading() -> None:
-    """The guide's circle shrinks by what the bell takes; the rear axle's is the leg of a right-angled triangle."""
+    """The lane point's circle shrinks by what the bell takes; the rear axle's is the leg of a right-angled triangle."""
     radius, speed = 15.0, 6.0
     turn = speed / radius
     states = driven(lambda t: (radius * math.sin(turn * t), -radius * math.cos(turn * t), turn * t, speed), 40)
     shrunk = radius * math.exp(-0.5 * (turn * SPREADS_S[0]) ** 2)
-    inner = math.sqrt(shrunk**2 - CHASSIS.guide**2)
+    inner = math.sqrt(shrunk**2 - CHASSIS.lane_point**2)
     for a, b in itertools.pairwise(states[-100:]):
         assert np.hypot(*rear(a)) == pytest.approx(inner, rel=1e-3)
         assert b.speed == pytest.approx(turn * inner, rel=2e-3)
@@ -77,7 +77,7 @@ def test_a_vehicle_that_stands_does_not_turn() -> None:
     assert {(*s.position, s.yaw) for s in states} == {(*states[0].position, states[0].yaw)}
 
 
-def test_nobody_turns_sharper_than_the_wheels_can_be_steered() -> None:
+def test_no_vehicle_turns_sharper_than_the_wheels_can_be_steered() -> None:
     """Round a corner of 90 degrees that no car can take: it comes out wide, and back to its line."""
     speed = 5.0
     states = driven(
@@ -108,7 +108,7 @@ def test_vehicles_come_and_go() -> None:
     seen = [(k, states["car"]) for k, (_, states) in enumerate(drivable(shots, STEP), start=reach(STEP)) if states]
     assert [k for k, _ in seen] == list(range(90, 110))
     for k, state in seen:
-        assert state.position[0] == pytest.approx(10 * k * STEP - CHASSIS.guide + CHASSIS.middle, abs=1e-9)
+        assert state.position[0] == pytest.approx(10 * k * STEP - CHASSIS.lane_point + CHASSIS.middle, abs=1e-9)
         assert state.speed == pytest.approx(10.0)
 
 

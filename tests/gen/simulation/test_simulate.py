@@ -149,8 +149,8 @@ def test_sumo_front_bumper_and_compass_are_converted() -> None:
                 assert state.yaw == pytest.approx(math.radians(90 - libsumo.vehicle.getAngle(name)), abs=1e-9)
                 shape = fleet()[traffic.trips[name].model].vehicle.shape
                 back = shape.front_overhang + (1 - math.sqrt(0.5)) * shape.wheelbase
-                assert state.guide[0] == pytest.approx(front[0] - back, abs=0.01)
-                assert state.guide[1] == pytest.approx(front[1], abs=0.5)
+                assert state.lane_point[0] == pytest.approx(front[0] - back, abs=0.01)
+                assert state.lane_point[1] == pytest.approx(front[1], abs=0.5)
                 checked += 1
         assert checked > 1
 
@@ -214,15 +214,15 @@ def test_a_vehicle_far_away_stands_where_the_engine_would_have_it() -> None:
         np.testing.assert_allclose(resting.T_world_chassis, engine.T_world_chassis, atol=0.01)
 
 
-def test_vehicles_nobody_watches_yet_come_into_view_as_if_they_had_been_watched(
+def test_vehicles_that_are_not_watched_yet_come_into_view_as_if_they_had_been_watched(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan = RecordingPlan(
         site=site("t05_park_third"), index=0, frames=20, interval=0.5, size=(640, 360), fov_deg=60, seed=0
     )
     followed = []
-    from_afar = Traffic._placed
-    monkeypatch.setattr(Traffic, "_placed", lambda self, name: followed.append(name) or from_afar(self, name))
+    from_afar = Traffic._vehicle_state
+    monkeypatch.setattr(Traffic, "_vehicle_state", lambda self, name: followed.append(name) or from_afar(self, name))
     usual, asked = simulate(plan), len(followed)
     monkeypatch.setattr(Recorder, "watches", lambda *_: True)
     everyone = simulate(plan)

@@ -1,4 +1,4 @@
-"""One's own road: site files and their mistakes, the example from end to end, left-hand traffic, flows, the sun."""
+"""Roads of users: site files and their mistakes, the example from end to end, left-hand traffic, flows, the sun."""
 
 import json
 import math
@@ -163,8 +163,8 @@ def test_the_light_of_a_drawn_photograph_is_found_again() -> None:
         settings={"exposure_ev": (ev, ev), "noise": (0, 0), "vignetting": (0, 0), "clouds": (0, 0)},
     )  # fmt: skip
     recording = simulate(plan)
-    nobody = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
-    fields = vars(recording) | {name: getattr(recording, name)[:0] for name in nobody} | {"vehicles": ()}
+    rows = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+    fields = vars(recording) | {name: getattr(recording, name)[:0] for name in rows} | {"vehicles": ()}
     picture = make_renderer("gl", Recording(**fields)).render(0).rgb
     data = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     shot = OwnRoad(

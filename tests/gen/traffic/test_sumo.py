@@ -113,7 +113,7 @@ def test_vehicles_at_a_busy_crossing_do_not_run_into_each_other() -> None:
     assert len(touching) <= 1
 
 
-def test_nobody_enters_or_leaves_the_town_where_a_camera_sees_more_than_a_speck() -> None:
+def test_no_vehicle_enters_or_leaves_the_town_where_a_camera_sees_more_than_a_speck() -> None:
     for name, place in sites().items():
         camera = place.camera((1920, 1080), 110)
         net = sumolib.net.readNet(str(place.town.network))

@@ -101,7 +101,7 @@ def _scale(vehicle: Annotation, image: Image) -> float:
 
 
 def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
-    """What is drawn of a vehicle, in its colour."""
+    """The SVG group of one vehicle, with what is drawn of it in its colour."""
     if not drawn:
         return ""
     return tag(

@@ -37,7 +37,7 @@ class Spread:
 
 
 def spread_of(file: AnnotationFile) -> Spread:
-    """What the plots show of a split."""
+    """The values that the plots show, of the ground truth of a split's file."""
     known = [a for a in file.annotations if not a.ignored]
     visible = np.array([a.keypoints[:, 2] == 2 for a in known], dtype=np.int64).reshape(-1, keypoints.K)
     return Spread(
@@ -71,7 +71,7 @@ def plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
 
 
 def _end(values: Mapping[str, NDArray[np.float64]], step: float) -> float:
-    """Where an axis ends: beyond all but the last hundredth, at a multiple of `step`."""
+    """Upper end of an axis: a multiple of `step` that all but the largest hundredth of the values lie below."""
     every = np.concatenate(list(values.values()))
     return max(step, math.ceil(np.quantile(every, 0.99) / step) * step) if every.size else step
 

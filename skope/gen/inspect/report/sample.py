@@ -1,4 +1,4 @@
-"""Which images of a dataset a page shows: few of many, spread over splits, sites and recordings."""
+"""Choose the images that a page shows: few of many, spread over splits, sites and recordings."""
 
 from collections.abc import Sequence
 

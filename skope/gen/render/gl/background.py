@@ -26,9 +26,9 @@ SCALE: Final = 2
 """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
 _MIRROR: Final = 128
 _LIGHT: Final = (
-    *("sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles"),
-    *("street_lighting", "street_light_k", "lit_windows", "infrared"),
-)
+    "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
+    "street_lighting", "street_light_k", "lit_windows", "infrared",
+)  # fmt: skip
 """Conditions that the scenery's light depends on."""
 
 
@@ -45,13 +45,13 @@ class Background:
     slope: NDArray[np.float32]
     ids: NDArray[np.int32]
     textures: dict[str, Any]
-    """By the name of the uniform that programs sample them with."""
+    """Textures by the name of the uniform that programs sample them with."""
     mirrored_depth: Any
     """Texture of the depth of what wet ground mirrors, half as fine as the image; None where it is dry."""
     water: NDArray[np.float16] | None
     """(H, W) share of light that water on the ground mirrors."""
     uniforms: dict[str, Any]
-    """What programs need besides."""
+    """Values of further uniforms, by name."""
 
     def bind(self) -> dict[str, Any]:
         """Put the textures into their places, the device's first; returns the uniforms that belong to them."""
@@ -179,8 +179,13 @@ def _digest(device: Device, recording: Recording) -> str:
     mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
     camera = recording.camera
     parts = (
-        *(digest_of("light"), device.name, shader_sources(), str(lighting.SAMPLES)),
-        *(json.dumps(camera.to_dict()), f"{camera.width}x{camera.height}", str(mesh.materials)),
+        digest_of("light"),
+        device.name,
+        shader_sources(),
+        str(lighting.SAMPLES),
+        json.dumps(camera.to_dict()),
+        f"{camera.width}x{camera.height}",
+        str(mesh.materials),
         *(str(getattr(recording.conditions, name)) for name in _LIGHT),
         str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )

@@ -1,4 +1,4 @@
-"""What headlights throw on the road: a map of it around the middle of the view, drawn anew in each frame."""
+"""The light of headlights on the road: a map around the middle of the view, drawn anew in each frame."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -16,7 +16,7 @@ from skope.gen.traffic.sumo import LAMPS
 Array = NDArray[np.float64]
 
 IRRADIANCE: Final = 0.06
-"""Of the road by a headlight, in `Daylight`'s units, where nothing weakens it yet."""
+"""Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
 REACH: Final = 40.0
 """How far headlights light the road, metres."""
 MAP: Final = 1024

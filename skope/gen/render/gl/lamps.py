@@ -27,28 +27,28 @@ _REACH: Final = 110.0
 _OWN: Final = 22.0
 """Radiant intensity of a camera's infrared lamp."""
 _INFRARED_SHARE: Final = 0.35
-"""Of a street light's light, as an infrared camera sees it."""
+"""Share of a street light's light that an infrared camera sees."""
 _HEIGHT: Final = 7.0
-"""The map holds for so far under the lamps: a metre over the road."""
+"""Distance below the lamps that the light map is computed for, metres: a metre over the road."""
 _CONE: Final = np.tan(np.radians(75))
 
 
 @dataclass(frozen=True, eq=False)
 class StreetLights:
     positions: Array
-    """(N, 3) relative to the camera, the nearest to what it looks at first."""
+    """(N, 3) places relative to the camera, metres; the nearest to what the camera looks at first."""
     intensity: Array
-    """(3,) radiant, of each."""
+    """(3,) radiant intensity of each lamp, red, green and blue."""
     own: float
-    """Of the camera's own lamp."""
+    """Radiant intensity of the camera's own infrared lamp."""
     middle: Array
-    """(3,) of the map, relative to the camera."""
+    """(3,) middle of the light map, relative to the camera, metres."""
 
     @classmethod
     def of(
         cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
     ) -> "StreetLights":
-        """Those that burn where a camera looks."""
+        """The street lights that are lit where a camera looks."""
         infrared = daylight.dark and conditions.infrared >= 0.5
         intensity = daylight.street_light * (_INFRARED_SHARE if infrared else 1.0)
         offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))

@@ -37,7 +37,7 @@ SAMPLES: Final = 24
 STANDING: Final = 64
 """Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
 MIRRORED_SHARE: Final = 4
-"""One in so many samples is taken of what wet ground mirrors, at half the resolution: water blurs it."""
+"""The mirror image on wet ground has this many times fewer samples, and half the resolution: water blurs it."""
 SKY_MAP: Final = 2048
 SHADOW_RADIUS: Final = 140.0
 GROUPS: Final = {
@@ -48,7 +48,7 @@ GROUPS: Final = {
 }
 """Materials, from first to last of the table, that share the programs compiled for their patterns."""
 SUN_RADIUS: Final = 0.0047
-"""Of the sun's disc, radians."""
+"""Radius of the sun's disc as seen from the earth, radians."""
 _GOLDEN: Final = (1 + 5**0.5) / 2
 
 
@@ -292,7 +292,10 @@ class _Eye:
 
 @lru_cache(maxsize=2)
 def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[Parts, Parts]:
-    """What a camera sees of a scenery, and what may throw shadows there; recordings of a camera often come in turn."""
+    """Parts of a scenery that a camera sees, and those that may throw shadows into its view.
+
+    Cached, since recordings of the same camera often follow each other.
+    """
     camera = eye.camera
     seen, casting = mesh.taken(_in_view(mesh, camera, np.eye(4))), mesh.taken(_within_reach(mesh, camera))
     return _parts(device, seen, camera), _parts(device, casting, camera)

@@ -1,4 +1,4 @@
-"""How far vehicles move in the picture while the shutter is open."""
+"""Motion blur: how far vehicles move in the picture while the shutter is open."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from skope.gen.render.gl.placer import PlacedVehicle
 Array = NDArray[np.float64]
 
 LEAST: Final = 1.5
-"""Vehicles that move less than that are sharp, pixels."""
+"""Vehicles that move less than this are drawn sharp, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Moving:
 
 
 def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
-    """Those of the vehicles that move visibly; `velocity` (N, 3) is that of all in the frame.
+    """The vehicles that move visibly while the shutter is open; `velocity` (N, 3) is that of all in the frame, m/s.
 
     What is nearer than its own length is left sharp: its parts move in all directions.
     """

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _ROAD: Final = linear(np.array(MATERIALS["asphalt_worn"]))
 """(3,) share of the light that a road returns."""
 _NEAR: Final = 80.0
-"""The road is measured nearer to the camera than this, metres."""
+"""Distance from the camera up to which the photograph's road is measured, metres."""
 _STOPS: Final = (-16.0, 4.0)
 """Range of the light that the camera's curve is tabulated for, powers of two."""
 _STEPS: Final = 4096

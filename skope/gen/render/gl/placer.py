@@ -19,7 +19,7 @@ from skope.gen.vehicles.paints import PAINTS
 Array = NDArray[np.float64]
 
 PARTS: Final = "PARTS 5"
-"""Of a vehicle: its body and four wheels."""
+"""Definition for the shaders: a vehicle has five parts, its body and four wheels."""
 PANES: Final = ("glass", "glass_tinted")
 """Materials that one can look through."""
 
@@ -29,7 +29,7 @@ class PlacedVehicle:
     """A vehicle in a frame."""
 
     index: int
-    """In the frame."""
+    """Index of the vehicle in the frame."""
     vehicle: Body
     T_world_chassis: Array
     mesh: DeviceMesh
@@ -38,17 +38,17 @@ class PlacedVehicle:
     """Everything but the panes, with what is inside."""
     panes: DeviceMesh | None
     coarse: DeviceMesh
-    """All of it with fewer triangles, for its picture from afar."""
+    """The whole vehicle with fewer triangles, for pictures from afar."""
     matrices: dict[str, bytes]
-    """Of its parts: to the camera frame, and to world axes relative to the camera."""
+    """Poses of its parts: in the camera frame, and in world axes relative to the camera."""
     distance: float
-    """From the camera, metres."""
+    """Distance from the camera, metres."""
     look: dict[str, Any]
     """Paint and lamps."""
     hull: Array
     """(N, 2) convex polygon around the pixels that it may cover."""
     window: Window
-    """Those pixels, in the image and beyond."""
+    """Window of the pixels that the vehicle may cover, in the image and beyond."""
 
     @property
     def number(self) -> int:

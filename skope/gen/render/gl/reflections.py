@@ -16,7 +16,7 @@ from skope.gen.render.windows import TILE, mirror_hull_of, runs, tiles
 BLUR: Final = 64
 """How far water blurs a mirror image up and down in an image 1920 pixels wide (see blur.glsl), pixels."""
 FARTHEST: Final = 90.0
-"""Vehicles farther away than that are not mirrored, metres."""
+"""Vehicles farther from the camera than this are not mirrored, metres."""
 
 
 class Reflections:

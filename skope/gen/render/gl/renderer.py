@@ -44,7 +44,8 @@ Array = NDArray[np.float64]
 
 SHADOW_MAP: Final = 2048
 FAR: Final = 30.0
-"""Vehicles farther from the camera than this are drawn coarsely in colour, and nobody sees through their windows."""
+"""Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
+metres."""
 SHADOW_RADIUS: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
 HAZY: Final = 1e-3
@@ -90,7 +91,7 @@ class GLRenderer:
             "u_texel": 0.04 * 0.5 / SHADOW_RADIUS,
         }
         self._options: tuple[str, ...] = ()
-        """What vehicles' programs are compiled for, for this recording's light."""
+        """Definitions that vehicles' programs are compiled with, for this recording's light."""
         background, middle = self._background, camera.position + self._background.focus
         self._beams = self._reflections = None
         if background.daylight.dark:
@@ -349,7 +350,7 @@ class _Layer:
     """(h, w, C)"""
 
     def crop(self, window: Window) -> NDArray[Any]:
-        """Those of a window within it."""
+        """The pixels of a window within the layer."""
         x, y = self.window[:2]
         x0, y0, x1, y1 = window
         return self.pixels[y0 - y : y1 - y, x0 - x : x1 - x]
@@ -357,7 +358,7 @@ class _Layer:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What the device has drawn of a frame."""
+    """Handles of what the device has drawn of a frame."""
 
     layers: list[_Layer]
     """Depth, slope and number in the window of each vehicle."""
@@ -367,7 +368,7 @@ class _Drawn:
     """Tiles in which the picture is not that of the empty road."""
     picture: _Layer
     behind: _Layer | None
-    """What is behind the crowd."""
+    """What is behind vehicles that stand before others."""
     crowd: list[PlacedVehicle]
     """Vehicles whose windows cross others'."""
 

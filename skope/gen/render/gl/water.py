@@ -19,9 +19,9 @@ _LEVEL: Final = 0.97
 @dataclass(frozen=True, eq=False)
 class Plane:
     normal: Array
-    """(3,) unit, upwards."""
+    """(3,) unit normal, upwards."""
     distance: float
-    """Of the camera, over it."""
+    """Height of the camera over the plane, metres."""
 
     @property
     def uniform(self) -> Array:

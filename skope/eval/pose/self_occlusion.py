@@ -23,7 +23,7 @@ _NUMBERS: Final = 4
 
 @cache
 def _fleet_sight() -> dict[str, Array]:
-    """By body type (33, 4): weights of the direction's x, y, z in the vehicle frame, and of 1."""
+    """Body type -> (33, 4) weights of a logistic regression: of the direction's x, y, z in the vehicle frame, and 1."""
     with resources.as_file(resources.files("skope.eval.pose").joinpath("vehicle_sight.json")) as path:
         document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
@@ -32,9 +32,16 @@ def _fleet_sight() -> dict[str, Array]:
 
 
 def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) -> NDArray[np.bool_]:
-    """(N, 33) which keypoints (N, 33, 3) of vehicles of body types `kind` (N,) an eye (N, 3) sees past the body.
+    """Which keypoints a camera sees past the vehicle's own body.
 
-    All in the vehicle frame. Of a body type that the fleet has not, every keypoint.
+    Args:
+        shapes: The body types.
+        kind: (N,) index of each vehicle's body type in `shapes`. Of a type that the fleet has not, all are seen.
+        points: (N, 33, 3) keypoints in the vehicle frame, metres.
+        eye: (N, 3) the camera's position in the vehicle frame, metres.
+
+    Returns:
+        (N, 33) whether each keypoint is seen.
     """
     always = np.tile([0.0, 0.0, 0.0, 1.0], (keypoints.K, 1))
     weights = np.stack([_fleet_sight().get(name, always) for name in shapes.types])[kind]

@@ -1,0 +1,122 @@
+"""How a vehicle moves on the road and what a pose says of it: a Kalman filter, and the smoother for when all is known.
+
+The state is x, y, vx, vy, ax, ay: position (metres, world), velocity (m/s) and a slowly changing acceleration (m/s^2).
+Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.eval.tracking.detections import PoseMeasurement
+
+Array = NDArray[np.float64]
+State = tuple[Array, Array]
+"""Mean (6,) and covariance (6, 6) of a vehicle's state."""
+
+GATE: Final = 16.0
+"""Squared distance, in variances, from which a measurement is no longer believed to belong to a track."""
+_JERK: Final = 1.0
+"""Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
+_MEMORY_S: Final = 1.5
+"""Time constant with which an acceleration fades, seconds."""
+_SPEED: Final = 15.0
+"""Standard deviation of the speed along its heading of a vehicle that is seen for the first time, m/s."""
+_SIDEWAYS_SPEED: Final = 2.0
+"""Standard deviation of the speed to its sides of a vehicle that is seen for the first time, m/s."""
+_ACCELERATION: Final = 2.0
+"""Standard deviation of the acceleration of a vehicle that is seen for the first time, m/s^2."""
+_SLIDE: Final = 0.5
+"""Standard deviation of a standing vehicle's speed to its side, m/s."""
+_SLIP: Final = 0.15
+"""What is added to `_SLIDE` for a driving vehicle, as a share of its speed: in a turn its middle does not move where
+its front points."""
+
+
+def first_state(pose: PoseMeasurement) -> State:
+    """State of a vehicle of which this pose is the first: it may stand, or drive where it heads or back."""
+    mean = np.array([*pose.place, 0, 0, 0, 0], dtype=np.float64)
+    spread = np.zeros((6, 6))
+    spread[:2, :2] = pose.covariance
+    ahead = np.array([math.cos(pose.heading), math.sin(pose.heading)])
+    aside = math.hypot(_SIDEWAYS_SPEED, _SPEED * min(pose.heading_sigma, 1.0))
+    spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
+    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    return mean, spread
+
+
+def motion(dt: float) -> tuple[Array, Array]:
+    """Transition and noise, (6, 6) each, of `dt` seconds of Singer's model (IEEE Trans. AES, 1970).
+
+    Acceleration fades away, so that what is unseen rolls on. The noise is that of constant acceleration (Bar-Shalom et
+    al. 2001, section 6.2.3), the model's own for short steps.
+    """
+    fade = math.exp(-dt / _MEMORY_S)
+    to_speed = _MEMORY_S * (1 - fade)
+    F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
+    Q1 = _JERK * np.array(
+        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+    )
+    both = np.eye(2)  # x and y move alike
+    return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
+
+
+def predicted(state: State, F: Array, Q: Array) -> State:
+    """A state after one step of `motion`, before anything is measured."""
+    mean, spread = state
+    return F @ mean, F @ spread @ F.T + Q
+
+
+def updated(state: State, pose: PoseMeasurement) -> State:
+    """A state that has taken in a pose: its place, and the direction in which wheels let the vehicle move."""
+    mean, spread = state
+    gain = np.linalg.solve(spread[:2, :2] + pose.covariance, spread[:2]).T
+    kept = np.eye(len(mean))
+    kept[:, :2] -= gain
+    # Joseph's form stays symmetric and positive over any number of steps.
+    after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
+    return _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
+
+
+def widened(state: State, place: Array) -> State:
+    """A state so uncertain that the vehicle may as well be at `place` (2,), with any velocity."""
+    mean, spread = state
+    away = place - mean[:2]
+    wider = spread.copy()
+    wider[:2, :2] += away @ away * np.eye(2)
+    wider[2:4, 2:4] += _SPEED**2 * np.eye(2)
+    return mean, wider
+
+
+def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
+    """A state that knows that wheels roll where the vehicle heads, or back: it hardly slides to its side."""
+    aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
+    speed = float(np.linalg.norm(mean[2:4]))
+    slides = float(aside @ mean)
+    variance = _SLIDE**2 + (speed * math.hypot(_SLIP, pose.heading_sigma)) ** 2
+    across = spread @ aside
+    total = float(aside @ across) + variance
+    if slides**2 > GATE * total:  # the pose's heading must be wrong
+        return mean, spread
+    gain = across / total
+    kept = np.eye(len(mean)) - np.outer(gain, aside)
+    return mean - gain * slides, kept @ spread @ kept.T + variance * np.outer(gain, gain)
+
+
+def smoothed(transitions: Sequence[Array], predictions: Sequence[State], filtered: Sequence[State]) -> Array:
+    """(M, 6) means of the states of M frames, each of which knows what came later (Rauch, Tung and Striebel, 1965).
+
+    Args:
+        transitions: (6, 6) each, to each frame from the one before; the first is not used.
+        predictions: States before each frame's measurement; the first is not used.
+        filtered: States after each frame's measurement.
+    """
+    states = np.array([mean for mean, _ in filtered]).reshape(-1, 6)
+    for k in range(len(filtered) - 2, -1, -1):
+        ahead, spread_ahead = predictions[k + 1]
+        gain = np.linalg.solve(spread_ahead, transitions[k + 1] @ filtered[k][1]).T
+        states[k] += gain @ (states[k + 1] - ahead)
+    return states

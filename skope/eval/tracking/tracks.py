@@ -1,0 +1,250 @@
+"""A vehicle's track: while it is being followed, frame by frame, and when it is finished and smoothed."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.eval.tracking import kalman
+from skope.eval.tracking.detections import Detection, PoseMeasurement
+from skope.eval.tracking.headings import smoothed_headings
+from skope.eval.tracking.kalman import State
+
+Array = NDArray[np.float64]
+
+_BOX_S: Final = 0.5
+"""For how long an unseen vehicle's last box says where it is in the image, seconds."""
+_CONFIRMED: Final = 3
+"""A track has at least this many poses."""
+_CONFIRMED_S: Final = 0.4
+"""A track lasts at least this long, seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A vehicle over the frames from its first to its last pose; M frames, all of them, seen or not."""
+
+    number: int
+    kind: str
+    size_lwh: Array
+    """(3,) median, metres."""
+    frames: NDArray[np.intp]
+    times_s: Array
+    position: Array
+    """(M, 3) smoothed, world, on the ground under the middle of the box."""
+    velocity: Array
+    """(M, 2) m/s."""
+    acceleration: Array
+    """(M, 2) m/s^2."""
+    heading: Array
+    """(M,) radians, counter-clockwise from world x."""
+    boxes: Array
+    """(M, 4) boxes of the detections, x, y, width, height in pixels; NaN where the vehicle was missed."""
+    scores: Array
+    """(M,) scores of the detections; NaN where the vehicle was missed."""
+    truth_ids: NDArray[np.int64]
+    """(M,) the ground-truth track that the detection is, or matches; -1 where there is none."""
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(M,) in which frames it was detected."""
+        return np.isfinite(self.scores)
+
+    @cached_property
+    def speed(self) -> Array:
+        """(M,) m/s."""
+        return np.asarray(np.linalg.norm(self.velocity, axis=1))
+
+    @cached_property
+    def along(self) -> Array:
+        """(M,) acceleration in the direction of travel, m/s^2; 0 for a vehicle that stands."""
+        speed = self.speed
+        dot = np.einsum("mi,mi->m", self.acceleration, self.velocity)
+        return np.asarray(np.divide(dot, speed, out=np.zeros_like(speed), where=speed > 0.1))
+
+
+@dataclass(eq=False, slots=True)
+class TrackStep:
+    """One frame of a track that is being followed."""
+
+    frame: int
+    time_s: float
+    transition: Array
+    """(6, 6) from the frame before."""
+    predicted: State
+    """State before the frame's measurement."""
+    filtered: State
+    """State after the frame's measurement."""
+    detection: Detection | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPart:
+    """Consecutive frames of a track, smoothed for good, a row each; NaN where nothing was measured."""
+
+    frames: NDArray[np.intp]
+    times_s: Array
+    states: Array
+    """(M, 6) means of the smoothed states, as in `skope.eval.tracking.kalman`."""
+    heights: Array
+    """(M,) z of the road, metres."""
+    headings: Array
+    """(M,) as measured, radians."""
+    heading_sigmas: Array
+    """(M,) standard deviations of the headings, radians."""
+    sizes: Array
+    """(M, 3) length, width, height, metres."""
+    boxes: Array
+    """(M, 4) x, y, width, height, pixels."""
+    scores: Array
+    """(M,)"""
+    truth_ids: NDArray[np.int64]
+    """(M,) -1 where there is none."""
+
+
+@dataclass(eq=False)
+class OpenTrack:
+    """A track that is being followed."""
+
+    steps: list[TrackStep]
+    """The frames that can still change."""
+    last_pose: PoseMeasurement
+    """For the heading and size that the vehicle has now."""
+    parts: list[TrackPart] = field(default_factory=list)
+    """The frames before `steps`, which no longer change."""
+    kinds: Counter[str] = field(default_factory=Counter)
+    """How many of its poses have each body type."""
+    last_pose_s: float = 0.0
+    """Time of `last_pose`, seconds."""
+    jumps: int = 0
+    """Detections since `last_pose` whose pose is elsewhere."""
+    surrounding: "OpenTrack | None" = None
+    """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
+    surrounded_s: float = 0.0
+    """Time since which `surrounding` is the same, seconds."""
+
+    @property
+    def state(self) -> State:
+        """The latest state."""
+        return self.steps[-1].filtered
+
+    @property
+    def unseen(self) -> bool:
+        """Whether the latest frame has given it no detection (yet)."""
+        return self.steps[-1].detection is None
+
+    @property
+    def poses(self) -> int:
+        """How many poses it has."""
+        return self.kinds.total()
+
+    def box(self, time_s: float) -> Array | None:
+        """(4,) the last box seen, unless it is old by `time_s`: then None."""
+        for step in reversed(self.steps):
+            if time_s - step.time_s > _BOX_S:
+                break
+            if step.detection is not None:
+                return step.detection.bbox
+        return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
+
+    def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
+        """Go on to a frame, whose detections are not known yet, with `kalman.motion` F and Q."""
+        ahead = kalman.predicted(self.state, F, Q)
+        self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
+
+    def update(self, detection: Detection, pose: PoseMeasurement) -> None:
+        """Take in the latest frame's detection and its pose."""
+        step = self.steps[-1]
+        step.filtered = kalman.updated(step.filtered, pose)
+        step.detection = detection
+        self.last_pose = pose
+        self.kinds[pose.kind] += 1
+        self.last_pose_s = step.time_s
+        self.jumps = 0
+
+    def settle(self, until_s: float) -> None:
+        """Smooth, and keep what came before `until_s` as it then is."""
+        count = sum(step.time_s < until_s for step in self.steps)
+        self.parts.append(_part(self.steps[:count], _smoothed(self.steps)[:count]))
+        del self.steps[:count]
+
+    def end(self) -> None:
+        """Smooth what is left, up to the last pose."""
+        self.steps = [step for step in self.steps if step.time_s <= self.last_pose_s]
+        self.parts.append(_part(self.steps, _smoothed(self.steps)))
+        self.steps = []
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether an ended track has been seen often and long enough to be a vehicle."""
+        times = [part.times_s for part in self.parts if len(part.times_s)]
+        return self.poses >= _CONFIRMED and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
+
+
+def begin(frame: int, time_s: float, detection: Detection, pose: PoseMeasurement) -> OpenTrack:
+    """The track of a vehicle that nobody has seen before."""
+    state = kalman.first_state(pose)
+    step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
+    return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s)
+
+
+def finished(track: OpenTrack, number: int) -> Track:
+    """An ended track as a whole, which is emptied."""
+    names = [one.name for one in fields(TrackPart)]
+    columns = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
+    track.parts = []  # twice the memory otherwise
+    states, measured = columns["states"], np.isfinite(columns["headings"])
+    times = columns["times_s"]
+    z = np.interp(times, times[measured], columns["heights"][measured])
+    return Track(
+        number=number,
+        kind=track.kinds.most_common(1)[0][0],
+        size_lwh=np.median(columns["sizes"][measured], axis=0),
+        frames=columns["frames"],
+        times_s=times,
+        position=np.column_stack([states[:, :2], z]),
+        velocity=states[:, 2:4],
+        acceleration=states[:, 4:6],
+        heading=smoothed_headings(times, columns["headings"], columns["heading_sigmas"], states[:, 2:4]),
+        boxes=columns["boxes"],
+        scores=columns["scores"],
+        truth_ids=columns["truth_ids"],
+    )
+
+
+def _smoothed(steps: Sequence[TrackStep]) -> Array:
+    """(M, 6) smoothed means of the states."""
+    return kalman.smoothed(
+        [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
+    )
+
+
+def _part(steps: Sequence[TrackStep], states: Array) -> TrackPart:
+    count = len(steps)
+    heights, headings, heading_sigmas, scores = np.full((4, count), np.nan)
+    sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
+    truth_ids = np.full(count, -1, dtype=np.int64)
+    for i, step in enumerate(steps):
+        if step.detection is None:
+            continue
+        boxes[i], scores[i] = step.detection.bbox, step.detection.score
+        truth_ids[i] = -1 if step.detection.truth_id is None else step.detection.truth_id
+        if (pose := step.detection.pose) is not None:
+            heights[i], headings[i], sizes[i] = pose.height, pose.heading, pose.size_lwh
+            heading_sigmas[i] = pose.heading_sigma
+    return TrackPart(
+        frames=np.array([step.frame for step in steps], dtype=np.intp),
+        times_s=np.array([step.time_s for step in steps]),
+        states=states,
+        heights=heights,
+        headings=headings,
+        heading_sigmas=heading_sigmas,
+        sizes=sizes,
+        boxes=boxes,
+        scores=scores,
+        truth_ids=truth_ids,
+    )
