@@ -28,7 +28,7 @@ from skope.dataset import open_dataset, read_image
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.metrics.counts import Options
-from skope.metrics.figures import score_split
+from skope.metrics.precision_recall import score_split
 from skope.sampling import take
 from skope.schema import Annotation, AnnotationFile, Image, Result
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from skope import keypoints
 from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.sidecar import wheel_plane
+from skope.gen.vehicles.keypoint_separation import wheel_plane
 
 
 def main() -> None:

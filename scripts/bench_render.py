@@ -53,7 +53,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
 
     No other road users are left.
     """
-    from skope.gen.render.windows import hull_of, window_of
+    from skope.gen.render.image_windows import hull_of, window_of
     from skope.gen.vehicles.fleet import build
 
     keep: list[int] = []
@@ -79,8 +79,8 @@ class Skope:
     """What `skope gen` does for each frame, from the recording to the files."""
 
     def __init__(self, recording: Recording, folder: Path, renderer: str) -> None:
-        from skope.gen.pipeline.store import Store
-        from skope.gen.render.choose import make_renderer
+        from skope.gen.pipeline.dataset_store import Store
+        from skope.gen.render.choose_renderer import make_renderer
 
         self.recording, self.store = recording, Store(folder)
         self.renderer = make_renderer(renderer, recording)
@@ -136,7 +136,7 @@ class Peer:
         return bodies
 
     def move(self, present: dict[int, list[np.ndarray]]) -> None:
-        from skope.gen.render.tiny import quaternion
+        from skope.gen.render.tiny_renderer import quaternion
 
         away = np.eye(4)
         away[2, 3] = -1000
@@ -148,8 +148,8 @@ class Peer:
                     )
 
     def draw(self) -> None:
-        from skope.gen.render.tiny import FAR
-        from skope.gen.render.windows import NEAR
+        from skope.gen.render.image_windows import NEAR
+        from skope.gen.render.tiny_renderer import FAR
 
         camera = self.recording.camera
         width, height, f = camera.width, camera.height, camera.K[0, 0]
@@ -227,7 +227,7 @@ def frames_per_second(
 def timed_stages() -> Iterator[dict[str, float]]:
     """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
     from skope.gen.output import frames as made
-    from skope.gen.pipeline.store import Store
+    from skope.gen.pipeline.dataset_store import Store
     from skope.gen.render import sensor
     from skope.gen.render.gl import renderer as gl
     from skope.gen.render.gl.beams import Beams

@@ -29,12 +29,12 @@ from skope.gen.labels.annotate import (
     locate,
 )
 from skope.gen.pipeline.config import from_preset
-from skope.gen.render.choose import choose_renderer, make_renderer
+from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Recording
 from skope.gen.simulation.simulate import simulate
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.sidecar import wheel_plane
+from skope.gen.vehicles.keypoint_separation import wheel_plane
 from skope.schema import Annotation
 
 MODEL, POINT = "suv", "roof_front_left"

@@ -25,7 +25,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.files import write_json
 from skope.gen.formats.archive import opened
-from skope.gen.formats.scenes import ArchiveVehicle, archives, scene_of
+from skope.gen.formats.skope3d_scenes import ArchiveVehicle, archives, scene_of
 from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 

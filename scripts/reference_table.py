@@ -10,7 +10,7 @@ from typing import Any
 
 from skope.files import read_json
 
-PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published.json"
+PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published_results.json"
 SPLITS = ("easy", "medium", "hard", "extra")
 IOU = "0.6"
 BY = ("distance", "height", "occlusion", "truncation", "unoccluded_within_40_m", "weather", "vehicle_type", "model")

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, draw, keypoints, names, sampling
+from skope import coco, dataset, draw, keypoints, safe_names, sampling
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
@@ -35,9 +35,9 @@ from skope.files import read_json, sha256_of, write_json
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
 from skope.metrics.failures import OTHER_END, OTHER_SIDE
-from skope.metrics.inputs import for_images, read_results
 from skope.metrics.match import Matches, match
-from skope.outputs import claim_output
+from skope.metrics.read_inputs import for_images, read_results
+from skope.output_folders import claim_output
 from skope.schema import Annotation, AnnotationFile, Result
 
 IOU: Final = 0.5
@@ -119,7 +119,7 @@ def read_photographs(path: Path) -> Photographs:
         if not isinstance(whole, bool):
             raise UserError(f"{where}: boxes_complete: expected true or false, got {whole!r}")
         if scene not in (None, ""):
-            names.name(f"{where}: scene", scene)
+            safe_names.name(f"{where}: scene", scene)
         try:
             dataset.read_image(source.parent / image.file_name, (image.width, image.height))
         except UserError as error:

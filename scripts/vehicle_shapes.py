@@ -17,8 +17,8 @@ import numpy as np
 from skope import keypoints
 from skope.files import write_text
 from skope.gen.vehicles.fleet import build, fleet
-from skope.gen.vehicles.jitter import jittered
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.shape_jitter import jittered
 
 DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_shapes.json"
 POOLED = 0.5

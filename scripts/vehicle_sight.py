@@ -1,5 +1,5 @@
 """Work out from where each keypoint of a vehicle is seen past the vehicle's own body, for `skope eval pose`. Writes
-skope/eval/pose/vehicle_sight.json; takes a minute. Run after the fleet changes:
+skope/eval/pose/keypoint_visibility.json; takes a minute. Run after the fleet changes:
 
     python scripts/vehicle_sight.py
 
@@ -21,7 +21,7 @@ from skope.gen.labels.raycast import Fan
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import Vehicle
 
-DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_sight.json"
+DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "keypoint_visibility.json"
 ELEVATIONS = np.radians([4, 10, 18, 28, 40, 55])
 DISTANCE = 25.0
 TOLERANCE = 0.05

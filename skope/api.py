@@ -221,11 +221,11 @@ def score(
     Raises:
         UserError: A file cannot be read, or the predictions are of other images.
     """
-    from skope.metrics import inputs
-    from skope.metrics.figures import Options, score_split
+    from skope.metrics import read_inputs
+    from skope.metrics.precision_recall import Options, score_split
 
     file = annotations if isinstance(annotations, AnnotationFile) else coco.read(Path(annotations))
-    results = inputs.read_results(Path(predictions), file) if isinstance(predictions, str | Path) else predictions
+    results = read_inputs.read_results(Path(predictions), file) if isinstance(predictions, str | Path) else predictions
     return score_split(file, results, Options(score=min_score, alpha=alpha, iou=tuple(iou)))
 
 

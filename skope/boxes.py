@@ -4,9 +4,9 @@
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from skope.types import Array
 
 
 def xywh_to_xyxy(boxes: ArrayLike) -> Array:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.errors import UserError, one_of
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DISTORTION_MODELS: Final = ("none", "brown", "fisheye")

@@ -12,14 +12,13 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.camera import Distortion
 from skope.errors import UserError
 from skope.files import read_bytes, read_json
-from skope.names import for_opencv
-
-Array = NDArray[np.float64]
+from skope.safe_names import for_opencv
+from skope.types import Array
 
 FORMATS: Final = ("opencv", "tumtraf", "rope3d")
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")

@@ -6,12 +6,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 FEWEST: Final = 4
 """Points that a camera needs."""

@@ -6,7 +6,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from skope.commands import Commands
+from skope.command_options import Commands
 from skope.errors import UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints, names, schema, shards
+from skope import coco, keypoints, safe_names, schema, shards
 from skope.camera import Camera
 from skope.depth_files import read_depth
 from skope.errors import UserError, one_of
@@ -161,7 +161,7 @@ def check_takes(path: Path, takes: Any) -> None:
         if not (isinstance(row, list) and [type(value) for value in row] == [str, str, str, int]):
             raise UserError(f"{path}: takes[{i}]: expected site, name, split and frames, got {row!r:.60}")
         for field, value in zip(("site", "name", "split"), row, strict=False):
-            names.name(f"{path}: takes[{i}]: {field}", value)
+            safe_names.name(f"{path}: takes[{i}]: {field}", value)
 
 
 def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
@@ -174,7 +174,7 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
         if not isinstance(part_of, dict):
             raise UserError(f"{path}: {part_name}: expected an object")
         for file_name in part_of:
-            names.relative(f"{path}: {part_name}", file_name)
+            safe_names.relative(f"{path}: {part_name}", file_name)
         parts[part_name] = part_of
     return parts
 

@@ -26,7 +26,7 @@ from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
 from torchvision.models.detection.transform import resize_boxes, resize_keypoints
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope import boxes, compact, keypoints, weights
+from skope import boxes, compact_weights, keypoints, weights
 from skope.errors import UserError, one_of
 from skope.files import write_bytes
 from skope.schema import Result
@@ -156,7 +156,7 @@ def checkpoint_bytes(
 ) -> bytes:
     """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
 
-    The tensors are the model's, or, `packed`, what `skope.compact` makes of them in a seventh of the bytes, with a
+    The tensors are the model's, or, `packed`, what `skope.compact_weights` makes of them: a seventh of the bytes, with a
     checksum. The same model gives the same bytes.
     """
     header: dict[str, Any] = {
@@ -171,8 +171,8 @@ def checkpoint_bytes(
     for name in [name for name in state if name.endswith(".running_var")]:
         state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
     if packed:
-        state, header[_PACKED] = compact.pack(state)
-        header[_CHECKSUM] = compact.digest(state, header)
+        state, header[_PACKED] = compact_weights.pack(state)
+        header[_CHECKSUM] = compact_weights.digest(state, header)
     # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
     return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
 
@@ -227,11 +227,11 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
 
 def _unpacked(path: Path, header: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     digested = {name: value for name, value in header.items() if name != _CHECKSUM}
-    if compact.digest(tensors, digested) != header.get(_CHECKSUM):
+    if compact_weights.digest(tensors, digested) != header.get(_CHECKSUM):
         raise UserError(f"{path}: {_CHECKSUM} differs: the file is damaged, or was changed after it was written")
     try:
-        return compact.unpack(tensors, header[_PACKED])
-    except compact.DamagedError as error:
+        return compact_weights.unpack(tensors, header[_PACKED])
+    except compact_weights.DamagedError as error:
         raise UserError(f"{path}: {error}") from None
 
 

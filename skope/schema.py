@@ -11,12 +11,12 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skope import keypoints, names
+from skope import keypoints, safe_names
 from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.keypoints import SKOPE33, Scheme
+from skope.types import Array
 
 VERSION: Final = 1
 CATEGORY_ID: Final = 1
@@ -31,8 +31,6 @@ COLORS: Final = (
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
 TIMES_OF_DAY: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
-
-Array = NDArray[np.float64]
 
 
 def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
@@ -100,13 +98,13 @@ class Image:
         _integer("id", self.id, 0)
         _integer("width", self.width, 1)
         _integer("height", self.height, 1)
-        names.relative("file_name", self.file_name)
+        safe_names.relative("file_name", self.file_name)
         if self.depth_file_name is not None:
-            names.relative("depth_file_name", self.depth_file_name)
+            safe_names.relative("depth_file_name", self.depth_file_name)
         for field_name in ("town", "site", "recording", "split"):
             value = getattr(self, field_name)
             if value is not None:
-                names.name(field_name, value)
+                safe_names.name(field_name, value)
         if self.frame_index is not None:
             _integer("frame_index", self.frame_index, 0)
         _choice("weather", self.weather, WEATHERS)

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from skope.errors import UserError
 from skope.files import parse_json, read_bytes, read_json, replacing, write_json
-from skope.names import is_relative
+from skope.safe_names import is_relative
 
 FOLDER: Final = "shards"
 _INDEX: Final = 4096

@@ -16,12 +16,12 @@ from skope.console import Console
 from skope.depth_files import depth_png
 from skope.files import json_bytes, write_json
 from skope.gen.labels.annotate import RuleCounts, Rules
-from skope.gen.output.counts import kind_of
+from skope.gen.output.card_counts import kind_of
 from skope.gen.output.frames import FrameFiles, checksum, image_of
 from skope.gen.output.writers import Labels
 from skope.gen.pipeline.config import from_preset
+from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.generate import finish_rendering
-from skope.gen.pipeline.store import Store
 from skope.gen.pipeline.workers import local_pool
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.scene import recording as recordings

@@ -18,8 +18,8 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 import skope as package
-from skope import cli, commands, schema
-from skope.commands import Commands, Formerly, option
+from skope import cli, command_options, schema
+from skope.command_options import Commands, Formerly, option
 from skope.console import Console
 from skope.eval.inference.settings import PRECISIONS
 from skope.gen.formats.convert import READERS, WRITERS
@@ -28,10 +28,10 @@ from skope.gen.labels.localize import LOCALIZERS
 from skope.gen.output.frames import FORMATS as IMAGE_FORMATS
 from skope.gen.output.writers import FORMATS
 from skope.gen.pipeline.config import presets
-from skope.gen.render.choose import RENDERERS
+from skope.gen.render.choose_renderer import RENDERERS
 from skope.metrics.counts import LABELLED, PROTOCOLS
-from skope.metrics.inputs import SCHEMES
 from skope.metrics.match import BOX_KINDS
+from skope.metrics.read_inputs import SCHEMES
 from skope.train.export import FORMATS as EXPORTS
 from skope.train.init_weights import INITS
 from skope.train.recipe import CHOICES, SUPERVISE
@@ -250,7 +250,7 @@ def test_default_folders_are_named_in_one_place() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 assert not node.value.startswith(("data/", "runs/")), (path, node.value)
-    assert (str(commands.DATA), str(commands.RUN)) == ("data/skope", "runs/skope")
+    assert (str(command_options.DATA), str(command_options.RUN)) == ("data/skope", "runs/skope")
 
 
 # --------------------------------------------------------------------------------------------------- shell completion
@@ -317,7 +317,7 @@ def test_flags_before_a_subcommand_are_refused_not_forgotten(skope: Any, words: 
         (["gen", "--out", "d"], "skope.gen.cli.app.Path.exists"),
         (["gen", "sites"], "skope.gen.towns.town.towns"),
         (["gen", "convert", "--to", "yolo", "a", "b"], "skope.gen.formats.convert.convert"),
-        (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.metrics.inputs.read_annotations"),
+        (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.metrics.read_inputs.read_annotations"),
         (["eval", "compare", "a", "b"], "skope.eval.report.compare.compare"),
     ],
 )

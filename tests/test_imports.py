@@ -148,8 +148,8 @@ def test_rendering_a_recording_needs_no_simulator() -> None:
 import sys
 for name in ("pybullet", "libsumo"):
     sys.modules[name] = None
-import skope.gen.labels.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.pipeline.store
-import skope.gen.scenery.build
+import skope.gen.labels.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.scenery.build
+import skope.gen.pipeline.dataset_store
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

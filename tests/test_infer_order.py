@@ -15,8 +15,8 @@ from skope.boxes import xyxy_to_xywh
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.files import read_json, write_json
-from skope.gen.formats.scenes import ArchiveVehicle
 from skope.gen.formats.skope3d import CORNERS
+from skope.gen.formats.skope3d_scenes import ArchiveVehicle
 from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 from skope.schema import Annotation, AnnotationFile, Box3D, Image

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from skope.camera import Camera
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.site_files.site_file import read_site

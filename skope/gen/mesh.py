@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from skope.types import Array
 
 FEW: Final = 500
 """Triangles that are not worth simplifying."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skope.metrics import counts, failures, figures, reliability
+from skope.metrics import counts, failures, precision_recall, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
 from skope.metrics.counts import Options, Outcomes, Tally
@@ -43,17 +43,17 @@ def measure(
         fleet: What the dataset's card says of the vehicle models.
         all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
     """
-    matches = figures.match_split(file, results, options)
+    matches = precision_recall.match_split(file, results, options)
     outcomes = {t: counts.outcomes_at(matches, t, options) for t in options.iou}
     tallies = {t: counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {
-        **figures.summary(matches, options),
+        **precision_recall.summary(matches, options),
         "coco": average_precision(file, results, options) if all_scores else dict(NO_PRECISION),
         "by": breakdown(file.images, matches, options, fleet),
-        "localisation": {f"{t:g}": figures.localisation(outcomes[t]) for t in options.iou},
+        "localisation": {f"{t:g}": precision_recall.localisation(outcomes[t]) for t in options.iou},
         "failures": {f"{t:g}": failures.counts(matches, outcomes[t], options) for t in options.iou},
-        "confidence": reliability.confidence(matches, outcomes[options.loosest], options),
+        "confidence": score_reliability.confidence(matches, outcomes[options.loosest], options),
         "intervals": {
             **blocks.to_dict(),
             "iou": {f"{t:g}": intervals(counts.quotients(tallies[t]), blocks) for t in options.iou},

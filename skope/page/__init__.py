@@ -6,7 +6,7 @@
 from html import escape
 from importlib import resources
 
-from skope.page.marks import tag
+from skope.page.html_pieces import tag
 
 
 def document(title: str, *body: str) -> str:

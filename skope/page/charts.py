@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
-from skope.page.marks import details, plain, table, tag
+from skope.page.html_pieces import details, plain, table, tag
 
 WIDTH, HEIGHT = 460, 320
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 14, 44

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.commands import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
+from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
 from skope.console import Console
 from skope.errors import UserError
 

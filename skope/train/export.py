@@ -21,7 +21,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import detector, weights
 from skope.console import Console
 from skope.errors import UserError, one_of
-from skope.outputs import check_file, write_new
+from skope.output_folders import check_file, write_new
 
 FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx", "compact": ".compact.safetensors"}
 _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {

@@ -15,7 +15,7 @@ from skope.detector import checkpoint_name
 from skope.errors import UserError
 from skope.files import write_text
 from skope.keypoints import SCHEMES
-from skope.train import card, data, distributed, ignored_regions, monitor, run_folder, splits, step, validate
+from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
@@ -234,7 +234,7 @@ class _Run:
         counts = [
             (len(part.learnt.images), sum(len(each.boxes_xyxy) for each in part.vehicles())) for part in self.parts
         ]
-        write_text(self.out / "README.md", card.text(self.config, self.training, datasets, counts))
+        write_text(self.out / "README.md", run_card.text(self.config, self.training, datasets, counts))
 
 
 @contextlib.contextmanager

@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as boxes_module
 from skope import keypoints
 from skope.schema import Annotation, Image
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 LEAST_INSIDE = 0.15
 """A vehicle of whose box less than this share stays in the image becomes an ignored one, as in the dataset."""

@@ -11,7 +11,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, detector
 from skope.dataset import read_image
-from skope.metrics.figures import Options, score_split
+from skope.metrics.precision_recall import Options, score_split
 from skope.schema import AnnotationFile, Result
 
 Figures = dict[str, Any]

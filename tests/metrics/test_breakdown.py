@@ -9,11 +9,11 @@ import pytest
 import scipy.stats
 
 from skope import keypoints
-from skope.metrics import failures, intervals, reliability
+from skope.metrics import failures, intervals, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.counts import Options, outcomes_at, quotients, tally
-from skope.metrics.figures import localisation, match_split, score_split
 from skope.metrics.match import match
+from skope.metrics.precision_recall import localisation, match_split, score_split
 from skope.schema import AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case
@@ -131,7 +131,7 @@ def test_confidence_equals_the_loops() -> None:
                     near = brute.apart((x, y), (px, py)) <= brute.reach(vehicle, OPTIONS.alpha)
                     claims.append((p, v == 2 and near))
                     (visible if v == 2 else hidden if v == 1 else []).append(p)
-        ours = reliability.confidence(*outcomes_of_case(*case), OPTIONS)
+        ours = score_reliability.confidence(*outcomes_of_case(*case), OPTIONS)
         assert (ours["points"], ours["right"]) == (len(claims), sum(good for _, good in claims))
         wins = [1.0 if a > b else 0.5 if a == b else 0.0 for a in visible for b in hidden]
         assert ours["auc_visible"] == (pytest.approx(np.mean(wins)) if wins else None)

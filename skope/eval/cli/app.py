@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.commands import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
+from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.cli import footage
@@ -105,8 +105,8 @@ def run(
     console: Console,
 ) -> None:
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
-    from skope.eval.run import EvalJob, evaluate
-    from skope.metrics import inputs
+    from skope.eval.evaluate import EvalJob, evaluate
+    from skope.metrics import read_inputs
     from skope.metrics.counts import Options
     from skope.metrics.match import THRESHOLDS
 
@@ -127,9 +127,9 @@ def run(
     out = out or _default_out(checkpoint, predictions)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
-    truth = inputs.read_annotations(annotations) if annotations else inputs.read_dataset(data or DATA, splits)
+    truth = read_inputs.read_annotations(annotations) if annotations else read_inputs.read_dataset(data or DATA, splits)
     scheme = scheme or truth.scheme.name
-    options = replace(options, scheme=truth.scheme, points=inputs.scheme_points(scheme, truth.scheme))
+    options = replace(options, scheme=truth.scheme, points=read_inputs.scheme_points(scheme, truth.scheme))
     evaluate(
         EvalJob(
             truth=truth,
@@ -161,7 +161,7 @@ def compare_runs(
     """Put evaluations side by side, with paired intervals of their differences from the first."""
     from skope.eval.report import compare
     from skope.files import json_bytes
-    from skope.outputs import write_new
+    from skope.output_folders import write_new
 
     document = compare.compare(folders)
     text = compare.render(document, protocol)
@@ -193,7 +193,7 @@ def calibrate_scores(
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
-    from skope.eval.inference.fit_calibration import CalibrationJob, calibrate
+    from skope.eval.inference.fit_score_calibration import CalibrationJob, calibrate
 
     if not 0 <= score <= 1:
         raise UserError(f"--score: expected a number from 0 to 1, got {score}")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.commands import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
+from skope.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
-from skope.outputs import claim_output
+from skope.output_folders import claim_output
 from skope.weights import REFERENCE
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def pose(
     out: OutOption = POSES,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
-    from skope.eval.pose.errors import measure, summary, table
+    from skope.eval.pose.pose_errors import measure, summary, table
     from skope.eval.pose.records import locate_view, records, write_poses
     from skope.files import write_json
 
@@ -207,7 +207,7 @@ def track(
     out: OutOption = TRACKS,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
-    from skope.eval.tracking.run import TrackJob, run
+    from skope.eval.tracking.track_footage import TrackJob, run
 
     if fps is not None and not 0.001 <= fps <= 1000:
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")

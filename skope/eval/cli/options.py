@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from skope.commands import panel
+from skope.command_options import panel
 
 if TYPE_CHECKING:
     from skope.eval.inference.settings import Settings

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import dataset, names
+from skope import dataset, safe_names
 from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.schema import Image
@@ -216,7 +216,7 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
         return Footage("stream", cut, clip=_open_clip(source))
     footage = _on_this_machine(source, cut)
     for image, name in zip(footage.images, footage.names, strict=True):
-        if not names.is_relative(name):
+        if not safe_names.is_relative(name):
             raise UserError(f"{str(image)!r}: no name for a dataset (control characters, backslashes)")
     return footage
 
@@ -256,7 +256,7 @@ def _times(video: str) -> tuple[float, ...]:
 
     Empty where they do not say it, or two frames at once.
     """
-    capture = cv2.VideoCapture(names.for_opencv(video), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    capture = cv2.VideoCapture(safe_names.for_opencv(video), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
         times = []
         while capture.grab():
@@ -295,7 +295,7 @@ def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
 
 @contextlib.contextmanager
 def _opened(video: str) -> Iterator[cv2.VideoCapture]:
-    capture = cv2.VideoCapture(names.for_opencv(video))
+    capture = cv2.VideoCapture(safe_names.for_opencv(video))
     try:
         if not capture.isOpened():
             raise UserError(f"{video}: neither an image nor a video that can be opened")

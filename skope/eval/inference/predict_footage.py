@@ -14,7 +14,7 @@ from skope.camera import Camera
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
-from skope.eval.inference.blur import blurred
+from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Footage, Pixels
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
@@ -22,7 +22,7 @@ from skope.eval.inference.settings import Settings
 from skope.eval.pose.views import with_camera
 from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
-from skope.outputs import claim_output
+from skope.output_folders import claim_output
 from skope.schema import AnnotationFile, Image
 from skope.video import write_video
 

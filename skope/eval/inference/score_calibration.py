@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from skope import keypoints, schema
 from skope.errors import UserError
 from skope.files import read_json, sha256_of, write_json
-from skope.outputs import differences
+from skope.output_folders import differences
+from skope.types import Array
 
 VERSION: Final = 1
 ALPHA: Final = 0.1
@@ -26,8 +27,6 @@ IOU: Final = 0.6
 # is hardly ever seen takes theirs, what is seen hundreds of times its own.
 _HOLD: Final = 1.0
 _STEPS: Final = 50
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +131,7 @@ def path_beside(weights: Path) -> Path:
 
 
 def check_free(weights: Path, work: Mapping[str, Any]) -> None:
-    """Raise a UserError where the calibration beside a checkpoint is of other work (see `skope.outputs.work_of`)."""
+    """Raise a UserError where the calibration beside a checkpoint is of other work (`skope.output_folders.work_of`)."""
     path = path_beside(weights)
     if not path.exists():
         return

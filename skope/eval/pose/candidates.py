@@ -10,8 +10,8 @@ from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.optimize import Fits, refine
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.types import Ground, Starts
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Kinds = NDArray[np.intp]
 
 FEWEST: Final = {True: 4, False: 6}

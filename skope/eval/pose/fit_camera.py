@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from skope.camera import Camera
@@ -24,8 +23,7 @@ from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 FEWEST: Final = 5
 """Vehicles a camera needs."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from skope.camera import Camera
@@ -21,8 +20,7 @@ from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.solver import levelled, locate
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""

@@ -9,13 +9,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.types import IMPOSSIBLE, Ground, Starts
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera import Camera
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST_PROBABILITY: Final = 0.2

@@ -15,11 +15,10 @@ from skope import keypoints
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.types import IMPOSSIBLE, Ground, Starts
+from skope.types import Array
 
 if TYPE_CHECKING:
     from skope.eval.pose.types import Starts
-
-Array = NDArray[np.float64]
 
 _STEPS: Final = 12
 """Steps of the optimiser at most."""

@@ -17,8 +17,7 @@ from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
 from skope.files import write_text
 from skope.keypoints import WHEELS
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
 """(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before

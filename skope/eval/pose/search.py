@@ -18,8 +18,8 @@ from skope.eval.pose.optimize import Fits
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.types import Ground
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")

@@ -1,7 +1,7 @@
 """Which keypoints a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
 
-`vehicle_sight.json` is worked out from the fleet by `scripts/vehicle_sight.py`: of each body type and keypoint the
-logistic regression of "seen" on the direction from the keypoint to the eye, which tells 97 to 99% of them right.
+`keypoint_visibility.json` is worked out from the fleet by `scripts/vehicle_sight.py`: of each body type and keypoint
+the logistic regression of "seen" on the direction from the keypoint to the eye, which tells 97 to 99% of them right.
 """
 
 from functools import cache
@@ -15,8 +15,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.eval.pose.shape_model import Shapes
 from skope.files import read_json
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _NUMBERS: Final = 4
 
@@ -24,7 +23,7 @@ _NUMBERS: Final = 4
 @cache
 def _fleet_sight() -> dict[str, Array]:
     """Body type -> (33, 4) weights of a logistic regression: of the direction's x, y, z in the vehicle frame, and 1."""
-    with resources.as_file(resources.files("skope.eval.pose").joinpath("vehicle_sight.json")) as path:
+    with resources.as_file(resources.files("skope.eval.pose").joinpath("keypoint_visibility.json")) as path:
         document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected keypoint scheme {keypoints.SCHEME!r}")

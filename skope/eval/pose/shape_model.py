@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope import keypoints
 from skope.errors import UserError
 from skope.files import read_json
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 ROWS: Final = keypoints.K + 1
 """Rows of a shape: the keypoints and, last, length, width and height."""

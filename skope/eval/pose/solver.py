@@ -27,8 +27,7 @@ from skope.eval.pose.optimize import Fits
 from skope.eval.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.eval.pose.types import Ground
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera

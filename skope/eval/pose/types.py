@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from skope.types import Array
 
 IMPOSSIBLE: Final = 1e9
 """Cost of what cannot be."""

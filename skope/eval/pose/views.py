@@ -16,14 +16,13 @@ from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.pose.types import Ground
 from skope.files import read_json
-from skope.metrics import inputs
+from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.types import Array
 
 if TYPE_CHECKING:
     from skope.detector import Detections
-
-Array = NDArray[np.float64]
 
 MATCH_IOU: Final = 0.6
 """IoU from which a detection's box and a ground-truth vehicle's belong together."""
@@ -195,7 +194,7 @@ def read_scene(
     file = coco.read(annotations)
     if file.scheme is not keypoints.SKOPE33:
         raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
-    results = inputs.stream_results(predictions, file) if predictions else None
+    results = read_inputs.stream_results(predictions, file) if predictions else None
     if camera is None:
         return Scene(file, results, None, None if ground is None else Ground(height=ground))
     read, posed = read_camera(camera, _size(file))

@@ -16,7 +16,7 @@ from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.views import read_scene
 from skope.files import read_bytes
-from skope.outputs import write_new
+from skope.output_folders import write_new
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
 _UNKNOWN: Final = 0.3

@@ -14,7 +14,7 @@ import numpy as np
 from skope.errors import UserError, one_of
 from skope.eval.report.table import evidence, number
 from skope.files import read_json
-from skope.metrics import figures
+from skope.metrics import precision_recall
 from skope.metrics.counts import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference
 from skope.metrics.split_scores import from_tallies
@@ -44,8 +44,12 @@ def read(folder: Path) -> Run:
     for name in (METRICS, TALLIES):
         path = folder / name
         documents[name] = document = read_json(path)
-        if not isinstance(document, dict) or document.get("version") != figures.VERSION or "splits" not in document:
-            raise UserError(f"{path}: not a file of `skope eval` of version {figures.VERSION}; evaluate again")
+        if (
+            not isinstance(document, dict)
+            or document.get("version") != precision_recall.VERSION
+            or "splits" not in document
+        ):
+            raise UserError(f"{path}: not a file of `skope eval` of version {precision_recall.VERSION}; evaluate again")
     return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
 
 
@@ -67,7 +71,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     if not splits:
         raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
     return {
-        "version": figures.VERSION,
+        "version": precision_recall.VERSION,
         "runs": [run.name for run in runs],
         "alpha": first.metrics["alpha"],
         "score_thresholds": [run.metrics["score_threshold"] for run in runs],

@@ -4,7 +4,7 @@ import numpy as np
 
 from skope.metrics.counts import Options
 from skope.metrics.match import match
-from skope.metrics.reliability import curve
+from skope.metrics.score_reliability import curve
 from skope.metrics.split_scores import SplitScores
 from skope.page.charts import Line
 

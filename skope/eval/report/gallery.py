@@ -13,8 +13,8 @@ from skope.metrics.counts import Floats, Integers, Options, Outcomes
 from skope.metrics.failures import KINDS, false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.split_scores import SplitScores
-from skope.page import stage
-from skope.page.marks import tag
+from skope.page import image_viewer
+from skope.page.html_pieces import tag
 
 Flags = NDArray[np.bool_]
 
@@ -77,7 +77,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
     for choice in choose(quality(measured, threshold), measured.blocks.number):
         image = measured.file.images[choice.index]
         try:
-            picture = stage.embedded(root / image.file_name, (image.width, image.height))
+            picture = image_viewer.embedded(root / image.file_name, (image.width, image.height))
         except UserError:
             continue
         layers, failures = _layers(measured, choice.index, outcomes, kinds, options)
@@ -90,7 +90,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
                 tag(
                     "div",
                     f'<img src="{picture}" alt="{escape(f"{words}. {failure_words}", quote=True)}">',
-                    stage.drawing(layers, (image.width, image.height)),
+                    image_viewer.drawing(layers, (image.width, image.height)),
                     class_="stage",
                 ),
                 tag("p", escape(f"Failures: {failure_words}.")),
@@ -108,24 +108,26 @@ def _layers(
 ) -> tuple[list[str], list[str]]:
     """Layers of one image as SVG groups, and its failures in words."""
     matches, image = measured.matches, measured.file.images[index]
-    unit = stage.unit(image.width)
+    unit = image_viewer.unit(image.width)
 
     def label(box: Floats, text: str) -> str:
-        return stage.label(box, text, unit, image.width)
+        return image_viewer.label(box, text, unit, image.width)
 
     def drawn(points: Floats, placed: Flags, sure: Flags, joined: Flags) -> str:
-        return stage.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
+        return image_viewer.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
 
     truth, found, wrong, words = [], [], [], []
     ignored = [
-        stage.box(box_of(a, options.boxes)) for a in measured.file.annotations if a.ignored and a.image_id == image.id
+        image_viewer.box(box_of(a, options.boxes))
+        for a in measured.file.annotations
+        if a.ignored and a.image_id == image.id
     ]
     for g in np.flatnonzero(matches.gt_image == index):
         vehicle = matches.vehicles[g]
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
         placed = points[:, 2] > 0
-        truth.append(stage.box(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
+        truth.append(image_viewer.box(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
         if not outcomes.found[g]:
             wrong.append(label(box, "missed"))
             words.append(f"{name} missed")
@@ -142,7 +144,7 @@ def _layers(
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
         placed, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
-        found.append(stage.box(box, name) + drawn(points, placed, sure, sure))
+        found.append(image_viewer.box(box, name) + drawn(points, placed, sure, sure))
         if false[d]:
             wrong.append(label(box, "false"))
             words.append(f"false {name}")
@@ -152,6 +154,7 @@ def _layers(
 
 def _strays(truth: Floats, found: Floats, wrong: Flags) -> str:
     """Lines that lead from where each wrong point was put to where it belongs."""
-    return stage.path(
-        "".join(f"M{stage.place(found[k])}L{stage.place(truth[k])}" for k in np.flatnonzero(wrong)), "stray"
+    return image_viewer.path(
+        "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),
+        "stray",
     )

@@ -12,9 +12,9 @@ from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
-from skope.page.marks import bar, plain, share, table, tag
-from skope.page.outline import Point, outline
-from skope.page.stage import switches
+from skope.page.html_pieces import bar, plain, share, table, tag
+from skope.page.image_viewer import switches
+from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
 
 _TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")

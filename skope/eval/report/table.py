@@ -35,7 +35,7 @@ _APART: Final = {
 @cache
 def published() -> dict[str, Any]:
     """The table of the paper: splits -> name -> IoU threshold -> figures in the order of `columns`."""
-    text = resources.files("skope.eval.report").joinpath("published.json").read_text(encoding="utf-8")
+    text = resources.files("skope.eval.report").joinpath("published_results.json").read_text(encoding="utf-8")
     table: dict[str, Any] = json.loads(text)
     return table
 

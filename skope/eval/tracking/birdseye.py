@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from skope.draw import PALETTE
 from skope.eval.tracking.tracks import Track
 from skope.files import replacing
+from skope.types import Array
 
 Pixels = NDArray[np.uint8]
-Array = NDArray[np.float64]
-
 _SIDE: Final = 900
 """Pixels of the video's longer side."""
 _MARGIN: Final = 6.0

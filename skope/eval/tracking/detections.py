@@ -5,11 +5,9 @@ from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.pose.records import Located
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _FLOOR: Final = 0.05
 """Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""

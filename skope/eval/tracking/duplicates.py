@@ -6,12 +6,10 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.tracking.detections import PoseMeasurement
 from skope.eval.tracking.tracks import OpenTrack
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _DUPLICATE_S: Final = 0.5
 """Two tracks that have been in one place for so long are one vehicle, seconds."""

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _MEMORY_S: Final = 1.5
 """How long a rate of turn lasts."""

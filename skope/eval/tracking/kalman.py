@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.tracking.detections import PoseMeasurement
+from skope.types import Array
 
-Array = NDArray[np.float64]
 State = tuple[Array, Array]
 """Mean (6,) and covariance (6, 6) of a vehicle's state."""
 

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
@@ -25,7 +24,6 @@ from skope.eval.tracking.tracks import OpenTrack, Track, begin, finished
 
 __all__ = ["Track", "follow"]
 
-Array = NDArray[np.float64]
 Posed = tuple[Detection, PoseMeasurement]
 """A detection that has a pose, and the pose."""
 

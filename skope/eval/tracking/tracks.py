@@ -13,8 +13,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.kalman import State
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _BOX_S: Final = 0.5
 """For how long an unseen vehicle's last box says where it is in the image, seconds."""

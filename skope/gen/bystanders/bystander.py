@@ -10,14 +10,12 @@ from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.bystanders.people import Look, pedestrian, strides
 from skope.gen.bystanders.riders import cyclist, motorcyclist, pedalled, rolled
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.model import simplified_parts
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _FIGURES: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float], Array]]]] = {
     "pedestrian": (pedestrian, strides),

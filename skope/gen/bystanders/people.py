@@ -5,12 +5,10 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.bystanders.shapes import ball, limb, trunk
 from skope.gen.mesh import Mesh, box, merged
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 SKIN: Final = ("#ffccaa", "#ddaa88", "#bb8866", "#886644", "#553322")
 HAIR: Final = ("#221111", "#332211", "#554422", "#887755", "#999999")

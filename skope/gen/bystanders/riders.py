@@ -3,13 +3,12 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.gen.bystanders.people import Look, head, turned
 from skope.gen.bystanders.shapes import NOTHING, ball, limb, trunk
 from skope.gen.mesh import Mesh, box, grid, lathe, merged, tube
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _BIKE_WHEEL: Final = 0.34
 _BIKE_AXLES: Final = (0.53, -0.52)

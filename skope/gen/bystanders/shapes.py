@@ -3,11 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, grid
-
-Array = NDArray[np.float64]
 
 Section = tuple[tuple[float, float, float], float, float]
 """Centre, and half the depth (x) and width (y) of an ellipse, metres."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skope.commands import DATA, DIR, Commands, JsonOption, option
+from skope.command_options import DATA, DIR, Commands, JsonOption, option
 from skope.console import Console
 from skope.gen.cli import convert, inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, output
-from skope.outputs import replaceable_output
+from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import Parameters

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from skope.commands import DIR, FILE, LIST, Formerly, option
+from skope.command_options import DIR, FILE, LIST, Formerly, option
 from skope.console import Console
 from skope.errors import UserError
 

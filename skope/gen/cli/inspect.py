@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.commands import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
+from skope.command_options import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
 from skope.console import Console
 from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
-from skope.outputs import replaceable_output
+from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
     from skope.dataset import Dataset
@@ -27,7 +27,7 @@ def _named(folder: Path, dataset: Path) -> Path:
 
 
 def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractContextManager[Path]:
-    """`skope.outputs.look` at a dataset."""
+    """`skope.output_folders.look` at a dataset."""
     return replaceable_output(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
 
 
@@ -181,8 +181,8 @@ def video(
     from skope.files import sha256_of
     from skope.gen.labels.annotate import Rules
     from skope.gen.pipeline.config import from_preset
-    from skope.gen.pipeline.footage import plan_of, write_footage
-    from skope.gen.render.choose import choose_renderer
+    from skope.gen.pipeline.write_footage import plan_of, write_footage
+    from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
     from skope.gen.scene.versions import versions
     from skope.gen.site_files.site_file import read_site

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from skope.commands import FILE, LIST, SIZE, panel
+from skope.command_options import FILE, LIST, SIZE, panel
 from skope.errors import UserError
 
 if TYPE_CHECKING:
@@ -88,10 +88,10 @@ class DatasetOptions:
         from skope.gen.output.frames import Encoding
         from skope.gen.output.licences import named
         from skope.gen.pipeline.config import from_preset
-        from skope.gen.render.choose import choose_renderer
+        from skope.gen.render.choose_renderer import choose_renderer
         from skope.gen.scene.conditions import parse_settings
         from skope.gen.site_files.site_file import read_site
-        from skope.gen.vehicles.added import load
+        from skope.gen.vehicles.user_models import load
 
         if self.site and (self.sites is not None or self.fov is not None):
             raise UserError(

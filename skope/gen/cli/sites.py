@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from skope.commands import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
+from skope.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
 from skope.console import Console
-from skope.outputs import replaceable_output
+from skope.output_folders import replaceable_output
 
 
 def sites(
@@ -85,7 +85,7 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """Check a site file and draw its lanes; what it says, as a document and as lines."""
     from skope import draw
-    from skope.gen.site_files.overlay import overlay
+    from skope.gen.site_files.lane_overlay import overlay
     from skope.gen.site_files.site_file import read_site
     from skope.gen.towns.layout import Layout
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skope.commands import DIR, VEHICLE_SHEETS, Commands, option
+from skope.command_options import DIR, VEHICLE_SHEETS, Commands, option
 from skope.console import Console
 from skope.errors import UserError
 from skope.gen.cli.options import RendererOption
-from skope.names import name as check_name
-from skope.outputs import replaceable_output
+from skope.output_folders import replaceable_output
+from skope.safe_names import name as check_name
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
@@ -72,13 +72,13 @@ def show(
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
     from skope import draw
     from skope.gen.inspect.vehicle_sheets import sheet
-    from skope.gen.render.choose import choose_renderer
-    from skope.gen.vehicles import added
+    from skope.gen.render.choose_renderer import choose_renderer
+    from skope.gen.vehicles import user_models
 
     engine, driver, why = choose_renderer(renderer)
     console.say(why)
     models = {model: _loaded(model) for model in _names(name)}
-    files = [added.folder() / model / "vehicle.json" for model in added.names()]
+    files = [user_models.folder() / model / "vehicle.json" for model in user_models.names()]
     with replaceable_output(
         out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}
     ) as drawn:
@@ -114,9 +114,9 @@ def add(
     """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
     from skope.errors import one_of
     from skope.gen.inspect.vehicle_checks import findings
-    from skope.gen.vehicles.added import check_mass, save, vehicle_of
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.markers import read_marked
+    from skope.gen.vehicles.user_models import check_mass, save, vehicle_of
     from skope.schema import VEHICLE_TYPES
 
     called = model.stem if name is None else name
@@ -156,16 +156,16 @@ def _corners(text: str | None) -> dict[str, str] | None:
 def _names(name: str | None = None) -> tuple[str, ...]:
     """All models of the fleet and those that were added, or the one of that name."""
     from skope.errors import one_of
-    from skope.gen.vehicles.added import names
     from skope.gen.vehicles.fleet import fleet
+    from skope.gen.vehicles.user_models import names
 
     everything = tuple(dict.fromkeys((*fleet(), *names())))
     return everything if name is None else (one_of("model", name, everything),)
 
 
 def _loaded(model: str) -> "Vehicle":
-    from skope.gen.vehicles.added import load
     from skope.gen.vehicles.fleet import fleet
+    from skope.gen.vehicles.user_models import load
 
     return fleet()[model].vehicle if model in fleet() else load(model)
 

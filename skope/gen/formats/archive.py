@@ -9,7 +9,7 @@ from typing import Final
 
 from skope.errors import UserError
 from skope.files import replacing
-from skope.names import is_relative
+from skope.safe_names import is_relative
 
 MEMBERS: Final = 2_000_000
 """Most members of an archive."""

@@ -23,7 +23,7 @@ from skope.errors import UserError
 from skope.files import read_json
 from skope.gen.formats.coco_write import CVAT_START, UNSAID
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, DatasetBuilder, bare_name
-from skope.gen.formats.files import Files, InFolder, files_at
+from skope.gen.formats.source_files import Files, InFolder, files_at
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
 

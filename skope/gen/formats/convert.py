@@ -12,11 +12,11 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
-from skope.gen.formats import coco_read, coco_write, kitti, mot, native, skope3d, yolo
+from skope.gen.formats import coco_read, coco_write, folder_and_shards, kitti, mot, skope3d, yolo
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
 from skope.gen.output.writers import FORMATS
-from skope.outputs import move_new
+from skope.output_folders import move_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOpt
 
 def _write(dataset: Dataset, form: str, folder: Path, options: ConversionOptions, console: Console) -> None:
     if form in FORMATS:
-        native.convert(dataset, form, folder, console)
+        folder_and_shards.convert(dataset, form, folder, console)
         return
     if form == _YOLO:
         yolo.write(dataset, folder, options.keypoints, console)

@@ -14,7 +14,7 @@ from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import link, read_bytes, write_bytes, write_json, write_text
 from skope.gen.output import card_text
-from skope.gen.output.counts import Counts, kind_of
+from skope.gen.output.card_counts import Counts, kind_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.version import __version__

@@ -18,7 +18,6 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes
 from skope.camera import Camera
@@ -28,8 +27,7 @@ from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.formats.dataset_builder import place_file
 from skope.schema import Annotation, Box3D, Image
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Van", "minivan": "Van", "other": "Misc"}
 """Names of vehicle types in KITTI's files; every other type is a Car."""

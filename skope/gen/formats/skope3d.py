@@ -1,4 +1,4 @@
-"""Datasets made of the published scenes (see `skope.gen.formats.scenes`), and scenes made of datasets.
+"""Datasets made of the published scenes (see `skope.gen.formats.skope3d_scenes`), and scenes made of datasets.
 
 A hidden point (visible = 0) with a place becomes v = 1, one at 0, 0 becomes v = 0. The order of the keypoints is not
 ours (scheme `skope3d`); a map by name makes `skope33` of those it names.
@@ -24,12 +24,13 @@ from skope.errors import UserError
 from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import DatasetBuilder, frame_rate, licence_beside
-from skope.gen.formats.scenes import VIDEO, ArchiveScene, ArchiveVehicle, Array, archives, scene_of
+from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
 from skope.keypoints import PUBLISHED, SKOPE33, K
-from skope.names import for_opencv
-from skope.names import name as check_name
+from skope.safe_names import for_opencv
+from skope.safe_names import name as check_name
 from skope.sampling import recordings
 from skope.schema import Annotation, Image
+from skope.types import Array
 from skope.video import write_video
 
 LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"

@@ -71,7 +71,7 @@ def _simulation(kept: list[Recording]) -> str:
 
 
 def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> str:
-    from skope.gen.render.choose import choose_renderer, make_renderer
+    from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 
     _, driver, _ = choose_renderer(name)
     recording = recordings[0] if recordings else _empty_street()

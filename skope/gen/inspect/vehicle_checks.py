@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.gen.labels.localize import trilaterate
 from skope.gen.labels.raycast import Fan
-from skope.gen.vehicles.added import AddedVehicle
 from skope.gen.vehicles.fleet import class_ranges
 from skope.gen.vehicles.model import Vehicle
-
-Array = NDArray[np.float64]
+from skope.gen.vehicles.user_models import AddedVehicle
+from skope.types import Array
 
 SURFACE_TOLERANCE: Final = 0.01
 """Metres that a keypoint may be off the surface."""

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 from skope import draw
 from skope.camera import Camera
 from skope.gen.labels.annotate import Rules, annotate
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording
 from skope.gen.scenery.build import STUDIO
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import palette
-
-Array = NDArray[np.float64]
 
 VIEWS: Final = {
     "three quarters front": (35.0, 18.0),

@@ -20,8 +20,8 @@ from skope.gen.vehicles.fleet import build
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import PAINTS
 from skope.schema import Annotation, Box3D
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 OCCLUSION_RULES: Final = ("others", "paper")

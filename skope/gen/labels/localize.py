@@ -3,12 +3,10 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.gen.vehicles.sidecar import wheel_plane
-
-Array = NDArray[np.float64]
+from skope.gen.vehicles.keypoint_separation import wheel_plane
+from skope.types import Array
 
 LOCALIZERS: Final = ("rigid", "trilateration")
 

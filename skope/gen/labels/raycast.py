@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Body
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _PATCH: Final = 16
 """Number of triangles of a patch, which are tested together."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from skope import keypoints
 from skope.gen.output.licences import ADDRESSES
-from skope.page import marks
+from skope.page import html_pieces
 
 Card = Mapping[str, Any]
 
@@ -237,17 +237,17 @@ def _markdown(block: str | list[str] | Command | TextTable) -> list[str]:
 def html(card: Card) -> str:
     """A card as parts of a page, to be unfolded, without its title and summary."""
     return "".join(
-        marks.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS)
+        html_pieces.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS)
         for section in sections(card)
     )
 
 
 def _html(block: str | list[str] | Command | TextTable) -> str:
     if isinstance(block, Command):
-        return marks.tag("pre", escape(block.text), tabindex=0)
+        return html_pieces.tag("pre", escape(block.text), tabindex=0)
     if isinstance(block, list):
-        return marks.tag("ul", *(marks.tag("li", escape(line)) for line in block))
+        return html_pieces.tag("ul", *(html_pieces.tag("li", escape(line)) for line in block))
     if isinstance(block, TextTable):
         rows = [[escape(cell) for cell in row] for row in block.rows]
-        return marks.table(block.head, rows, caption=block.caption, sortable=True)
-    return marks.tag("p", escape(block))
+        return html_pieces.table(block.head, rows, caption=block.caption, sortable=True)
+    return html_pieces.tag("p", escape(block))

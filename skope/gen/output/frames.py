@@ -14,7 +14,7 @@ from skope.depth_files import depth_png
 from skope.errors import UserError, one_of
 from skope.files import json_bytes
 from skope.gen.labels.annotate import Rules, annotate
-from skope.gen.output.counts import kind_of
+from skope.gen.output.card_counts import kind_of
 from skope.gen.output.writers import Labels
 from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording

@@ -9,11 +9,11 @@ from typing import IO, Any, Final, Protocol
 
 import orjson
 
-from skope import coco, names, shards
+from skope import coco, safe_names, shards
 from skope.dataset import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, read_json, sha256_of, write_bytes
-from skope.gen.output.counts import Kind, kind_of
+from skope.gen.output.card_counts import Kind, kind_of
 
 FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
@@ -158,7 +158,7 @@ def unpack_shards(root: Path) -> None:
             stem, _, suffix = name.partition(".")
             kind, ending = ("depth", suffix[len("depth.") :]) if suffix.startswith("depth.") else ("images", suffix)
             if ending != "json":
-                loose = names.relative(f"{shard}: {name}", f"{kind}/{stem}.{ending}")
+                loose = safe_names.relative(f"{shard}: {name}", f"{kind}/{stem}.{ending}")
                 write_bytes(root / loose, shards.read_member(shard, name))
         shard.with_suffix(".json").unlink(missing_ok=True)
         shard.unlink()

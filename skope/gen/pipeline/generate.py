@@ -11,12 +11,12 @@ from pathlib import Path
 from skope.console import Console, minutes
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
-from skope.gen.output import card
+from skope.gen.output import dataset_card
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import Parameters
-from skope.gen.pipeline.store import Store
+from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
-from skope.gen.render.choose import choose_renderer
+from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
 from skope.gen.scene.versions import versions
 
@@ -176,7 +176,7 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     infos, values = store.recordings(), store.read_plan()
     assert values is not None
     counts = store.merge(infos, values["parameters"]["format"])
-    content = card.card(values["parameters"], values["takes"], counts)
+    content = dataset_card.card(values["parameters"], values["takes"], counts)
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from skope.errors import UserError
 from skope.gen.output.frames import FrameFiles, frames_of
-from skope.gen.pipeline.store import Store
+from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import JobQueue, RenderJob, RenderJobSpec, WorkerPool
-from skope.gen.render.choose import choose_renderer, make_renderer
+from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.frames import Encoding, frames_of
-from skope.gen.pipeline.store import Store
-from skope.gen.render.choose import make_renderer
+from skope.gen.pipeline.dataset_store import Store
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.render.gl.context import WORKER
 from skope.gen.scene import recording as recordings

@@ -5,11 +5,9 @@ from dataclasses import dataclass, field
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _OPTICAL_DEPTH: Final = np.array([0.12, 0.19, 0.34])
 """Vertical optical depth of clear air with some haze at red, green and blue, after the 1976 US standard atmosphere and

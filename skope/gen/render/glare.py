@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.render.daylight import temperature_color
-from skope.gen.render.lamps import Lit, lit_lamps
-from skope.gen.render.signals import lit_signals
+from skope.gen.render.traffic_lights import lit_signals
+from skope.gen.render.vehicle_lamps import Lit, lit_lamps
 from skope.gen.scene.conditions import DARK_DEG, Conditions
 from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Scenery
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 COARSE: Final = 4
 """Pixels of the image per cell of the grid, on each axis."""

@@ -11,8 +11,6 @@ from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.render.frame import RenderedFrame, Silhouette
 
-Array = NDArray[np.float64]
-
 _LIMIT: Final = 8192
 _MARGIN: Final = 2
 """Pixels of the pinhole's image beyond what the lens shows."""

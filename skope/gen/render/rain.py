@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-from skope.gen.scene.streams import Stream
 
 Image = NDArray[np.uint8]
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
 from skope.gen.render.rain import Rain
-from skope.gen.render.stream import streamed
+from skope.gen.render.stream_degradation import streamed
 from skope.gen.scene.conditions import DARK_DEG, Conditions
+from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-from skope.gen.scene.streams import Stream
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""

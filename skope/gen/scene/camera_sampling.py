@@ -6,15 +6,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.conditions import Range
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import Site
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 LIMITS: Final[Mapping[str, Range]] = {
     "fov_deg": (5.0, 150.0),

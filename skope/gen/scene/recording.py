@@ -16,17 +16,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import names
+from skope import safe_names
 from skope.camera import Camera
 from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range
-from skope.gen.scene.streams import Stream, rng
+from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sites import Site
 from skope.gen.towns.town import Town, towns
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 VERSION: Final = 3
 """Version of the file format of recordings."""
@@ -100,7 +99,7 @@ class RecordedVehicle:
     """False for bystanders: people on foot and on two wheels. They come after the vehicles."""
 
     def __post_init__(self) -> None:
-        names.name("model", self.model)
+        safe_names.name("model", self.model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +162,9 @@ class Recording:
     """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
 
     def __post_init__(self) -> None:
-        names.name("town", self.town.name)
+        safe_names.name("town", self.town.name)
         for field_name in ("site", "name", "split"):
-            names.name(field_name, getattr(self, field_name))
+            safe_names.name(field_name, getattr(self, field_name))
         road = self.town.road
         if self.photograph is None and road and road.photograph:
             picture = road.picture((self.camera.width, self.camera.height))

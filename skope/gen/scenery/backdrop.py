@@ -5,15 +5,13 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.own_road import Outline, OwnRoad
 from skope.gen.towns.town import Town
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _FAR: Final = 2000.0
 """Radius of level ground around the camera, metres."""

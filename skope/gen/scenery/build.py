@@ -15,19 +15,18 @@ from shapely.ops import unary_union
 from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.scenery.backdrop import backdrop
-from skope.gen.scenery.furniture import furniture, lamp_positions
+from skope.gen.scenery.bridges_and_barriers import structures
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
 from skope.gen.scenery.houses import car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
-from skope.gen.scenery.solid import Solid
-from skope.gen.scenery.structures import structures
+from skope.gen.scenery.quads import Solid
+from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
 from skope.gen.towns.layout import Layout, driven, right_of
 from skope.gen.towns.parking import Bay, lot_bays
 from skope.gen.towns.town import Town
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 STUDIO: Final = Town("studio")
 """An empty place, to look at vehicles."""

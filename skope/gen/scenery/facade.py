@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skope.gen.scenery.solid import Solid
-
-Array = NDArray[np.float64]
+from skope.gen.scenery.quads import Solid
+from skope.types import Array
 
 REVEAL: Final = 0.12
 """How deep windows lie in the wall, metres."""

@@ -5,17 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.houses import House, car_parks, covered, forecourts, paths
-from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush, hedge
 from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, polygons, rectangle, right_of
-
-Array = NDArray[np.float64]
 
 SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""

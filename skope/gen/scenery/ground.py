@@ -15,13 +15,12 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, from_triangles
 from skope.gen.scenery.markings import crossings, markings
+from skope.gen.scenery.road_wear import covers, repairs, sidewalk_covers, tracks
 from skope.gen.scenery.walls import kerbs
-from skope.gen.scenery.wear import covers, repairs, sidewalk_covers, tracks
 from skope.gen.towns.layout import GRID, KERB_WIDTH, Layout, polygons, rectangle
 from skope.gen.towns.parking import bay_lines
 from skope.gen.towns.terrain import COARSEST
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 MARGIN: Final = 320.0
 """How far the ground goes beyond the network, metres."""

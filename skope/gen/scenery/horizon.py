@@ -4,14 +4,12 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, grid
 from skope.gen.scenery.ground import MARGIN
-from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.quads import Solid
 from skope.gen.towns.layout import Layout
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _WALLS: Final = ("concrete", "plaster_grey", "brick_buff", "stone", "plaster_white", "brick_brown", "cladding_grey")
 

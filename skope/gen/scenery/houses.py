@@ -6,19 +6,17 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box
-from skope.gen.scenery import blocks, roof
+from skope.gen.scenery import large_buildings, roof
 from skope.gen.scenery.facade import FacadeStyle, Shop, facade
-from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.quads import Solid
 from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout, beside, driven, polygons, rectangle
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.style import Kind, Row
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 SIGHT: Final = 38.0
 """Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
@@ -189,13 +187,13 @@ def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh
 def _made(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> Mesh:
     half, kind = (house.size[0] / 2, house.size[1] / 2), house.kind
     if kind.form == "silo":
-        return blocks.silo(kind, half[0], house.near, rng)
+        return large_buildings.silo(kind, half[0], house.near, rng)
     if kind.form == "tower":
-        return blocks.tower(kind, half, house.detail, rng).mesh()
+        return large_buildings.tower(kind, half, house.detail, rng).mesh()
     if kind.form == "hall":
-        return blocks.hall(kind, half, house.near, rng).mesh()
+        return large_buildings.hall(kind, half, house.near, rng).mesh()
     if kind.form == "barn":
-        return blocks.barn(kind, half, rng).mesh()
+        return large_buildings.barn(kind, half, rng).mesh()
     return _building(house, _style(kind, rng), joined, rng).mesh()
 
 

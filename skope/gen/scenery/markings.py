@@ -5,13 +5,11 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.ops import substring, unary_union
 
 from skope.gen.towns.layout import Layout, driven, is_minor, is_signalled, joins, legs, rectangle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 CROSSING: Final = (0.7, 3.7)
 """Nearer and farther edge of a crossing, beyond the end of the lanes that stop before it, metres."""

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.quads import Solid
 
 OVERHANG: Final = 0.35
 """How far eaves stand out over the walls, metres."""

@@ -13,8 +13,7 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
 from skope.gen.towns.layout import FAR, Layout, along, free, polygons, rectangle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 CLEARANCE: Final = 0.4
 """Least distance between crowns and the carriageway, metres."""

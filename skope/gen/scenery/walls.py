@@ -11,8 +11,7 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, quads
 from skope.gen.towns.layout import GRID, Layout, polygons
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 WALL: Final = 0.4
 """Height from which a step between carriageway and ground is a retaining wall, metres."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from shapely import Polygon
 
-from skope.gen.simulation.motion import Driven
+from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.layout import Layout, rectangle
 from skope.gen.towns.parking import BAY, Bay
 from skope.gen.towns.town import Town

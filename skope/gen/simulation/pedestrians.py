@@ -7,15 +7,13 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.bystanders.bystander import Bystander, build
 from skope.gen.bystanders.people import Look, lowered
 from skope.gen.traffic.sumo import SumoRider
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _GRAVITY: Final = 9.81
 """m/s^2."""

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.pybullet_engine import engine
+from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.vehicles.model import Vehicle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 SUBSTEPS: Final = 3
 """Physics steps per SUMO step: 120 Hz."""

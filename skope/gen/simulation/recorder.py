@@ -11,15 +11,15 @@ from skope.camera import Camera
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.scene.versions import versions
-from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.parked import Parked
 from skope.gen.simulation.pedestrians import PlacedBystander
 from skope.gen.simulation.physics import Pose, at_rest
+from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
 from skope.gen.vehicles.fleet import FleetEntry, build, fleet
-from skope.gen.vehicles.jitter import jittered
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.shape_jitter import jittered
 
 REACH: Final = 150.0
 """Vehicles nearer to the camera than this are simulated physically, metres."""

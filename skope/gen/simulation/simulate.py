@@ -4,19 +4,19 @@ from typing import Final
 
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import Conditions, ranges
+from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.streams import Stream
 from skope.gen.scenery.build import scenery
-from skope.gen.simulation.motion import drivable, reach
 from skope.gen.simulation.parked import parked
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import REACH, Recorder
+from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import Traffic, step_for
-from skope.gen.vehicles import added
+from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import FleetEntry, fleet
 
 CROWD_REACH: Final = 90.0
@@ -100,7 +100,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     usual = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
     share = ADDED_SHARE * sum(entry.share for entry in models.values())
-    return models | {name: FleetEntry(added.load(name), share) for name in plan.vehicles}
+    return models | {name: FleetEntry(user_models.load(name), share) for name in plan.vehicles}
 
 
 def lamps_on(conditions: Conditions) -> bool:

@@ -20,7 +20,7 @@ from skope.files import read_bytes
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
-from skope.gen.site_files.camera import read_camera
+from skope.gen.site_files.site_camera import read_camera
 from skope.gen.site_files.toml_table import TomlTable
 from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map

@@ -11,19 +11,19 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import shapely
 import sumolib
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import LineString, MultiPolygon, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.camera import Camera
 from skope.gen.mesh import Mesh
-from skope.gen.towns.lefthand import is_lefthand, mirrored
+from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
 from skope.gen.towns.sites import Site, sites_of
 from skope.gen.towns.style import Road, TownStyle, style
 from skope.gen.towns.terrain import GroundSurface, Lanes
 from skope.gen.towns.town import Town
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Region: TypeAlias = Polygon | MultiPolygon
 
 GRID: Final = 1e-4

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import names
+from skope import safe_names
 from skope.camera import Camera
 
 Image = NDArray[np.uint8]
@@ -48,7 +48,7 @@ class OwnRoad:
     """Ground that lies in shadow in the photograph, pixels of the camera's image."""
 
     def __post_init__(self) -> None:
-        names.name("title", self.title)
+        safe_names.name("title", self.title)
 
     @property
     def name(self) -> str:

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.towns.layout import polygons, rectangle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 BAY: Final = (4.8, 2.6)
 """Length and width of a bay, metres."""

@@ -4,14 +4,12 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, Point
 from shapely.ops import unary_union
 
 from skope.gen.towns.layout import KERB_WIDTH, Layout, driven
 from skope.gen.towns.town import Town
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _SHORTEST: Final = 20.0
 """Metres that are worth walking."""

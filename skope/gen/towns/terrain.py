@@ -9,8 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from skope.gen.towns.style import Terrain
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _NEAR: Final = 0.25
 """Softens the weights of lanes, metres."""

@@ -4,17 +4,15 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.tower import Tower, arch, corner_w
-
-Array = NDArray[np.float64]
+from skope.gen.vehicles.upright_shells import Tower, arch, corner_w
+from skope.types import Array
 
 _LEFT = (0.0, 1.0, 0.0)
 

@@ -4,13 +4,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
-from skope.gen.vehicles.greenhouse import Greenhouse
+from skope.gen.vehicles.cabin import Greenhouse
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import (
+from skope.gen.vehicles.lofted_surfaces import (
     BOTTOM,
     CENTER,
     FLOOR,
@@ -27,8 +26,7 @@ from skope.gen.vehicles.loft import (
 )
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 ARCH: Final = 1.13
 """Radius of a wheel arch, in radii of its wheel."""

@@ -8,22 +8,20 @@ from importlib import resources
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError
 from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.added import load
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck import TruckBody
+from skope.gen.vehicles.user_models import load
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
 

@@ -3,15 +3,13 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.loft import FRONT_END, SIDE_START, WRAP, Surface
+from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, mirrored, plate_height, quad, rectangle, rounded, within
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _LOGO: Final = 0.042
 """Radius of the logo, metres."""

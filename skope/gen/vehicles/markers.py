@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.errors import UserError
 from skope.gen.mesh import Mesh, from_triangles, merged
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoints.WHEELS)
 """front_right, front_left, rear_right, rear_left."""

@@ -5,13 +5,11 @@ from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, simplified
+from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.shape import Dimensions
-from skope.gen.vehicles.sidecar import Sidecar
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 COARSE: Final = 0.25
 """Share of its triangles, about, that a body far away is drawn with."""

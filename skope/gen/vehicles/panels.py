@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.gen.vehicles.parts import PLATE_STEP
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Points = dict[str, Array]
 
 

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, quads
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 PLATE_STEP = 0.125
 """Plates hang at multiples of this height above the road, metres: by it the renderer tells their rows of text."""

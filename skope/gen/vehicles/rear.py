@@ -1,15 +1,13 @@
 """The rears of vehicles: tail lamps, plate in its recess, bumper, reflectors, exhausts."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.loft import FRONT_END, SIDE_START, WRAP, Surface
+from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, plate_height, quad, rectangle, rounded, within
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _RIM = 0.009
 """Width of the dark rim around a tail lamp, metres."""

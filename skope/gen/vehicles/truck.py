@@ -3,18 +3,16 @@
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.loft import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.tower import ARCH, Tower, arch, corner_w
+from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _GAP = 0.09
 """Gap between cab and body, metres."""

@@ -1,11 +1,9 @@
 """Wheels: tyre, rim with spokes, brake disc."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.mesh import Mesh, lathe, merged, quads
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _SIDES = 20
 

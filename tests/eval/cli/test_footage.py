@@ -18,9 +18,9 @@ import sumolib
 from skope import coco
 from skope.camera import Camera
 from skope.eval.inference import stream
-from skope.eval.inference.blur import blurred
+from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
-from skope.eval.pose import errors, fit_camera
+from skope.eval.pose import fit_camera, pose_errors
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene, read_camera
 from skope.files import write_json
@@ -294,7 +294,7 @@ def test_a_sloping_road_that_is_known_costs_nothing() -> None:
         assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
     file = drive(1, 5, speeds=(8.0, 0.0))
     level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
-    a, b = errors.measure(level, noise=1), errors.measure(sloping, noise=1)
+    a, b = pose_errors.measure(level, noise=1), pose_errors.measure(sloping, noise=1)
     assert b.position == pytest.approx(a.position, abs=2e-3)
     assert b.heading == pytest.approx(a.heading, abs=0.1)
 
@@ -330,10 +330,10 @@ def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         return Box3D(center=np.array([x, 0, 1]), size_lwh=np.array([length, 2, 2]), yaw=yaw, R=R)
 
-    assert errors.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
-    assert errors.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
-    assert errors.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
-    assert errors.iou_3d(box(0, 0), box(9, 0)) == 0
+    assert pose_errors.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
+    assert pose_errors.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
+    assert pose_errors.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
+    assert pose_errors.iou_3d(box(0, 0), box(9, 0)) == 0
 
 
 def test_predictions_are_measured_against_the_vehicles_they_match(skope: Any) -> None:

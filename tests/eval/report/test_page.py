@@ -14,7 +14,7 @@ from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options
 from skope.metrics.split_scores import SplitScores, measure
 from skope.page.charts import Axes, Line, chart
-from skope.page.outline import plan
+from skope.page.vehicle_outline import plan
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page
 from tests.samples import make_annotation, make_dataset, make_image
@@ -147,7 +147,7 @@ def test_quality_is_what_the_page_says() -> None:
 
 def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Path) -> None:
     from skope.eval.report import render
-    from skope.metrics.figures import document
+    from skope.metrics.precision_recall import document
 
     measured = measured_split(4)
     text = render(document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None)

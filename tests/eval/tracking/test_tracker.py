@@ -14,11 +14,11 @@ import pytest
 from skope import coco
 from skope.errors import UserError
 from skope.eval.pose.views import read_scene
-from skope.eval.tracking import run
+from skope.eval.tracking import track_footage
 from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
-from skope.metrics import inputs
+from skope.metrics import read_inputs
 from skope.schema import Result
 from tests.eval.cli.test_footage import rows_of
 from tests.eval.sightings import drive
@@ -204,7 +204,7 @@ def test_a_killed_run_goes_on_after_the_poses_it_has(skope: Any, monkeypatch: py
     call = ("eval", "track", "--annotations", "road.json", "--noise", 1, "-q")
     assert skope(*call, "--out", "whole")[0] == 0
     located: list[int] = []
-    locate_view = run.locate_view
+    locate_view = track_footage.locate_view
 
     def dies(view: Any, scene: Any) -> Any:
         if len(located) == 8:
@@ -213,11 +213,11 @@ def test_a_killed_run_goes_on_after_the_poses_it_has(skope: Any, monkeypatch: py
         return locate_view(view, scene)
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "locate_view", dies)
+        patch.setattr(track_footage, "locate_view", dies)
         assert skope(*call, "--out", "parts")[0] == 130
     located.clear()
     monkeypatch.setattr(
-        run, "locate_view", lambda view, scene: located.append(view.image.id) or locate_view(view, scene)
+        track_footage, "locate_view", lambda view, scene: located.append(view.image.id) or locate_view(view, scene)
     )
     assert skope(*call, "--out", "parts")[0] == 0
     assert located == list(range(9, 21))
@@ -255,13 +255,13 @@ def results_of(count: int) -> list[Result]:
 def test_results_in_order_are_read_one_by_one(tmp_path: Path) -> None:
     file = replace(drive(1, 10, speeds=()), annotations=())
     coco.write_results(tmp_path / "r.json", results_of(12))
-    streamed = inputs.stream_results(tmp_path / "r.json", file)
-    assert isinstance(streamed, inputs.ResultsFile)
+    streamed = read_inputs.stream_results(tmp_path / "r.json", file)
+    assert isinstance(streamed, read_inputs.ResultsFile)
     for _ in range(2):
         read = list(streamed)
         assert [coco.result_to_dict(r) for r in read] == [coco.result_to_dict(r) for r in results_of(12)]
     coco.write_results(tmp_path / "mixed.json", results_of(12)[::-1])
-    assert isinstance(inputs.stream_results(tmp_path / "mixed.json", file), tuple)
+    assert isinstance(read_inputs.stream_results(tmp_path / "mixed.json", file), tuple)
 
     coco.write(tmp_path / "frames.json", file)
     views = [

@@ -12,9 +12,9 @@ from skope import keypoints
 from skope.gen.inspect.vehicle_checks import distance_to_surface, findings
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.fleet import build, fleet
-from skope.gen.vehicles.jitter import jittered
+from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.model import Vehicle
-from skope.gen.vehicles.sidecar import Sidecar
+from skope.gen.vehicles.shape_jitter import jittered
 from tests.gen.rays import distance_to_triangles
 
 

@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules, _segmentation, annotate, bbox_of, behind, locate, occluded_by_others
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate

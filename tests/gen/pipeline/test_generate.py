@@ -17,7 +17,7 @@ from skope import coco
 from skope.cli import main
 from skope.dataset import open_dataset
 from skope.gen.inspect.check import check
-from skope.gen.pipeline.store import Store
+from skope.gen.pipeline.dataset_store import Store
 from tests.gen.small import SMALL, content, gen
 
 

@@ -7,7 +7,7 @@ import pytest
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules, annotate
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.lens import Lens, pinhole_of
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing

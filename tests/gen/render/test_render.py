@@ -6,10 +6,10 @@ import pytest
 from skope.camera import Camera
 from skope.gen.inspect import doctor
 from skope.gen.mesh import flat
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.render.materials import MATERIALS, Light
-from skope.gen.render.tiny import _Stage
+from skope.gen.render.tiny_renderer import _Stage
 from skope.gen.scene.recording import Recording
 from skope.gen.simulation.pybullet_engine import engine
 from tests.gen.rays import cast, vehicle_triangles

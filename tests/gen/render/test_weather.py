@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from skope.camera import Camera
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.render.gl.light import STANDING, _signed
-from skope.gen.render.lamps import lamps_of, lit_lamps
 from skope.gen.render.sensor import sigma_of
+from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
 from skope.gen.scene.bodies import body_of
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import Recording

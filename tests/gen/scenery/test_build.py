@@ -9,8 +9,8 @@ from skope.gen.mesh import Mesh, quads, tube
 from skope.gen.render.materials import GROUND, MATERIALS
 from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
-from skope.gen.scenery.furniture import CLEARANCE
-from skope.gen.scenery.solid import Solid
+from skope.gen.scenery.quads import Solid
+from skope.gen.scenery.street_furniture import CLEARANCE
 from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
 from skope.gen.towns.town import Town, towns
 from tests.gen.rays import cast

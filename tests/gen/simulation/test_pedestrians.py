@@ -12,7 +12,7 @@ from skope.gen.bystanders.bystander import KINDS, build
 from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.recorder import FLASH, flashed
 from skope.gen.traffic.sumo import LAMPS, STEP, SumoRider

@@ -7,10 +7,10 @@ import pytest
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder
 from skope.gen.simulation.simulate import simulate
+from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import LAMPS, STEP, Traffic

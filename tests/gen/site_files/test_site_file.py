@@ -24,7 +24,7 @@ from skope.errors import UserError
 from skope.gen.inspect.check import check
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import Parameters, from_preset
-from skope.gen.render.choose import make_renderer
+from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.photograph import fitted
 from skope.gen.render.gl.renderer import device
@@ -37,7 +37,7 @@ from skope.gen.simulation.simulate import simulate
 from skope.gen.site_files.site_file import OwnSite, read_site
 from skope.gen.towns import netconvert
 from skope.gen.towns.layout import Layout, driven
-from skope.gen.towns.lefthand import is_lefthand, mirrored
+from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
 from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.sites import site, site_of

@@ -13,8 +13,8 @@ from skope.gen.inspect.town_maps import town_map
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.render.materials import GROUND
+from skope.gen.scenery.bridges_and_barriers import GANTRY_CLEARANCE
 from skope.gen.scenery.build import scenery
-from skope.gen.scenery.structures import GANTRY_CLEARANCE
 from skope.gen.towns.layout import Layout, driven
 from skope.gen.towns.sites import sites
 from skope.gen.towns.town import Town, folder, source_digest, towns

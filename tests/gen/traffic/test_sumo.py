@@ -10,9 +10,9 @@ from shapely import Polygon
 from skope.gen.scene.recording import Moment, Recording, RecordingPlan
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation import simulate as simulation
-from skope.gen.simulation.motion import Driven
 from skope.gen.simulation.physics import World
 from skope.gen.simulation.simulate import simulate
+from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.sites import site, sites
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import in_town, ways

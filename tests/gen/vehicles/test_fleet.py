@@ -8,9 +8,9 @@ from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
 from skope.gen.vehicles.fleet import build, class_ranges, fleet
-from skope.gen.vehicles.jitter import jittered
+from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.model import Vehicle
-from skope.gen.vehicles.sidecar import Sidecar
+from skope.gen.vehicles.shape_jitter import jittered
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
 

@@ -12,8 +12,8 @@ from skope import draw
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.keypoints import Scheme
-from skope.page import stage
-from skope.page.marks import tag
+from skope.page import image_viewer
+from skope.page.html_pieces import tag
 from skope.schema import Annotation, Image
 
 LAYERS: Final = {
@@ -44,7 +44,7 @@ def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> st
     caption = ", ".join(part for part in (image.split, image.site, image.weather, _sun(image), words) if part)
     photo = tag(
         "img",
-        src=stage.jpeg(photograph),
+        src=image_viewer.jpeg(photograph),
         alt=f"{caption}: {image.file_name}",
         width=image.width,
         height=image.height,
@@ -55,7 +55,11 @@ def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> st
         "figure",
         tag("figcaption", larger, tag("b", escape(image.file_name)), tag("div", escape(caption))),
         tag(
-            "div", photo, _depth(metres), stage.drawing(_layers(image, vehicles, dataset.scheme), size), class_="stage"
+            "div",
+            photo,
+            _depth(metres),
+            image_viewer.drawing(_layers(image, vehicles, dataset.scheme), size),
+            class_="stage",
         ),
         class_="photo",
         data_split=image.split,
@@ -69,7 +73,9 @@ def _depth(metres: NDArray[np.float32] | None) -> str:
     """Depth as a picture over the photograph, hidden until its layer is switched on."""
     if metres is None:
         return ""
-    return tag("img", src=stage.jpeg(draw.depth(metres), longest=_DEPTH), alt="", loading="lazy", class_="depth off")
+    return tag(
+        "img", src=image_viewer.jpeg(draw.depth(metres), longest=_DEPTH), alt="", loading="lazy", class_="depth off"
+    )
 
 
 def _sun(image: Image) -> str:
@@ -84,20 +90,20 @@ def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> lis
     kinds: dict[str, Callable[[Annotation], str]] = {
         "masks": _mask,
         "boxes3d": lambda vehicle: _box_3d(image, vehicle),
-        "boxes": lambda vehicle: stage.box(vehicle.bbox, _words(vehicle)),
+        "boxes": lambda vehicle: image_viewer.box(vehicle.bbox, _words(vehicle)),
         "points": lambda vehicle: _points(vehicle, _scale(vehicle, image), scheme),
     }
     layers = [
         tag("g", *(_own(vehicle, of(vehicle), _scale(vehicle, image)) for vehicle in known), class_=name)
         for name, of in kinds.items()
     ]
-    ignored = [stage.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
+    ignored = [image_viewer.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
     return [tag("g", *ignored, class_="ignored"), *layers]
 
 
 def _scale(vehicle: Annotation, image: Image) -> float:
     """How large points are drawn: small on small vehicles, where they would run together."""
-    return float(np.clip(vehicle.bbox[2:].max() / 60, 0.3, stage.unit(image.width)))
+    return float(np.clip(vehicle.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 
 def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
@@ -127,7 +133,7 @@ def _words(vehicle: Annotation) -> str:
 
 def _points(vehicle: Annotation, scale: float, scheme: Scheme) -> str:
     seen = vehicle.keypoints[:, 2]
-    return stage.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
+    return image_viewer.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
 
 
 def _box_3d(image: Image, vehicle: Annotation) -> str:
@@ -138,8 +144,8 @@ def _box_3d(image: Image, vehicle: Annotation) -> str:
     for pieces, front in draw.edges_3d(vehicle.box_3d, image.camera):
         if pieces and straight:
             pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
-        ends[front] += "".join(f"M{stage.place(start)}L{stage.place(end)}" for start, end in pieces)
-    return stage.path(ends[False], "edges_3d") + stage.path(ends[True], "front")
+        ends[front] += "".join(f"M{image_viewer.place(start)}L{image_viewer.place(end)}" for start, end in pieces)
+    return image_viewer.path(ends[False], "edges_3d") + image_viewer.path(ends[True], "front")
 
 
 def _mask(vehicle: Annotation) -> str:
@@ -149,4 +155,4 @@ def _mask(vehicle: Annotation) -> str:
         return ""
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = [cv2.approxPolyDP(contour, 0.7, True)[:, 0] + 0.5 for contour in contours]
-    return stage.path("".join(f"M{'L'.join(stage.place(p) for p in ring)}Z" for ring in rings), "area")
+    return image_viewer.path("".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area")

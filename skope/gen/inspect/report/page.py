@@ -17,8 +17,8 @@ from skope.gen.inspect.report.sample import spread
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
 from skope.gen.output import card_text
 from skope.page import document
-from skope.page.marks import table, tag
-from skope.page.stage import switches
+from skope.page.html_pieces import table, tag
+from skope.page.image_viewer import switches
 from skope.schema import Annotation, Image
 
 Labelled = tuple[Image, Sequence[Annotation]]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.keypoints import Scheme
 from skope.page.charts import Axes, Line, chart
-from skope.page.marks import bar, share, table
-from skope.page.outline import Point, outline
+from skope.page.html_pieces import bar, share, table
+from skope.page.vehicle_outline import Point, outline
 from skope.schema import Annotation, AnnotationFile
 
 _BANDS: Final = 20

@@ -14,13 +14,12 @@ from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl import photograph
 from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
-from skope.gen.render.gl.lamps import StreetLights
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
+from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 SCALE: Final = 2
 """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""

@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera
 from skope.gen.render.gl.context import Device
-from skope.gen.render.gl.placer import PlacedVehicle
-from skope.gen.render.lamps import has_headlights
-from skope.gen.render.windows import beam_corners, beam_hull_of
+from skope.gen.render.gl.placed_vehicles import PlacedVehicle
+from skope.gen.render.image_windows import beam_corners, beam_hull_of
+from skope.gen.render.vehicle_lamps import has_headlights
 from skope.gen.traffic.sumo import LAMPS
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 IRRADIANCE: Final = 0.06
 """Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
+from skope.gen.render.image_windows import Window
 from skope.gen.render.materials import GLOSS, MATERIALS
-from skope.gen.render.windows import Window
 from skope.gen.traffic.sumo import LAMPS
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 NEAR: Final = 0.3
 FAR: Final = 1500.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.gl import lamps
+from skope.gen.render.gl import street_lights
 from skope.gen.render.gl.context import (
     Device,
     DeviceMesh,
@@ -24,12 +24,12 @@ from skope.gen.render.gl.context import (
     projection,
     put,
 )
-from skope.gen.render.gl.lamps import StreetLights
+from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
 from skope.gen.scene.conditions import Conditions
+from skope.types import Array
 
-Array = NDArray[np.float64]
 Parts = list[tuple[DeviceMesh, tuple[str, ...]]]
 """Meshes with the options of the programs that draw them."""
 
@@ -78,7 +78,10 @@ class Stage:
         self.lamp_vectors = self.street_lights.on_ground()
         self.daylight = replace(daylight, lamplight=self.street_lights.mean(self.lamp_vectors))
         daylight = self.daylight
-        self.options = (*(lamps.OPTIONS if daylight.dark else ()), *(("WET",) if conditions.wetness > 0 else ()))
+        self.options = (
+            *(street_lights.OPTIONS if daylight.dark else ()),
+            *(("WET",) if conditions.wetness > 0 else ()),
+        )
         self._seen, self._casting = _scenery_parts(device, mesh, _Eye.of(camera))
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
@@ -207,10 +210,15 @@ class Stage:
         """Shadow maps of the nearest street lights; None when none burns."""
         if not self.daylight.dark:
             return None
-        maps = self.device.shadow_map(lamps.CELLS * lamps.CELL)
+        maps = self.device.shadow_map(street_lights.CELLS * street_lights.CELL)
         for k in range(self.street_lights.shadowed):
-            row, column = divmod(k, lamps.CELLS)
-            maps.viewport = (column * lamps.CELL, row * lamps.CELL, lamps.CELL, lamps.CELL)
+            row, column = divmod(k, street_lights.CELLS)
+            maps.viewport = (
+                column * street_lights.CELL,
+                row * street_lights.CELL,
+                street_lights.CELL,
+                street_lights.CELL,
+            )
             self.draw_depth(maps, self.street_lights.clip(k))
         return maps
 

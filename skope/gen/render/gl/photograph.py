@@ -19,8 +19,7 @@ from skope.gen.scenery.backdrop import plates
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.town import Town
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _ROAD: Final = linear(np.array(MATERIALS["asphalt_worn"]))
 """(3,) share of the light that a road returns."""

@@ -19,13 +19,12 @@ from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
-from skope.gen.render.gl.lamps import MAP_RADIUS
-from skope.gen.render.gl.motion import Moving, moving
-from skope.gen.render.gl.placer import PARTS, PlacedVehicle, Placer
+from skope.gen.render.gl.motion_blur import Moving, moving
+from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle, Placer
 from skope.gen.render.gl.reflections import Reflections
+from skope.gen.render.gl.street_lights import MAP_RADIUS
 from skope.gen.render.glare import Glare
-from skope.gen.render.signals import light_signals
-from skope.gen.render.windows import (
+from skope.gen.render.image_windows import (
     CONTACT,
     Window,
     crossing,
@@ -36,11 +35,11 @@ from skope.gen.render.windows import (
     tiles,
     union,
 )
+from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import Body
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 SHADOW_MAP: Final = 2048
 FAR: Final = 30.0

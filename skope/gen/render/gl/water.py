@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
-
-Array = NDArray[np.float64]
+from skope.types import Array
 
 _NEAR_ROAD: Final = 45.0
 """Depth up to which the plane is fitted to the ground, metres."""

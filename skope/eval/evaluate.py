@@ -1,0 +1,210 @@
+"""`skope eval`: predict (or read results), match, measure, draw, write, print."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from skope import coco, draw, keypoints, shards
+from skope.console import Console
+from skope.dataset import read_image
+from skope.errors import UserError
+from skope.eval import report
+from skope.eval.inference.progress import Progress
+from skope.eval.inference.settings import Settings
+from skope.eval.report import table
+from skope.files import write_json, write_text
+from skope.metrics import precision_recall, read_inputs
+from skope.metrics.counts import Options
+from skope.metrics.read_inputs import GroundTruth
+from skope.metrics.split_scores import measure, to_tallies
+from skope.output_folders import claim_output
+from skope.sampling import take
+from skope.schema import AnnotationFile, Result
+
+if TYPE_CHECKING:
+    from skope.eval.inference.predictor import Predictor
+
+REPORT: Final = "report.html"
+OVERLAYS: Final = 4
+"""How many pictures of each split are drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalJob:
+    """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
+
+    truth: GroundTruth
+    out: Path
+    options: Options
+    protocol: str
+    checkpoint: Path | None
+    predictions: Path | None
+    settings: Settings
+    """How `checkpoint` is run."""
+    fast: bool = False
+    """Carry only the detections that count through the keypoint head."""
+    max_images: int | None = None
+    scheme: str = keypoints.SCHEME
+    """Keypoint scheme of the detector."""
+    beside_paper: bool = False
+    """Print the published rows below ours."""
+
+
+def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
+    """Evaluate a detector or its results, and write everything under `job.out`.
+
+    Args:
+        job: What to evaluate, and how.
+        console: Where progress and the table are printed.
+        width: Width of the printed table, characters.
+
+    Returns:
+        What `metrics.json` holds.
+
+    Raises:
+        UserError: Images or boxes are missing, the output folder holds other work, or files are malformed.
+    """
+    splits = [read_inputs.limit(file, job.max_images) for file in job.truth.splits]
+    for file in splits:
+        read_inputs.check_boxes(file, job.options.boxes)
+    if job.checkpoint:
+        _check_images(splits, job.truth.root)
+    predictor = _predictor(job, console) if job.checkpoint else None
+    results = {} if predictor else _read(job, splits)
+    work = _claim(job, predictor)
+    results |= _predicted(job, predictor, splits) if predictor else {}
+    calibrated = predictor.calibrated if predictor else None
+    measured = [
+        measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
+    ]
+    entries = {split.file.name: split.entry for split in measured}
+    document = precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
+    write_json(job.out / "metrics.json", document)
+    tallies = {split.file.name: to_tallies(split) for split in measured}
+    write_text(job.out / "tallies.json", json.dumps({"version": precision_recall.VERSION, "splits": tallies}) + "\n")
+    beside = table.published() if job.beside_paper else None
+    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside)
+    write_text(job.out / REPORT, page)
+    pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
+
+    console.result(table.render(document, job.protocol, width, beside=beside))
+    for line in _advice(job, entries, results):
+        console.result(line)
+    console.result(_last_line(job, splits, pictures))
+    return document
+
+
+def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
+    """Raise a UserError where images are missing, before hours are spent on the others."""
+    for file in splits:
+        missing = [image.file_name for image in file.images if shards.size(root / image.file_name) < 0]
+        if missing:
+            count = f"{len(missing)} of {len(file.images)} images"
+            raise UserError(f"{root / missing[0]}: no such file; split {file.name} lacks {count}")
+
+
+def _predictor(job: EvalJob, console: Console) -> "Predictor":
+    """The checkpoint on its device, whose keypoints are those of the ground truth."""
+    from skope.eval.inference.predictor import Predictor  # torch
+
+    assert job.checkpoint is not None
+    settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
+    predictor = Predictor(job.checkpoint, settings, console)
+    predictor.check_scheme(job.truth.scheme, job.truth.root)
+    return predictor
+
+
+def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
+    """The output folder, taken for this evaluation; what `work.json` says of it."""
+    scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
+    options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
+    settings = {name: getattr(job.settings, name) for name in ("given", "precision")}
+    splits = [file.name for file in job.truth.splits]
+    more = {"splits": splits, "fast": job.fast, "max_images": job.max_images}
+    return claim_output(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
+
+
+def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+    """Run the detector on all splits; split name -> its results. Goes on after what a stopped run has found."""
+    out = {}
+    for file in splits:
+        path = job.out / f"predictions_{file.name}.json"
+        progress = Progress(job.out / f".predictions_{file.name}.jsonl", ("image_id", "results"))
+        rows = {row["image_id"]: row["results"] for row in progress.rows()}
+        for image_id, results in predictor.by_image(file, job.truth.root, rows):
+            rows[image_id] = [coco.result_to_dict(result) for result in results]
+            progress.add({"image_id": image_id, "results": rows[image_id]})
+        found = [coco.result_from_dict(row) for image in file.images for row in rows[image.id]]
+        coco.write_results(path, found)
+        progress.end()
+        # Results are read back from the file, which rounds them, so that scoring the file later gives the same figures.
+        out[file.name] = coco.read_results(path)
+    return out
+
+
+def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+    assert job.predictions is not None
+    (whole,), (part,) = job.truth.splits, splits
+    return {part.name: read_inputs.for_images(read_inputs.read_results(job.predictions, whole, job.scheme), part)}
+
+
+def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
+    """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
+    few = take(file, OVERLAYS)
+    truth = few.by_image()
+    written = []
+    for i, image in enumerate(few.images, start=1):
+        source = job.truth.root / image.file_name
+        if shards.size(source) < 0:
+            continue
+        try:
+            pixels = read_image(source, size=(image.width, image.height))
+        except UserError as error:
+            console.say(f"no overlay: {error}")
+            continue
+        scale = 2 if image.width < 960 else 1
+        found = [r for r in results if r.image_id == image.id and r.score > job.options.score]
+        labels = draw.annotations(pixels, truth[image.id], scale=scale, scheme=file.scheme)
+        answers = draw.results(pixels, found, scale=scale, scheme=file.scheme)
+        panels = [
+            draw.caption(labels, f"ground truth  {image.file_name}"),
+            draw.caption(answers, f"{len(found)} detections > {job.options.score:g}"),
+        ]
+        path = job.out / "overlays" / f"{file.name}_{i}.jpg"
+        draw.write(path, draw.contact_sheet(panels, columns=2))
+        written.append(path)
+    return written
+
+
+def _advice(job: EvalJob, entries: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
+    """What to say of splits in which nothing scored high enough to count."""
+    silent = [name for name, split in entries.items() if split["ground_truth"] and not split["detections"]]
+    if not silent:
+        return []
+    highest = max((r.score for name in silent for r in results[name]), default=None)
+    seen = "there is none at all" if highest is None else f"the highest score is {highest:.3f}"
+    lines = ["", f"No detection scores above {job.options.score:g} in {', '.join(silent)}: {seen}."]
+    if job.checkpoint:
+        lines.append(
+            "What helps: longer training (`skope train --epochs N --resume`), `--recipe scratch` where training starts "
+            "from random weights, `--init coco` to start from weights trained on COCO, and more images."
+        )
+    if highest:
+        lower = f"--score {_below(highest):g} --out {job.out}_{_below(highest):g}"
+        lines.append(f"To see what there is: `skope eval {lower}`. AP counts all detections.")
+    return lines
+
+
+def _below(score: float) -> float:
+    """A round threshold that lets through what scores best."""
+    return next((t for t in (0.7, 0.5, 0.3, 0.1) if t < score), 0.0)
+
+
+def _last_line(job: EvalJob, splits: Sequence[AnnotationFile], pictures: Sequence[Path]) -> str:
+    names = "{" + ",".join(file.name for file in splits) + "}" if len(splits) > 1 else splits[0].name
+    files = ["metrics.json", "tallies.json"]
+    files += [f"predictions_{names}.json"] if job.checkpoint else []
+    files += [f"{pictures[0].parent.name}/"] if pictures else []
+    return f"Wrote {', '.join(files)} to {job.out}; open {job.out / REPORT}"

@@ -1,0 +1,160 @@
+"""A dataset's card: dataset.json for programs, README.md for people and croissant.json for catalogues."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from skope import keypoints, schema
+from skope.dataset import CARD, read_manifest
+from skope.depth_files import DEPTH_SCALE
+from skope.errors import UserError
+from skope.files import write_json, write_text
+from skope.gen.labels import annotate
+from skope.gen.labels.annotate import Rules
+from skope.gen.output import card_text, licences
+from skope.gen.output.card_counts import Counts
+from skope.gen.output.croissant import croissant
+from skope.gen.output.frames import Encoding
+from skope.gen.vehicles.fleet import fleet
+
+CROISSANT: Final = "croissant.json"
+PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
+_PARAMETERS: Final[dict[str, type]] = {
+    **dict.fromkeys(("preset", "size", "renderer", "driver", "format"), str),
+    **dict.fromkeys(("rules", "encoding", "frames", "settings", "cameras", "vehicles", "versions"), dict),
+    "seed": int,
+    "sites": list,
+    "shape_jitter": bool,
+    "interval_s": float,
+    "fov_deg": float,
+}
+"""Parameters that a card must have, with their types; `own`, which may be null, is checked apart."""
+_KINDS: Final = {str: "text", dict: "an object", int: "a whole number", list: "a list", bool: "true or false"}
+
+
+def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dict[str, Any]:
+    """The content of dataset.json.
+
+    Args:
+        values: Parameters, as `Parameters.to_dict` gives them.
+        takes: Site, name, split and number of frames of each recording.
+        counts: Images and vehicles of the whole dataset.
+    """
+    own, solid = values["own"], values["renderer"] == "pybullet"
+    return {
+        "version": schema.VERSION,
+        "keypoint_scheme": keypoints.SCHEME,
+        "format": values["format"],
+        "seed": values["seed"],
+        "command": command(values),
+        "counts": counts.to_dict(),
+        "label_rules": label_rules(Rules(**values["rules"])),
+        "occlusion_rules": {
+            "vehicles": counts.tally["vehicles"],
+            "taken_by_others": counts.tally["occluded_others"],
+            "taken_by_paper": counts.tally["occluded_paper"],
+        },
+        "localizer_difference_m": counts.localizer_difference(),
+        "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther"
+        if values["encoding"]["depth"]
+        else "none",
+        "renderer": values["renderer"],
+        "foliage": "solid in depth and visibility" if solid else "cut out leaf by leaf",
+        "fleet": {
+            "held_out": sorted(name for name, entry in fleet().items() if entry.held_out),
+            "substituted": {
+                name: list(entry.vehicle.substituted) for name, entry in fleet().items() if entry.vehicle.substituted
+            },
+        },
+        "versions": values["versions"],
+        "parameters": values,
+        "takes": takes,
+        "licence": PHOTOGRAPH.format(_licence(values)) if own and own["photograph"] else _licence(values),
+    }
+
+
+def check_parameters(path: Path, values: Any) -> None:
+    """Raise a UserError, naming their file and the field, unless `values` are what `Parameters.to_dict` gives."""
+    if not isinstance(values, dict):
+        raise UserError(f"{path}: parameters: expected an object, got {_told(values)}")
+    for name, kind in _PARAMETERS.items():
+        if not isinstance(values.get(name), int | float if kind is float else kind):
+            expected = _KINDS.get(kind, "a number")
+            raise UserError(f"{path}: parameters.{name}: expected {expected}, got {_told(values.get(name))}")
+    if not all(isinstance(site, str) for site in values["sites"]):
+        raise UserError(f"{path}: parameters.sites: expected names, got {_told(values['sites'])}")
+    if not isinstance(values.get("own"), dict | None):
+        raise UserError(f"{path}: parameters.own: expected an object or null, got {_told(values['own'])}")
+    for name, example in (("rules", Rules()), ("encoding", Encoding())):
+        if values[name].keys() != asdict(example).keys():
+            raise UserError(
+                f"{path}: parameters.{name}: expected {', '.join(asdict(example))}, got {_told(values[name])}"
+            )
+
+
+def _told(value: Any) -> str:
+    return "nothing" if value is None else f"{value!r:.60}"
+
+
+def command(p: Mapping[str, Any]) -> str:
+    """The command that makes the same dataset again."""
+    rules, encoding, counts = p["rules"], p["encoding"], set(p["frames"].values())
+    parts = [f"skope gen --preset {p['preset']} --seed {p['seed']}"]
+    parts.append(f"--site {p['own']['file']}" if p["own"] else f"--sites {','.join(p['sites'])}")
+    if len(counts) == 1:  # else they are the preset's
+        parts.append(f"--frames {counts.pop()}")
+    parts.append(f"--interval {p['interval_s']} --size {p['size']}")
+    if not p["own"]:
+        parts.append(f"--fov {p['fov_deg']}")
+    parts.append(f"--renderer {p['renderer']} --localizer {rules['localizer']} --occlusion-rule {rules['occlusion']}")
+    parts.append(f"--min-visible {rules['min_visible']} --min-box {rules['min_box']}")
+    if encoding != asdict(Encoding()):
+        parts.append(f"--image-format {encoding['image']} --quality {encoding['quality']}")
+        parts += [] if encoding["depth"] else ["--no-depth"]
+    parts += [f"--format {p['format']}"] if p["format"] != "folder" else []
+    parts += [f"--vehicles {','.join(p['vehicles'])}"] if p["vehicles"] else []
+    parts += ["--shape-jitter"] if p["shape_jitter"] else []
+    parts += ["--camera-jitter"] if "zoom_by" in p["cameras"] else []
+    parts += [f"--licence {shlex.quote(_licence(p))}"] if _licence(p) != licences.DEFAULT else []
+    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p["settings"].items())])
+
+
+def _licence(values: Mapping[str, Any]) -> str:
+    # Folders that were begun before it could be chosen do not have it.
+    return str(values.get("licence", licences.DEFAULT))
+
+
+def label_rules(rules: Rules) -> list[str]:
+    """The rules behind the labels, in words."""
+    by_rule = {
+        "others": "ignored (occluded) when something else hides more than half of its keypoints inside the image",
+        "paper": "removed when more than half of its 33 keypoints are hidden, by itself or by anything else",
+    }[rules.occlusion]
+    return [
+        "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
+        "v = 0: outside the image, x = y = 0.",
+        f"A keypoint is hidden when it lies more than {annotate.POINT_TOLERANCE} m behind the surface that the four "
+        f"pixels around it show, after allowing for that surface's slope (at most {annotate.SLOPE_CAP} m); where they "
+        "disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something else.",
+        f"A vehicle is {by_rule} (tolerance {annotate.VEHICLE_TOLERANCE} m).",
+        "A vehicle without a visible pixel has no annotation.",
+        f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
+        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {annotate.MIN_PIXELS} visible "
+        f"pixels; unseen, contrast under {annotate.MIN_CONTRAST:g}.",
+        f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
+    ]
+
+
+def write(root: Path, content: Mapping[str, Any]) -> None:
+    """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
+    sums = read_manifest(root)["sha256"]
+    write_text(root / "README.md", readme(content))
+    write_json(root / CROISSANT, croissant(content, sums))
+    write_json(root / CARD, content)
+
+
+def readme(content: Mapping[str, Any]) -> str:
+    """The card as a page."""
+    return card_text.markdown(content)

@@ -1,0 +1,286 @@
+"""The dataset folder under construction: which frames are done, which are missing, and the merge at the end.
+
+`.work/` holds the parameters and a small file of labels per finished frame, written after the frame's image and depth:
+whatever moment a run is killed at, the frames with such a file are whole. It is removed when the dataset is.
+"""
+
+import json
+import shutil
+from collections.abc import Container, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import astuple, replace
+from pathlib import Path
+from typing import Any, Final
+
+from skope import safe_names
+from skope.dataset import CARD, Dataset, check_takes, read_card
+from skope.errors import UserError
+from skope.files import (
+    json_bytes,
+    locked,
+    no_links_out,
+    parse_json,
+    read_bytes,
+    read_json,
+    replacing,
+    unwritable,
+    write_bytes,
+    write_json,
+)
+from skope.gen.output.card_counts import Counts
+from skope.gen.output.dataset_card import check_parameters
+from skope.gen.output.dataset_card import write as write_card
+from skope.gen.output.frames import FrameFiles
+from skope.gen.output.writers import Labels, frames_of_split, numbered, unpack_shards, writer_of
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording, RecordingInfo
+
+_GROWS: Final = ("frames", "sites", "recordings")
+"""Parameters that a dataset can be extended by."""
+_LATER: Final = ("renderer", "driver", "versions")
+"""Parameters that may be open until rendering begins."""
+
+
+class Store:
+    """A dataset folder under construction, at `root`: reads and writes its plan, recordings, frames and labels."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._work = root / ".work"
+        self._plan_path = self._work / "parameters.json"
+
+    @property
+    def complete(self) -> bool:
+        """Whether the folder holds a finished dataset."""
+        return (self.root / CARD).is_file() and not self._plan_path.is_file()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes from making the same dataset."""
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            no_links_out(self.root)
+            with locked(self.root / ".lock", f"{self.root}: another `skope gen` is writing to this folder"):
+                yield
+        except OSError as error:
+            raise unwritable(self.root, error) from None
+
+    # ------------------------------------------------------------------------------------------------------ beginnings
+
+    def begin(self, parameters: Mapping[str, Any], infos: Iterable[RecordingInfo]) -> None:
+        """Start a dataset, resume it, or extend a complete one by sites and frames.
+
+        Args:
+            parameters: `Parameters.to_dict()` of the dataset that is asked for.
+            infos: All its recordings, in the order in which ids count.
+
+        Raises:
+            UserError: The folder holds other files, or a dataset of other parameters (the message names them).
+        """
+        wanted = json.loads(json.dumps({"parameters": parameters, "takes": [astuple(info) for info in infos]}))
+        begun = self.read_plan()
+        if begun is None:
+            if any(path.name != ".lock" for path in self.root.iterdir()):
+                raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
+            write_json(self._plan_path, wanted)
+            return
+        self._refuse_other_parameters(begun, wanted)
+        for leftover in self.root.rglob(".*.part*"):
+            leftover.unlink(missing_ok=True)
+        if self.complete:
+            shutil.rmtree(self._work, ignore_errors=True)
+            if begun["takes"] != wanted["takes"]:
+                self.reopen()
+        elif begun["takes"] != wanted["takes"]:
+            # Shards that are already there have the frames and ids of the former plan.
+            unpack_shards(self.root)
+        if not self.complete:
+            write_json(self._plan_path, wanted)
+
+    def read_plan(self) -> dict[str, Any] | None:
+        """What the folder's dataset is to become, from `.work/` or, when it is complete, from its card.
+
+        Returns:
+            "parameters", and "takes": site, name, split and number of frames of each recording. None for a folder
+            without a dataset.
+
+        Raises:
+            UserError: The file that says it is damaged.
+        """
+        path = self._plan_path if self._plan_path.is_file() else self.root / CARD
+        if not path.is_file():
+            return None
+        try:
+            value = read_json(path) if path == self._plan_path else read_card(self.root)
+            if not isinstance(value, dict):
+                raise UserError(f"{path}: expected an object with parameters and takes")
+            check_parameters(path, value.get("parameters"))
+            check_takes(path, value.get("takes"))
+        except UserError as error:
+            raise UserError(
+                f"{error}; {self.root} cannot be gone on with: choose another folder, or remove what is there"
+            ) from None
+        return {name: value[name] for name in ("parameters", "takes")}
+
+    def fix_renderer(self, values: Mapping[str, Any]) -> None:
+        """Save the renderer, driver and versions of a dataset that was simulated without choosing them."""
+        begun = self.read_plan()
+        assert begun is not None
+        write_json(self._plan_path, {**begun, "parameters": begun["parameters"] | values})
+
+    def recordings(self) -> list[RecordingInfo]:
+        """All recordings that the dataset is to have, in the order in which ids count."""
+        begun = self.read_plan()
+        return [RecordingInfo(*row) for row in begun["takes"]] if begun else []
+
+    def _refuse_other_parameters(self, begun: dict[str, Any], wanted: dict[str, Any]) -> None:
+        was, now = begun["parameters"], wanted["parameters"]
+        if not was["renderer"]:  # simulated elsewhere, and to be rendered here
+            was = was | {name: now[name] for name in _LATER}
+        larger = {(site, name): frames for site, name, _, frames in wanted["takes"]}
+        grows = all(larger.get((site, name), 0) >= frames for site, name, _, frames in begun["takes"])
+        different = [
+            name
+            for name in sorted(was.keys() | now)
+            if was.get(name) != now.get(name) and not (grows and name in _GROWS)
+        ]
+        if different:
+            list_ = ", ".join(
+                f"{name} = {_short_json(was.get(name))}, now {_short_json(now.get(name))}" for name in different
+            )
+            raise UserError(
+                f"{self.root}: was begun with other parameters ({list_}); "
+                "repeat those, choose another --out, or remove it"
+            )
+
+    def reopen(self, broken: Container[str] = (), lost: Container[str] = ()) -> None:
+        """Turn a complete dataset back into one under construction: one file of labels per frame.
+
+        Args:
+            broken: File names of images whose frames are left out, and so rendered again.
+            lost: Splits of which all frames are left out.
+
+        Raises:
+            UserError: The dataset is in shards.
+        """
+        begun = self.read_plan()
+        sound = Dataset(self.root, read_card(self.root))
+        if sound.sharded:
+            raise UserError(
+                f"{self.root}: is complete and in shards; `skope gen convert` it to a folder to go on with it"
+            )
+        for split in (split for split in sound.splits if split not in lost):
+            for frame in frames_of_split(sound, split):
+                if frame.image["file_name"] in broken:
+                    continue
+                self._write_labels(frame)
+        # From here on the folder counts as under construction.
+        write_json(self._plan_path, begun)
+
+    # ---------------------------------------------------------------------------------------------------- going along
+
+    def recording_path(self, info: RecordingInfo) -> Path:
+        return self.root / "recordings" / f"{info.site}_{info.name}.npz"
+
+    def _label_path(self, frame_name: str) -> Path:
+        return self._work / "frames" / f"{frame_name}.jsonl"
+
+    def recorded(self, info: RecordingInfo) -> bool:
+        """Whether the recording is there, sound and with all its frames."""
+        path = self.recording_path(info)
+        return path.is_file() and recordings.sound(path) and recordings.length(path) == info.frames
+
+    def write_recording(self, info: RecordingInfo, data: bytes) -> None:
+        """Write a recording (`data` is its .npz file) in place of a shorter one of the same name.
+
+        Frames that were rendered from the shorter one are kept if both start alike, else they are rendered again.
+        """
+        path = self.recording_path(info)
+        if path.is_file() and not _starts_like(recordings.unpacked(data, path), path):
+            self.discard_frames(info.frame_name(frame) for frame in range(info.frames))
+        write_bytes(path, data)
+
+    def discard_frames(self, frame_names: Iterable[str]) -> None:
+        """Forget the labels of frames, so that they are rendered again."""
+        for name in frame_names:
+            self._label_path(name).unlink(missing_ok=True)
+
+    def missing(self, info: RecordingInfo) -> list[int]:
+        """Numbers of a recording's frames that are not rendered yet."""
+        return [frame for frame in range(info.frames) if not self._label_path(info.frame_name(frame)).is_file()]
+
+    def write_frame(self, frame: FrameFiles) -> None:
+        """Write a frame: its files, then its labels, which make it count."""
+        for path, data in frame.files.items():
+            with replacing(self.root / path) as temporary:
+                temporary.write_bytes(data)
+        self._write_labels(frame.labels)
+
+    def _write_labels(self, labels: Labels) -> None:
+        head = {"image": labels.image, "kinds": labels.kinds, "tally": labels.tally, "sha256": labels.sha256}
+        head["bytes"] = sum(map(len, labels.rows))
+        write_bytes(self._label_path(labels.name), b"\n".join([json_bytes(head), *labels.rows]))
+
+    def _read_labels(self, name: str) -> Labels:
+        """Read the labels of the frame of that name; a UserError where the file is damaged."""
+        path = self._label_path(name)
+        first, *rows = read_bytes(path).split(b"\n")
+        try:
+            head = parse_json(first)
+            whole = head["bytes"] == sum(map(len, rows))
+            for key in head["image"].keys() & {"file_name", "depth_file_name"}:
+                safe_names.relative(f"{path}: {key}", head["image"][key])
+        except UserError:
+            raise
+        except (ValueError, KeyError, TypeError):
+            whole = False
+        if not whole:
+            raise UserError(f"{path}: is damaged; remove it, and its frame is made again")
+        return Labels(name, head["image"], rows, [*map(tuple, head["kinds"])], head["sha256"], head["tally"])
+
+    # ------------------------------------------------------------------------------------------------------------ end
+
+    def merge(self, infos: Iterable[RecordingInfo], form: str) -> Counts:
+        """Write the annotation files or shards, and the manifest.
+
+        Args:
+            infos: The recordings; ids count through the whole dataset in their order, from 1.
+            form: One of `skope.gen.output.writers.FORMATS`.
+
+        Returns:
+            The dataset's counts of images and vehicles.
+        """
+        counts, writer = Counts(), writer_of(form, self.root)
+        for info in infos:
+            writer.add_file(self.recording_path(info).relative_to(self.root))
+            writer.add(info.split, self._labels_with_ids(info, counts), self.root)
+        writer.finish()
+        return counts
+
+    def _labels_with_ids(self, info: RecordingInfo, counts: Counts) -> Iterator[Labels]:
+        for frame in range(info.frames):
+            labels = self._read_labels(info.frame_name(frame))
+            places = {"split": info.split, "site": info.site, "weather": labels.image["weather"]}
+            counts.add(places, labels.kinds, labels.tally)
+            counts.images += 1
+            rows = [numbered(row, counts.vehicles + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
+            counts.vehicles += len(rows)
+            yield replace(labels, image={**labels.image, "id": counts.images}, rows=rows)
+
+    def finish(self, content: Mapping[str, Any]) -> None:
+        """Write the card and remove `.work/`, which makes the dataset complete."""
+        write_card(self.root, content)
+        self._plan_path.unlink()
+        shutil.rmtree(self._work, ignore_errors=True)
+
+
+def _starts_like(recording: Recording, shorter: Path) -> bool:
+    try:
+        return recording.starts_like(recordings.load(shorter))
+    except UserError:  # it is broken, or of another version
+        return False
+
+
+def _short_json(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,163 @@
+"""Footage of a site with its labels: a video file, and the annotation file of its frames."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import draw
+from skope.coco import write
+from skope.console import Console
+from skope.errors import UserError
+from skope.files import read_json, replacing
+from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.output.frames import image_of
+from skope.gen.render.choose_renderer import make_renderer
+from skope.gen.scene.recording import Recording, RecordingPlan
+from skope.gen.simulation.simulate import simulate
+from skope.output_folders import changed
+from skope.safe_names import for_opencv
+from skope.schema import Annotation, AnnotationFile, Image
+
+FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
+"""Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""
+
+
+@dataclass(frozen=True)
+class WrittenFootage:
+    """Paths of the files that `write_footage` writes."""
+
+    video: Path
+    labels: Path
+    overlay: Path | None
+
+
+def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "--size") -> RecordingPlan:
+    """A recording's plan, changed to the frames of a video.
+
+    Args:
+        plan: Site, size and conditions.
+        fps: Frames a second, one of `FPS`.
+        seconds: Length of the video, up to 3600.
+        size_field: The option or field that gave the image size, for the error message.
+
+    Raises:
+        UserError: A video cannot have this frame rate, length, or size (odd numbers of pixels).
+    """
+    if fps not in FPS:
+        raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FPS)}, got {fps:g}")
+    if not 0 < seconds <= 3600:
+        raise UserError(f"--seconds: expected seconds up to 3600, got {seconds:g}")
+    width, height = plan.size
+    if width % 2 or height % 2:  # the encoder would drop the last column or row, and the labels would keep it
+        raise UserError(f"{size_field}: a video's width and height are even numbers of pixels, got {width}x{height}")
+    return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
+
+
+def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
+    """Raise a UserError where one of the files exists, unless the labels' file says it was made with `options`."""
+    there = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
+    if not there:
+        return
+    held = _options_of(footage.labels)
+    if held == options:
+        return
+    what = f"of other footage ({', '.join(changed(held, options))})" if held else "and nothing says what it is of"
+    raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or remove it")
+
+
+def _options_of(labels: Path) -> Mapping[str, Any]:
+    """The options that footage was made with, which its file of labels holds; empty where there is no such file."""
+    try:
+        document = read_json(labels)
+    except UserError:
+        return {}
+    info = document.get("info") if isinstance(document, dict) else None
+    told = info.get("options") if isinstance(info, dict) else None
+    return told if isinstance(told, dict) else {}
+
+
+def write_footage(
+    plan: RecordingPlan,
+    renderer: str,
+    out: Path,
+    *,
+    options: Mapping[str, Any],
+    with_overlay: bool,
+    console: Console,
+) -> WrittenFootage:
+    """Simulate and render a video with labels: `out`/<site>.mp4, <site>.json and, with overlay, <site>_labels.mp4.
+
+    Args:
+        plan: The recording, as `plan_of` makes it.
+        renderer: "gl" or "pybullet".
+        out: Folder of the files.
+        options: What the user asked for, as JSON values; kept in the labels' `info`.
+        with_overlay: Whether to write a second video with the labels drawn in.
+        console: Where progress is shown.
+
+    Raises:
+        UserError: Files of other footage are there, or the video cannot be written.
+    """
+    name = plan.site.name
+    footage = WrittenFootage(
+        out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None
+    )
+    check_free(footage, options)
+    for_opencv(footage.video)  # what cannot be written is told before anything is simulated
+    console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
+    recording = simulate(plan)
+    size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
+    images: list[Image] = []
+    annotations: list[Annotation] = []
+    with ExitStack() as stack:
+        plain = stack.enter_context(_open_video(footage.video, size, fps))
+        drawn = stack.enter_context(_open_video(footage.overlay, size, fps)) if footage.overlay else None
+        frames = _render_frames(recording, renderer, footage.video.name)
+        for pixels, image, vehicles in console.bar(frames, total=len(recording), unit="image", label="rendering"):
+            numbered = [replace(vehicle, id=len(annotations) + i + 1) for i, vehicle in enumerate(vehicles)]
+            plain.add(pixels)
+            if drawn:
+                drawn.add(draw.annotations(pixels, numbered))
+            images.append(image)
+            annotations += numbered
+        info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
+        file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name)
+        # The labels come first, before the videos are renamed into place: they say which footage the files are of.
+        write(footage.labels, file)
+    return footage
+
+
+def _render_frames(
+    recording: Recording, renderer_name: str, video: str
+) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation]]]:
+    renderer = make_renderer(renderer_name, recording)
+    for frame in range(len(recording)):
+        view = renderer.render(frame)
+        vehicles, _ = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=frame + 1)
+        yield view.rgb, image_of(recording, frame, f"{video}/{frame:06d}", frame + 1), vehicles
+
+
+class _Video:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+        self._writer = cv2.VideoWriter(for_opencv(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        if not self._writer.isOpened():
+            raise UserError(f"{path}: cannot be written as a video")
+
+    def add(self, rgb: NDArray[np.uint8]) -> None:
+        self._writer.write(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+
+    def close(self) -> None:
+        self._writer.release()
+
+
+@contextmanager
+def _open_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[_Video]:
+    """An MP4 file that takes its place when it is whole."""
+    with replacing(path) as temporary, closing(_Video(temporary, size, fps)) as video:
+        yield video

@@ -1,0 +1,46 @@
+"""Motion blur: how far vehicles move in the picture while the shutter is open."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from skope.camera import Camera
+from skope.gen.render.gl.placed_vehicles import PlacedVehicle
+from skope.types import Array
+
+LEAST: Final = 1.5
+"""Vehicles that move less than this are drawn sharp, pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A vehicle that moves visibly while the shutter is open."""
+
+    vehicle: PlacedVehicle
+    way: Array
+    """(2,) pixels."""
+    nearest: float
+    """Least depth of it, metres."""
+    hull: Array
+    """(N, 2) convex polygon around all pixels that it may blur into."""
+
+
+def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
+    """The vehicles that move visibly while the shutter is open; `velocity` (N, 3) is that of all in the frame, m/s.
+
+    What is nearer than its own length is left sharp: its parts move in all directions.
+    """
+    out = []
+    for one in placed:
+        T, (length, _, height) = one.T_world_chassis, one.vehicle.size_lwh
+        middle = T[:3, 3] + 0.5 * height * T[:3, 2]
+        step = 0.5 * shutter_s * velocity[one.index]
+        pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
+        way = pixels[1] - pixels[0]
+        if valid.all() and depth.min() > length and way @ way > LEAST**2:
+            swept = cv2.convexHull(np.concatenate([one.hull - 0.5 * way, one.hull + 0.5 * way]).astype(np.float32))
+            out.append(Moving(one, way, float(depth.min()) - 0.6 * length, swept[:, 0].astype(np.float64)))
+    return out

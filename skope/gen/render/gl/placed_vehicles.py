@@ -1,0 +1,115 @@
+"""The vehicles of a moment, ready to draw."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera import Camera
+from skope.gen.mesh import merged
+from skope.gen.render.gl.context import Device, DeviceMesh, linear
+from skope.gen.render.image_windows import Window, hull_of, window_of
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment
+from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.paints import PAINTS
+from skope.types import Array
+
+PARTS: Final = "PARTS 5"
+"""Definition for the shaders: a vehicle has five parts, its body and four wheels."""
+PANES: Final = ("glass", "glass_tinted")
+"""Materials that one can look through."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedVehicle:
+    """A vehicle in a frame."""
+
+    index: int
+    """Index of the vehicle in the frame."""
+    vehicle: Body
+    T_world_chassis: Array
+    mesh: DeviceMesh
+    """The vehicle from outside, with panes one cannot look through."""
+    solid: DeviceMesh
+    """Everything but the panes, with what is inside."""
+    panes: DeviceMesh | None
+    coarse: DeviceMesh
+    """The whole vehicle with fewer triangles, for pictures from afar."""
+    matrices: dict[str, bytes]
+    """Poses of its parts: in the camera frame, and in world axes relative to the camera."""
+    distance: float
+    """Distance from the camera, metres."""
+    look: dict[str, Any]
+    """Paint and lamps."""
+    hull: Array
+    """(N, 2) convex polygon around the pixels that it may cover."""
+    window: Window
+    """Window of the pixels that the vehicle may cover, in the image and beyond."""
+
+    @property
+    def number(self) -> int:
+        return self.index + 1
+
+
+class Placer:
+    """Places vehicles before a camera and keeps their meshes on the device."""
+
+    def __init__(self, device: Device, camera: Camera) -> None:
+        self._device, self._camera = device, camera
+
+    def place(self, moment: Moment) -> list[PlacedVehicle]:
+        """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
+        camera, out = self._camera, []
+        away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
+        for i in away.argsort(kind="stable").tolist():
+            recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
+            vehicle = body_of(recorded)
+            hull = hull_of(vehicle, chassis, camera)
+            window = window_of(hull, camera)
+            if window is None:
+                continue
+            parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
+            from_camera = parts.copy()
+            from_camera[:, :3, 3] -= camera.position
+            paint = PAINTS[recorded.color]
+            look = {"u_paint": _linear(paint.rgb), "u_livery": _linear(paint.livery)}
+            out.append(
+                PlacedVehicle(
+                    index=i,
+                    vehicle=vehicle,
+                    T_world_chassis=chassis,
+                    **_uploaded(self._device, vehicle),
+                    matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
+                    distance=float(away[i]),
+                    look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
+                    hull=hull,
+                    window=window,
+                )
+            )
+        return out
+
+
+@lru_cache(maxsize=64)
+def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
+    """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
+    body, *wheels = vehicle.parts
+    glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
+    inside = [vehicle.interior] if vehicle.interior else []
+    solid = merged([body.taken(~glass), *inside])
+    return {
+        "mesh": device.upload(body, *wheels),
+        "solid": device.upload(solid, *wheels),
+        "coarse": device.upload(*vehicle.coarse),
+        "panes": device.upload(body.taken(glass)) if glass.any() else None,
+    }
+
+
+def _linear(rgb: tuple[int, int, int]) -> Array:
+    return linear(np.array(rgb) / 255)
+
+
+def _bytes(matrices: Array) -> bytes:
+    """Matrices (P, 4, 4) as uniforms want them."""
+    return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()

@@ -1,0 +1,112 @@
+"""Street lights: which of them count for a camera, and their light on the ground as a map."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl.context import FAR, projection
+from skope.gen.scene.conditions import Conditions
+from skope.types import Array
+
+MOST: Final = 32
+"""Lamps that light the scenery."""
+CELLS: Final = 3
+"""Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
+CELL: Final = 1024
+"""Texels of each, on each side."""
+OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
+MAP: Final = 256
+MAP_RADIUS: Final = 128.0
+"""The map on the ground reaches so far from the middle of the view, metres."""
+_REACH: Final = 110.0
+_OWN: Final = 22.0
+"""Radiant intensity of a camera's infrared lamp."""
+_INFRARED_SHARE: Final = 0.35
+"""Share of a street light's light that an infrared camera sees."""
+_HEIGHT: Final = 7.0
+"""Distance below the lamps that the light map is computed for, metres: a metre over the road."""
+_CONE: Final = np.tan(np.radians(75))
+
+
+@dataclass(frozen=True, eq=False)
+class StreetLights:
+    positions: Array
+    """(N, 3) places relative to the camera, metres; the nearest to what the camera looks at first."""
+    intensity: Array
+    """(3,) radiant intensity of each lamp, red, green and blue."""
+    own: float
+    """Radiant intensity of the camera's own infrared lamp."""
+    middle: Array
+    """(3,) middle of the light map, relative to the camera, metres."""
+
+    @classmethod
+    def of(
+        cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
+    ) -> "StreetLights":
+        """The street lights that are lit where a camera looks."""
+        infrared = daylight.dark and conditions.infrared >= 0.5
+        intensity = daylight.street_light * (_INFRARED_SHARE if infrared else 1.0)
+        offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
+        ahead = 0.6 * middle[:2]
+        away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
+        order = away.argsort(kind="stable")[:MOST]
+        return cls(offsets[order[away[order] < _REACH]], intensity, _OWN if infrared else 0.0, middle)
+
+    @property
+    def uniforms(self) -> dict[str, Any]:
+        padded = np.zeros((MOST, 4))
+        padded[: len(self.positions), :3] = self.positions
+        maps = np.zeros((CELLS**2, 4, 4))
+        for k in range(self.shadowed):
+            maps[k] = _TEXTURE @ self.clip(k)
+        return {
+            "u_street_light": self.intensity,
+            "u_luminaires": padded.astype("f4").tobytes(),
+            "u_lamp_count": len(self.positions),
+            "u_lamp_map_from": maps,
+            "u_shadowed": self.shadowed,
+            "u_own_lamp": self.own,
+        }
+
+    @property
+    def shadowed(self) -> int:
+        return min(len(self.positions), CELLS**2)
+
+    def clip(self, k: int) -> Array:
+        """World axes, relative to the camera -> clip space of a lamp that looks straight down."""
+        T = np.diag([1.0, -1.0, -1.0, 1.0])
+        T[:3, 3] = -T[:3, :3] @ self.positions[k]
+        K = np.array([[1 / _CONE, 0, 1], [0, 1 / _CONE, 1], [0, 0, 1]])
+        return projection(K, (0, 0, 2, 2)) @ T
+
+    def on_ground(self) -> NDArray[np.float16]:
+        """(MAP, MAP, 4) the light's vector around `middle`: each lamp's direction times its irradiance, north down.
+
+        An unlit fourth channel makes texels of a size that every device takes.
+        """
+        side = (np.arange(MAP) + 0.5) / MAP * 2 * MAP_RADIUS - MAP_RADIUS
+        x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
+        out = np.zeros((MAP, MAP, 4))
+        for lamp in self.positions:
+            to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, _HEIGHT)], axis=-1)
+            square = (to**2).sum(-1, keepdims=True)
+            to /= np.sqrt(square)
+            up = to[..., 2:]
+            share = np.clip((up - 0.26) / 0.24, 0, 1)
+            out[..., :3] += to * share * share * (3 - 2 * share) * (1.7 - up) / square
+        return out.astype(np.float16)
+
+    def mean(self, vectors: NDArray[np.float16]) -> Array:
+        """(3,) irradiance on the road in view."""
+        half = MAP // 6
+        upward = vectors[MAP // 2 - half : MAP // 2 + half, MAP // 2 - half : MAP // 2 + half, 2].astype(np.float64)
+        own = self.own * 0.35 / 14.0**2 * np.ones(3)
+        return np.asarray(self.intensity * upward.mean() + own)
+
+
+_TEXTURE: Final = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
+assert FAR > _REACH

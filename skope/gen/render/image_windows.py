@@ -1,0 +1,149 @@
+"""Windows of pixels that vehicles may cover, on a canvas of three times the image's width and height."""
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.vehicles.model import Body
+from skope.types import Array
+
+Window = tuple[int, int, int, int]
+"""Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
+
+_SHIFT: Final = 4
+NEAR: Final = 0.3
+"""Silhouettes are clipped at this depth, metres."""
+TILE: Final = 8
+"""Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
+CONTACT: Final = 1.8
+"""How far around itself a vehicle takes sky from the road, metres."""
+
+
+def window_of(hull: Array, camera: Camera) -> Window | None:
+    """Pixels that a vehicle of a hull may cover, within the canvas; None when none of them is in the image."""
+    if not len(hull):
+        return None
+    width, height = camera.width, camera.height
+    (left, top), (right, bottom) = hull.min(axis=0).tolist(), hull.max(axis=0).tolist()
+    if left >= width or top >= height or right <= 0 or bottom <= 0:
+        return None
+    x0, y0 = max(math.floor(left) - 1, -width), max(math.floor(top) - 1, -height)
+    x1, y1 = min(math.ceil(right) + 1, 2 * width), min(math.ceil(bottom) + 1, 2 * height)
+    return x0, y0, x1, y1
+
+
+def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
+    return _hull(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+
+
+def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
+
+    Shadows are followed for 25 m at most.
+    """
+    corners = _corners(vehicle)
+    around = corners * [1, 1, 0] + np.sign(corners) * [CONTACT, CONTACT, 0]
+    world = np.concatenate([corners, around]) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
+    length = min(vehicle.size_lwh[2] / max(sun_direction[2], 1e-3), 25.0)
+    return _hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
+
+
+def beam_corners(reach: float) -> Array:
+    """(4, 2) of the ground that headlights may light up to so far ahead of the bumper, vehicle axes."""
+    return np.array([[0.0, -4.0], [reach, -14.0], [reach, 14.0], [0.0, 4.0]])
+
+
+def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: float) -> Array:
+    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light."""
+    ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
+    points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
+    return _hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+
+
+def mirror_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, mirror: Array) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
+    world = _corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
+    return _hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
+
+
+def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(rows, columns) the tiles of an image of `size` (width, height) that polygons touch, and some beside them."""
+    columns, rows = (-(-side // TILE) for side in size)
+    touched = np.zeros((rows, columns), dtype=np.uint8)
+    for hull in hulls:
+        if len(hull):
+            corners = np.rint((hull / TILE - 0.5) * 2**_SHIFT).astype(np.int32)
+            cv2.fillConvexPoly(touched, corners, 1, shift=_SHIFT)
+    # What is filled has its centre in a polygon or lies on its edge.
+    return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
+
+
+def runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
+    """Tiles of an image of `size` (width, height), neighbours in a row put together."""
+    edges = np.diff(np.pad(touched, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, first = np.nonzero(edges == 1)
+    _, end = np.nonzero(edges == -1)
+    low, high = np.stack([first, rows], axis=1) * TILE, np.stack([end, rows + 1], axis=1) * TILE
+    return [(x0, y0, x1, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), np.minimum(high, size).tolist(), strict=True)]
+
+
+def mask_of(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
+    """(h, w) 1 where the pixels of a window, which begins with a tile, are in one of the tiles, else 0."""
+    x0, y0, x1, y1 = window
+    there = touched[y0 // TILE : -(-y1 // TILE), x0 // TILE : -(-x1 // TILE)].view(np.uint8)
+    return np.asarray(there.repeat(TILE, axis=0).repeat(TILE, axis=1)[: y1 - y0, : x1 - x0])
+
+
+def crossing(a: Window, b: Window) -> bool:
+    """Whether two windows share pixels."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def inside(window: Window, camera: Camera) -> Window:
+    """The part of a window that lies in the image."""
+    x0, y0, x1, y1 = window
+    return max(x0, 0), max(y0, 0), min(x1, camera.width), min(y1, camera.height)
+
+
+def union(windows: Sequence[Window]) -> Window:
+    """The smallest window around windows, of which there is at least one."""
+    x0, y0, x1, y1 = zip(*windows, strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
+def _hull(points_world: Array, camera: Camera) -> Array:
+    pixels = _project(points_world, camera)
+    if not len(pixels):
+        return np.zeros((0, 2))
+    return cv2.convexHull(pixels.astype(np.float32))[:, 0].astype(np.float64)
+
+
+def _project(points_world: Array, camera: Camera) -> Array:
+    """(N, 2) pixels around what of the points' hull lies before the camera."""
+    p = _in_front(camera.to_camera(points_world))
+    return np.asarray(p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
+
+
+@lru_cache(maxsize=256)
+def _corners(vehicle: Body) -> Array:
+    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
+    low, high = vehicle.extent.copy()
+    low[2] = -0.1
+    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+
+
+def _in_front(corners: Array) -> Array:
+    """Points (N, 3) in the camera frame -> points whose hull is the part of theirs that lies beyond the near plane."""
+    before = corners[:, 2] >= NEAR
+    if before.all():
+        return corners
+    a, b = corners[before][:, None], corners[~before][None]
+    share = (NEAR - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
+    return np.concatenate([corners[before], (a + share * (b - a)).reshape(-1, 3)])

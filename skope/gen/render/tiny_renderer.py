@@ -1,0 +1,383 @@
+"""Rendering with pybullet's own TinyRenderer: the fallback that needs no graphics library.
+
+The camera does not move, so the scenery is drawn once per recording and each frame draws only its vehicles, each by
+itself in its own window; the layers are then put together by depth. That gives every vehicle's whole silhouette, and
+the frame without it, at no further cost. Everything is drawn three times as fine as the image: the middle one of each
+3 x 3 samples is the pixel's centre (depth, ids), their mean is its colour.
+"""
+
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.mesh import Mesh
+from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
+from skope.gen.render.glare import Glare
+from skope.gen.render.image_windows import NEAR, Window, hull_of, window_of
+from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
+from skope.gen.render.traffic_lights import light_signals
+from skope.gen.scene.bodies import body_of
+from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
+from skope.gen.scenery.build import scenery
+from skope.gen.simulation.pybullet_engine import engine
+from skope.gen.towns.town import Town
+from skope.gen.traffic.sumo import LAMPS
+from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.paints import PAINTS
+from skope.types import Array
+
+Slices = tuple[slice, slice]
+
+FINE: Final = 3
+FAR: Final = 1200.0
+SHADOW: Final = 0.45
+"""Share of the light that a vehicle's shadow takes from the road."""
+WET_LOSS: Final = 0.4
+"""Share of the road's light that water takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class _FineLayer:
+    """Samples of a window of the image, `FINE` times as fine as it."""
+
+    x: int
+    y: int
+    """The window's first column and row in image pixels; may be negative."""
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    """Planar z, +inf where nothing was hit."""
+    part: NDArray[np.int32]
+    """Index of the mesh part hit, -1 where nothing was."""
+
+    @property
+    def window(self) -> Window:
+        rows, columns = self.depth.shape
+        return self.x, self.y, self.x + columns // FINE, self.y + rows // FINE
+
+    def within(self, window: Window) -> tuple[Slices, Slices] | None:
+        """Fine samples of a window that the layer covers, and the layer's own there; None if they do not overlap."""
+        x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), self.window, window, strict=True))
+        if x0 >= x1 or y0 >= y1:
+            return None
+        there, own = (
+            (slice((y0 - y) * FINE, (y1 - y) * FINE), slice((x0 - x) * FINE, (x1 - x) * FINE))
+            for x, y in (window[:2], (self.x, self.y))
+        )
+        return there, own
+
+
+class _Stage:
+    """A pybullet client that holds the parts of one thing and draws windows of it."""
+
+    def __init__(self) -> None:
+        self._engine = engine()
+        self._client = self._engine.connect(self._engine.DIRECT)
+        weakref.finalize(self, self._engine.disconnect, self._client)
+        self.parts: list[str] = []
+        self._bodies: list[int] = []
+
+    def add(self, mesh: Mesh, colors: Mapping[str, RGB]) -> list[int]:
+        """Add a mesh, one body per material; returns the parts' indices."""
+        first = len(self._bodies)
+        for material, part in mesh.by_material().items():
+            shape = self._engine.createVisualShape(
+                self._engine.GEOM_MESH,
+                vertices=part.vertices.tolist(),
+                indices=part.triangles.ravel().tolist(),
+                normals=part.normals.tolist(),
+                rgbaColor=[*(own_color(material) or colors[material]), 1],
+                specularColor=[0, 0, 0],
+                physicsClientId=self._client,
+            )
+            body = self._engine.createMultiBody(0, -1, shape, physicsClientId=self._client)
+            assert body == len(self._bodies)
+            self._bodies.append(body)
+            self.parts.append(material)
+        return list(range(first, len(self._bodies)))
+
+    def paint(self, part: int, color: RGB) -> None:
+        self._engine.changeVisualShape(self._bodies[part], -1, rgbaColor=[*color, 1], physicsClientId=self._client)
+
+    def move(self, part: int, T: Array) -> None:
+        orientation = quaternion(T[:3, :3])
+        self._engine.resetBasePositionAndOrientation(
+            self._bodies[part], T[:3, 3], orientation, physicsClientId=self._client
+        )
+
+    def draw(self, camera: Camera, T_camera_stage: Array, window: Window, light: Light) -> _FineLayer:
+        """Draw a window (x0, y0, x1, y1) of the image, in image pixels."""
+        x0, y0, x1, y1 = window
+        width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
+        fx, fy = camera.K[0, 0] * FINE, camera.K[1, 1] * FINE
+        # TinyRenderer samples where continuous coordinates, counted from the lower left, are whole: half a sample to
+        # the right and up lie the centres.
+        cx, cy = (camera.K[0, 2] - x0) * FINE - 0.5, (camera.K[1, 2] - y0) * FINE + 0.5
+        projection = np.zeros((4, 4))
+        projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
+        projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
+        projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+        projection[3, 2] = -1
+        view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
+        sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(light.direction)
+        _, _, rgba, buffer, segmentation = self._engine.getCameraImage(
+            width,
+            height,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            lightDirection=(100 * sun).tolist(),
+            lightColor=light.tint,
+            lightAmbientCoeff=light.ambient,
+            lightDiffuseCoeff=light.sun,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=self._engine.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        part = np.reshape(np.asarray(segmentation, dtype=np.int32), (height, width))
+        depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
+        z = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
+        rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
+        through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
+        rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)
+        return _FineLayer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
+
+
+# pybullet gives back little of what a closed client had, 140 MB of a town's, so that recordings share them.
+
+
+@cache
+def _town_stage(town: Town) -> _Stage:
+    stage = _Stage()
+    stage.add(scenery(town).mesh, MATERIALS)
+    return stage
+
+
+@lru_cache(maxsize=256)
+def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[int], list[list[int]]]:
+    """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
+    stage = _Stage()
+    colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
+    body = stage.add(vehicle.mesh, colors)
+    return stage, body, [stage.add(mesh, colors) for mesh in vehicle.parts[1:]]
+
+
+class TinyRenderer:
+    """Draws the frames of one recording with TinyRenderer."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording, self._camera = recording, recording.camera
+        self._light = Light.of(recording.conditions)
+        self._image: Window = (0, 0, recording.camera.width, recording.camera.height)
+        self._signals = scenery(recording.town).signals
+        self._background, self._ground = self._draw_background()
+        depth = self._background.depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        self._glare = Glare(self._camera, recording.conditions, scenery(recording.town), depth)
+
+    # ------------------------------------------------------------------------------------------------------ scenery
+
+    def _draw_background(self) -> tuple[_FineLayer, NDArray[np.bool_]]:
+        camera = self._camera
+        stage = _town_stage(self._recording.town)
+        layer = stage.draw(camera, camera.T_camera_world, self._image, self._light)
+        is_ground = np.array([*(name in GROUND for name in stage.parts), False])  # part -1, the sky, is the last
+        ground = is_ground[layer.part]
+        if (photograph := self._recording.photograph) is not None:
+            fine = photograph.repeat(FINE, axis=0).repeat(FINE, axis=1)
+            return _FineLayer(0, 0, fine, layer.depth, layer.part), ground
+        rows, columns = np.mgrid[: layer.depth.shape[0], : layer.depth.shape[1]]
+        pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
+        rgb = layer.rgb.astype(np.float32)
+        positions, _ = camera.unproject(pixels, np.where(ground, layer.depth, 0))
+        wet = np.float32(1 - WET_LOSS * self._recording.conditions.wetness)
+        rgb *= np.where(ground, wet * grain(positions[..., :2]), np.float32(1))[..., None]
+        sky = layer.part < 0
+        rays, _ = camera.rays(pixels[sky])
+        up = (rays @ camera.T_camera_world[:3, :3])[:, 2] / np.linalg.norm(rays, axis=-1)
+        share = np.clip(up / 0.5, 0, 1)[:, None] ** 0.6
+        zenith, horizon = np.array(self._light.zenith), np.array(self._light.horizon)
+        rgb[sky] = 255 * (horizon + (zenith - horizon) * share)
+        return _FineLayer(0, 0, np.clip(rgb, 0, 255).astype(np.uint8), layer.depth, layer.part), ground
+
+    # ----------------------------------------------------------------------------------------------------- vehicles
+
+    def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _FineLayer | None:
+        """A vehicle by itself; None when it lies outside the image."""
+        T_camera_chassis = self._camera.T_camera_world @ chassis
+        vehicle = body_of(recorded)
+        window = window_of(hull_of(vehicle, chassis, self._camera), self._camera)
+        if window is None:
+            return None
+        stage, body, wheel_parts = _vehicle_stage(vehicle)
+        for part in body:
+            if stage.parts[part] in ("paint", "livery"):
+                paint = PAINTS[recorded.color]
+                red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery
+                stage.paint(part, (red / 255, green / 255, blue / 255))
+            if stage.parts[part] == "brake_light":
+                stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["brake_light"])
+        T_chassis_world = np.linalg.inv(chassis)
+        for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
+            for part in parts:
+                stage.move(part, T_chassis_world @ T_world_wheel)
+        return stage.draw(self._camera, T_camera_chassis, window, self._light)
+
+    def _shaded(self, moment: Moment) -> NDArray[np.uint8]:
+        """The background with the vehicles' shadows on the ground."""
+        mask = np.zeros(self._ground.shape, dtype=np.uint8)
+        contact = np.zeros_like(mask)
+        for recorded, chassis in zip(moment.vehicles, moment.T_world_chassis, strict=True):
+            vehicle = body_of(recorded)
+            points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
+            height = points[:, 2:] - chassis[2, 3]
+            flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
+            if self._light.shadows:
+                sun = np.array(self._light.direction)
+                self._fill(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
+            self._fill(contact, flat)
+        if not contact.any():
+            return self._background.rgb.copy()
+        shade = 1 - SHADOW * cv2.blur(mask, (3, 3)).astype(np.float32) / 255
+        shade *= 1 - 0.35 * cv2.blur(contact, (7, 7)).astype(np.float32) / 255
+        shade = np.where(self._ground, shade, np.float32(1))
+        return (self._background.rgb * shade[..., None]).astype(np.uint8)
+
+    def _fill(self, mask: NDArray[np.uint8], points: Array) -> None:
+        """Fill the convex hull of ground points (N, 3) in a fine mask."""
+        pixels, depth, valid = self._camera.project(points)
+        if valid.all() and (depth > NEAR).all() and np.abs(pixels).max() < 20 * self._camera.width:
+            hull = cv2.convexHull((pixels * FINE).astype(np.int32))
+            cv2.fillConvexPoly(mask, hull, 255)
+
+    # ------------------------------------------------------------------------------------------------------- frames
+
+    def render(self, frame: int) -> RenderedFrame:
+        """Draw a frame."""
+        moment = self._recording.moment(frame)
+        layers = [
+            self._draw_vehicle(recorded, chassis, wheels, int(lamps))
+            for recorded, chassis, wheels, lamps in zip(
+                moment.vehicles, moment.T_world_chassis, moment.T_world_wheels, moment.lamps, strict=True
+            )
+        ]
+        shaded = self._shaded(moment)
+        rgb, depth = shaded.copy(), self._background.depth.copy()
+        ids = np.where(self._background.part >= 0, STATIC, SKY).astype(np.int32)
+        for i, layer in enumerate(layers):
+            _put(layer, self._image, rgb, depth, ids, i + 1)
+        light_signals(rgb, depth, self._camera, moment, self._signals, FINE)
+        clean = _mean(rgb)
+        middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
+        coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
+        return RenderedFrame(
+            self._glare.spread(np.rint(clean).astype(np.uint8), coarse, middle, moment),
+            coarse,
+            _slope(depth),
+            np.ascontiguousarray(middle),
+            tuple(_silhouette(layer) for layer in layers),
+            contrast,
+        )
+
+    def _contrast(
+        self,
+        i: int,
+        layers: list[_FineLayer | None],
+        shaded: NDArray[np.uint8],
+        clean: NDArray[np.float32],
+        ids: NDArray[np.int32],
+    ) -> float:
+        """How far the visible pixels of vehicle i are from what would be there without it."""
+        layer = layers[i]
+        place = layer.within(self._image) if layer else None
+        if layer is None or place is None:
+            return 0.0
+        fine = place[0]
+        coarse = tuple(slice(s.start // FINE, s.stop // FINE) for s in fine)
+        visible = ids[coarse] == i + 1
+        if not visible.any():
+            return 0.0
+        rgb, depth = shaded[fine].copy(), self._background.depth[fine].copy()
+        window = (coarse[1].start, coarse[0].start, coarse[1].stop, coarse[0].stop)
+        for other in (*layers[:i], *layers[i + 1 :]):
+            _put(other, window, rgb, depth)
+        return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean())
+
+
+def _put(
+    layer: _FineLayer | None,
+    window: Window,
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    ids: NDArray[np.int32] | None = None,
+    number: int = 0,
+) -> None:
+    """Draw a layer over the fine buffers of a window, where it is nearer."""
+    place = layer.within(window) if layer else None
+    if layer is None or place is None:
+        return
+    there, own = place
+    nearer = layer.depth[own] < depth[there]
+    depth[there][nearer] = layer.depth[own][nearer]
+    rgb[there][nearer] = layer.rgb[own][nearer]
+    if ids is not None:
+        ids[there][nearer] = number
+
+
+def quaternion(R: Array) -> list[float]:
+    """Unit quaternion x, y, z, w of a rotation, by its largest component (Shepperd's method)."""
+    q = np.array([R[0, 0], R[1, 1], R[2, 2], R.trace()])
+    k = int(q.argmax())
+    if k == 3:
+        out = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1 + q[3]])
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        out = np.zeros(4)
+        out[k] = 1 + R[k, k] - R[i, i] - R[j, j]
+        out[i], out[j] = R[i, k] + R[k, i], R[j, k] + R[k, j]
+        out[3] = R[j, i] - R[i, j]
+    result: list[float] = (out / np.linalg.norm(out)).tolist()
+    return result
+
+
+def _mean(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Fine colours -> image colours, before rounding."""
+    rows, columns = rgb.shape[0] // FINE, rgb.shape[1] // FINE
+    return np.asarray(cv2.resize(rgb.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W, 2) slope of the surface at pixel centres, from the fine depth."""
+    m = FINE // 2
+    inverse = 1 / depth.astype(np.float64)
+    center = inverse[m::FINE, m::FINE]
+    z = np.divide(1, center, out=np.zeros_like(center), where=center > 0)
+    change = np.stack([_line_slope(inverse[m::FINE]), _line_slope(inverse[:, m::FINE].T).T], axis=-1)
+    return np.asarray(-change * (z * z)[..., None], dtype=np.float32)
+
+
+def _line_slope(inverse: Array) -> Array:
+    """Change of the inverse depth per pixel along fine rows (R, C * FINE) -> (R, C); 0 where no neighbours lie on it.
+
+    On a plane the inverse depth is linear in the pixel. Of the three samples before, around and after a centre, the
+    straightest belong to the surface shown; others reach over an edge to what lies behind or before it.
+    """
+    padded = np.pad(inverse, ((0, 0), (1, 1)), mode="edge")
+    a, b, c, d, e = (padded[:, k : k + inverse.shape[1] : FINE] for k in range(FINE + 2))
+    slopes = np.stack([c - a, d - b, e - c]) / 2
+    bends = np.abs(np.stack([c - 2 * b + a, d - 2 * c + b, e - 2 * d + c]))
+    straightest = bends.argmin(axis=0)[None]
+    slope, bend = (np.take_along_axis(values, straightest, axis=0)[0] for values in (slopes, bends))
+    return np.asarray(FINE * np.where(bend < 0.25 * np.abs(slope), slope, 0.0))
+
+
+def _silhouette(layer: _FineLayer | None) -> Silhouette:
+    if layer is None:
+        return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+    return Silhouette(layer.x, layer.y, layer.part[FINE // 2 :: FINE, FINE // 2 :: FINE] >= 0)

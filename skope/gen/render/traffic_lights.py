@@ -1,0 +1,56 @@
+"""Lit lamps of traffic lights, drawn over a rendered image."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.gen.scene.recording import Moment
+from skope.gen.scenery.build import Signal
+from skope.types import Array
+
+_LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
+"""Which lamp each of SUMO's states lights; the others light none."""
+_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
+_RADIUS: Final = 0.1
+_SHIFT: Final = 4
+
+
+def lit_signals(
+    camera: Camera, moment: Moment, signals: tuple[Signal, ...]
+) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
+    """Place, direction and colour of the lamps that are lit and turned to the camera."""
+    for signal, lamp in _lit(camera, moment, signals):
+        red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
+        yield signal.lamps[lamp], signal.facing, (red, green, blue)
+
+
+def _lit(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
+    """The heads that are turned to the camera, with their lit lamp."""
+    for signal in signals:
+        lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
+        if lamp is not None and (camera.position - signal.lamps[0]) @ signal.facing > 0:
+            yield signal, lamp
+
+
+def light_signals(
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.floating[Any]],
+    camera: Camera,
+    moment: Moment,
+    signals: tuple[Signal, ...],
+    fine: int = 1,
+) -> None:
+    """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
+    for signal, lamp in _lit(camera, moment, signals):
+        pixel, z, valid = camera.project(signal.lamps[lamp])
+        if not valid or not camera.inside(pixel):
+            continue
+        at = pixel * fine
+        if z < depth[int(at[1]), int(at[0])] + 0.3:
+            radius = max(0.7, _RADIUS * camera.K[0, 0] / z * fine)
+            center = np.rint((at - 0.5) * 2**_SHIFT).astype(int).tolist()
+            cv2.circle(rgb, center, round(radius * 2**_SHIFT), _COLORS[lamp], -1, cv2.LINE_AA, _SHIFT)

@@ -1,0 +1,70 @@
+"""Quadrilaterals collected by material: what houses and street furniture are put together from."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.gen.mesh import Mesh, merged, quads
+from skope.types import Array
+
+_FACES: Final = {
+    "-x": (0, 4, 6, 2),
+    "+x": (1, 3, 7, 5),
+    "-y": (0, 1, 5, 4),
+    "+y": (3, 2, 6, 7),
+    "-z": (0, 2, 3, 1),
+    "+z": (4, 5, 7, 6),
+}
+"""Corners of a box's faces; bit 0 of a corner's number is x, bit 1 y, bit 2 z."""
+
+
+class Solid:
+    """Planar quadrilaterals, counter-clockwise from outside, metres, in a right-handed frame of their own."""
+
+    def __init__(self) -> None:
+        self._quads: dict[str, list[Array]] = {}
+
+    def face(self, material: str, *corners: Sequence[float]) -> None:
+        """A triangle or quadrilateral."""
+        four = corners if len(corners) == 4 else (*corners, corners[-1])
+        self.faces(material, np.array([four], dtype=np.float64))
+
+    def faces(self, material: str, corners: Array) -> None:
+        """Quadrilaterals (N, 4, 3)."""
+        self._quads.setdefault(material, []).append(corners)
+
+    def pane(self, material: str, x: tuple[float, float], y: tuple[float, float], z: float) -> None:
+        """A rectangle that faces +z."""
+        self.face(material, (x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z))
+
+    def box(self, material: str, low: ArrayLike, high: ArrayLike, without: str = "") -> None:
+        """An axis-aligned box less some of its faces ("-z +x")."""
+        ends = np.array([low, high], dtype=np.float64)
+        corners = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
+        self.faces(material, corners[[index for name, index in _FACES.items() if name not in without.split()]])
+
+    def recess(self, material: str, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> None:
+        """The four sides of a rectangular hole that runs along z, seen from inside it."""
+        (x0, x1), (y0, y1), (back, front) = x, y, z
+        self.face(material, (x0, y0, front), (x0, y0, back), (x0, y1, back), (x0, y1, front))
+        self.face(material, (x1, y0, back), (x1, y0, front), (x1, y1, front), (x1, y1, back))
+        self.face(material, (x0, y0, front), (x1, y0, front), (x1, y0, back), (x0, y0, back))
+        self.face(material, (x0, y1, back), (x1, y1, back), (x1, y1, front), (x0, y1, front))
+
+    def add(self, other: "Solid", at: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Copies of another solid at one place (3,) or at several (N, 3)."""
+        places = np.asarray(at, dtype=np.float64).reshape(-1, 1, 1, 3)
+        for material, parts in other._quads.items():
+            self.faces(material, (np.concatenate(parts)[None] + places).reshape(-1, 4, 3))
+
+    def placed(self, origin: ArrayLike, axes: ArrayLike) -> "Solid":
+        """The solid in another frame: `axes` (3, 3) holds its x, y and z there, one a row."""
+        out = Solid()
+        for material, parts in self._quads.items():
+            out.faces(material, np.concatenate(parts) @ np.asarray(axes, dtype=np.float64) + np.asarray(origin))
+        return out
+
+    def mesh(self) -> Mesh:
+        return merged(quads(np.concatenate(parts), material) for material, parts in self._quads.items())

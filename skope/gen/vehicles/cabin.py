@@ -1,0 +1,190 @@
+"""The greenhouse of a car: pillars, panes and roof above the lower body, one loft."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Final
+
+import numpy as np
+
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles import parts
+from skope.gen.vehicles.lofted_surfaces import CENTER, FRONT_END, ROWS, SIDE_START, Plan, Surface, T, X, along
+from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.types import Array
+
+_GLASS_LOW, _GLASS_HIGH = 0.1, 0.93
+_EDGE: Final = 0.03
+"""Width of the dark surround of a pane, as a share of the pillars' height."""
+_GLASS_ROWS: Final = (0.0, _GLASS_LOW - _EDGE, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
+"""Panes end at rows, where they need not split any triangle."""
+_EDGE_ROWS: Final = ((1.3, 0.015, 0.015), (1.65, 0.042, 0.027))
+"""Rows of the edge between pillars and roof: how far in, and how far up, metres."""
+_ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
+"""Rows of the roof: share of the way from its spine to its edge."""
+_CROWN: Final = 0.052
+"""Height of the roof's spine over its edge, metres."""
+_SCREEN_HIGH: Final = 0.985
+_SUNK: Final = 0.012
+"""How far the foot of the pillars stands in the lower body."""
+
+
+class Greenhouse:
+    """The left half; `points` are its keypoints by stem, `parts` what stands out from it."""
+
+    def __init__(self, shape: Shape, style: VehicleStyle, deck: Callable[[Array, Array], Array]) -> None:
+        """`deck` is the height of the lower body's top over places x, y."""
+        self.shape, self.style = shape, style
+        self.hatch = shape.deck_length < 0.3
+        self.points: dict[str, Array] = {}
+        self.parts: list[Mesh] = []
+        self.pillar_x = 0.0
+        """x of the B-pillar at the belt."""
+        self.surface = self._shell(deck)
+        self._draw()
+        self._add_parts()
+
+    def foot(self, inset: float) -> Array:
+        """(N, 2) the left outline of its foot from front to rear, `inset` metres inside."""
+        outline = self._plan(0.0).outline(np.linspace(0, 1, 3))
+        keep = [0, FRONT_END, FRONT_END + 2, SIDE_START, SIDE_START + 2, SIDE_START + 4, -FRONT_END - 1, -1]
+        middle = np.array([(outline[0, 0] + outline[-1, 0]) / 2, 0.0])
+        chosen = outline[keep] - middle
+        return np.asarray(middle + np.sign(chosen) * np.maximum(np.abs(chosen) - inset, 0))
+
+    def _plan(self, t: float) -> Plan:
+        """The section at a share of the pillars' height."""
+        s = self.shape
+        half = s.width / 2 - 0.03 - s.shoulder_inset
+        bow = 0.15 if s.width < 1.95 else 0.12
+        base = Plan(half, s.cowl_x, s.backlight_x, bow, 0.07, 0.15, 0.15, 0.05, 0.05)
+        roof = Plan(
+            half - s.roof_inset, s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run,
+            0.07, 0.05, 0.15, 0.15, 0.025, 0.035,
+        )  # fmt: skip
+        share, bulge = min(t, 1.0), 4 * min(t, 1.0) * (1 - min(t, 1.0))
+        values = {f.name: (1 - share) * getattr(base, f.name) + share * getattr(roof, f.name) for f in fields(Plan)}
+        values["half_width"] += 0.022 * bulge
+        values["front"] += 0.03 * bulge
+        values["rear"] -= 0.03 * bulge
+        return Plan(**values)
+
+    def roof_edge(self, x: Array) -> Array:
+        """Height of the roof's edge."""
+        s = self.shape
+        front, rear = s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run
+        middle = front + 0.4 * (rear - front)
+        away = np.where(x > middle, (x - middle) / (front - middle), (x - middle) / (rear - middle))
+        # A short roof falls no more steeply than a long one.
+        droop = s.roof_droop * min((front - rear) / 1.6, 1.0)
+        return np.asarray(s.height - _EDGE_ROWS[-1][2] - _CROWN - droop * np.minimum(np.abs(away), 1.1) ** 2)
+
+    def _shell(self, deck: Callable[[Array, Array], Array]) -> Surface:
+        stations = np.linspace(0, 1, 8)
+        base, roof = (self._plan(t).outline(stations) for t in (0.0, 1.0))
+        low, high = deck(base[:, 0], base[:, 1]) - _SUNK, self.roof_edge(roof[:, 0])
+        rows = [np.column_stack([self._plan(t).outline(stations), low + (high - low) * t]) for t in _GLASS_ROWS]
+        top = self._plan(1.0)
+        for _, inset, over in _EDGE_ROWS:
+            plan = Plan(
+                top.half_width - inset, top.front - inset * 1.6, top.rear + inset * 1.6,
+                top.front_round, top.rear_round, 0.15, 0.15, top.front_taper, top.rear_taper,
+            )  # fmt: skip
+            rows.append(np.column_stack([plan.outline(stations), high + over]))
+        edge = rows[-1]
+        reach = min(0.4, 0.3 * float(np.ptp(edge[:, 0])))
+        spine = np.clip(edge[:, 0], edge[:, 0].min() + reach, edge[:, 0].max() - reach)
+        ridge = self.roof_edge(spine) + _EDGE_ROWS[-1][2]
+        for _, share in _ROOF_ROWS:
+            x, z = (b + share * (a - b) for a, b in ((edge[:, 0], spine), (edge[:, 2], ridge)))
+            rows.append(np.column_stack([x, share * edge[:, 1], z + _CROWN * (1 - share**2.3)]))
+        levels = [*_GLASS_ROWS, *(row[0] for row in _EDGE_ROWS), *(row[0] for row in _ROOF_ROWS)]
+        self._w = along(self._plan(0.5).outline(stations))
+        return Surface(rows, levels, self._w, "paint")
+
+    def _draw(self) -> None:
+        """Windscreen, side panes and rear window, each in its dark surround."""
+        s, style, glass, w = self.shape, self.style, self.surface, self._w
+        last, total = len(w) - 1, float(w[-1])
+        screen = float(w[FRONT_END + 2]) + 0.02
+        # Under a high roof the panes end where they would end under a low one.
+        room = s.height - s.belt_height
+        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
+        self._pane(-0.2, screen, _GLASS_LOW, screen_high, "glass")
+        self._side_panes(side_high)
+        rear = total - float(w[last - FRONT_END - 1]) - (0.0 if not self.hatch else 0.02)
+        low = _GLASS_LOW if not self.hatch or style.bed else 0.14
+        high = 0.95 if not self.hatch else 0.9
+        if style.glazed < 1:
+            low, high, rear = 0.3, 0.84, rear - 0.08
+        self._pane(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
+        self.points |= {
+            "roof_front": glass.place((screen, screen_high), ROWS)[0],
+            "windscreen_base": glass.place((screen, _GLASS_LOW), ROWS)[0],
+            "roof_rear": glass.place((total - rear, high), ROWS)[0],
+            "rear_window_base": glass.place((total - rear, low), ROWS)[0],
+        }
+        self._wipers(screen, total - rear, low, high)
+        if style.glazed < 1:
+            glass.line([(total - 0.004, -0.1), (total - 0.004, high)], ROWS, width=0.014)
+
+    def _side_panes(self, high: float) -> None:
+        s, style, glass, w = self.shape, self.style, self.surface, self._w
+        last = len(w) - 1
+        ends = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
+        low, over = _GLASS_LOW - _EDGE, high + 0.02
+        foot, head = (np.array([glass.place((end, t), ROWS)[0][0] for end in ends]) for t in (low, over))
+
+        def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
+            """A place on a post `share` of the way along, which is upright between the slanting ends."""
+            up = (t - low) / (over - low)
+            slant = foot + up * (head - foot)
+            x = foot[0] + share * (foot[1] - foot[0]) - 0.04 * up
+            if share in (0.0, 1.0):
+                x = slant[int(share)]
+            return float(np.clip(x, slant[1], slant[0])) + ahead, t
+
+        def pane(a: float, b: float, bottom: float, top: float, edge: float) -> list[tuple[float, float]]:
+            return [post(a, bottom, -edge), post(b, bottom, edge), post(b, top, edge), post(a, top, -edge)]
+
+        glass.paint(pane(0.0, style.glazed, low, over, 0.0), (X, T), "trim")
+        edges = sorted([*style.panes, s.pillar, s.pillar])
+        for first, second in zip(edges[::2], edges[1::2], strict=True):
+            if second <= style.glazed + 1e-6:
+                dark = style.tinted and first >= s.pillar - 1e-6
+                material = "glass_tinted" if dark else "glass"
+                glass.paint(pane(first, second, _GLASS_LOW, high, 0.028), (X, T), material)
+        if style.chrome:
+            glass.line([post(0.0, low), post(style.glazed, low)], (X, T), "chrome", width=0.03)
+        if style.glazed < 1:
+            glass.line([post(style.glazed, 0.0, -0.03), post(style.glazed, 1.0, -0.03)], (X, T), width=0.014)
+        self.pillar_x = post(s.pillar, low)[0]
+
+    def _pane(self, start: float, end: float, low: float, high: float, material: str) -> None:
+        """A screen with its dark surround."""
+        a, b = (start, end + _EDGE) if start < 0 else (start - _EDGE, end)
+        self.surface.paint(rectangle(a, b, low - _EDGE, min(high + _EDGE, 1.0)), ROWS, "trim")
+        self.surface.paint(rectangle(start, end, low, high), ROWS, material)
+
+    def _wipers(self, screen: float, rear: float, low: float, high: float) -> None:
+        """Wipers, and the brake light behind the rear window."""
+        glass, total = self.surface, float(self._w[-1])
+        base = _GLASS_LOW - 0.035
+        glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROWS, width=0.02, layer=4)
+        glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROWS, width=0.017, layer=3)
+        if self.hatch and self.style.glazed == 1:
+            glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROWS, width=0.022, layer=3)
+        glass.draw(rectangle(total - 0.14, total, high - 0.075, high - 0.035), ROWS, "brake_light", layer=2)
+
+    def _add_parts(self) -> None:
+        s, style = self.shape, self.style
+        front, rear = s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run
+        half = s.width / 2 - 0.03 - s.shoulder_inset - s.roof_inset
+        if style.rails:
+            xs = np.linspace(rear + 0.18, front - 0.3, 6)
+            self.parts.append(parts.rail(np.column_stack([xs, np.full(6, half - 0.07), self.roof_edge(xs) + 0.032])))
+        if style.spoiler:
+            top = float(self.roof_edge(np.array([rear])).item()) + _EDGE_ROWS[-1][2]
+            self.parts.append(parts.spoiler(rear, top, half - 0.05))
+        if style.sign:
+            self.parts.append(parts.roof_sign(front - 0.4 * (front - rear), s.height))

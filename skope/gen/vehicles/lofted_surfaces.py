@@ -1,0 +1,429 @@
+"""Lofts: the left half of a shell, made of plan outlines stacked in height, on whose surface panels are drawn.
+
+A shell's columns run from the middle of the front around the left corner, along the side and around the rear corner
+to the middle of the rear; its rows run from the middle of the floor outwards, up the wall and over the top to the
+middle. Panels are convex polygons in some projection of the surface. What is as large as a pane is painted: triangles
+are split along its edges and take its material, so that the shell stays closed. Lamps and intakes are sunk: what is
+painted moves inwards, and walls close the rim. What is small or thin is drawn: a copy of what lies in the polygon
+hovers a millimetre over the shell, which need not be split for it.
+"""
+
+from collections.abc import Collection, Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope.gen.mesh import Mesh, from_triangles, merged
+from skope.types import Array
+
+Indices = NDArray[np.int64]
+
+X, Y, Z, NX, NY, NZ, W, T = range(8)
+"""Columns of a surface's vertices: position, normal, metres along the outline from the front's middle, row."""
+WRAP: Final = (W, Z)
+ROWS: Final = (W, T)
+SIDE: Final = (X, Z)
+TOP: Final = (X, Y)
+
+FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
+"""Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
+
+_FRONT, _CORNER = 4, 4
+"""Intervals between columns over half the front or rear, and around a corner."""
+_LIFT: Final = 0.0012
+"""How far each layer of what is drawn hovers over the one below, metres."""
+_SNAP: Final = 8e-4
+"""Cuts nearer to a vertex than this go through it, metres."""
+_CREASE: Final = np.cos(np.radians(38))
+_EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A horizontal section of a shell, metres."""
+
+    half_width: float
+    front: float
+    """x of the front in the middle."""
+    rear: float
+    front_round: float
+    """How far the corners stand back behind the middle."""
+    rear_round: float
+    front_radius: float
+    rear_radius: float
+    front_taper: float = 0.0
+    """How much narrower each side is at the corner than in the middle of the vehicle."""
+    rear_taper: float = 0.0
+
+    def outline(self, stations: Array) -> Array:
+        """(columns, 2) x, y; `stations` are shares of the side from front to rear."""
+        front, rear = self._end(1.0), self._end(-1.0)[::-1]
+        x = front[-1, 0] + (rear[0, 0] - front[-1, 0]) * stations[1:-1]
+        return np.concatenate([front, np.stack([x, self._side(x)], axis=-1), rear])
+
+    def _side(self, x: Array) -> Array:
+        middle, half = (self.front + self.rear) / 2, (self.front - self.rear) / 2
+        share = (x - middle) / half
+        taper = np.where(share > 0, self.front_taper, self.rear_taper)
+        return np.asarray(self.half_width - taper * np.abs(share) ** 3)
+
+    def _end(self, sign: float) -> Array:
+        """Points from the middle of one end to the side, around its corner."""
+        ahead, back, radius = (
+            (self.front, self.front_round, self.front_radius)
+            if sign > 0
+            else (-self.rear, self.rear_round, self.rear_radius)
+        )
+        corner = ahead - back
+        half = float(self._side(np.array([sign * (corner - radius)]))[0])
+        y = np.linspace(0, half - radius, _FRONT + 1)
+        x = ahead - back * (y / half) ** 2
+        slope = 2 * back * y[-1] / half**2
+        bend = np.array([x[-1] - slope * radius * 0.9, half])
+        t = np.linspace(0, 1, _CORNER + 1)[1:, None]
+        start, end = np.array([x[-1], y[-1]]), np.array([bend[0] - radius, half])
+        end[1] = float(self._side(np.array([sign * end[0]]))[0])
+        # A little fuller than the parabola of three points, near a circle's arc.
+        curve = (1 - t) ** 2 * start + 2 * t * (1 - t) * bend + t**2 * end
+        both = np.concatenate([np.stack([x, y], axis=-1), curve])
+        return np.asarray(both * [sign, 1.0])
+
+
+FRONT_END: Final = _FRONT
+"""Column where the front's corner begins; counted from the last column, where the rear's does."""
+SIDE_START: Final = _FRONT + _CORNER
+"""Column where the side begins; counted from the last column, where it ends."""
+
+
+class Surface:
+    """The left half of a shell; `half` and `whole` are its meshes."""
+
+    def __init__(
+        self,
+        rows: Sequence[Array],
+        levels: Sequence[float],
+        along: Array,
+        material: str,
+        *,
+        creases: Collection[float] = (),
+    ) -> None:
+        """Rows (columns, 3) with their T, and W of each column; the surface is broken at the rows `creases`."""
+        self._creases = np.array(sorted(creases))
+        self._drawn: list[Mesh] = []
+        points = np.stack(rows)
+        count, columns = points.shape[:2]
+        index = np.arange(count * columns).reshape(count, columns)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+        triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
+        place = np.stack(np.broadcast_arrays(along[None, :], np.array(levels)[:, None]), axis=-1)
+        self._set_up(points.reshape(-1, 3), place.reshape(-1, 2), triangles)
+        self._names = [material]
+        self._material = np.zeros(len(self._triangles), dtype=np.int64)
+
+    def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
+        """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
+        face = np.cross(
+            points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
+        )
+        area = np.linalg.norm(face, axis=1)
+        triangles, face = triangles[area > 1e-9], face[area > 1e-9]
+        unit = face / np.linalg.norm(face, axis=1, keepdims=True)
+        # Rows may share points where a part of the shell has no height: normals are summed by position.
+        _, same = np.unique(np.round(points, 6), axis=0, return_inverse=True)
+        same = same.reshape(-1)
+        corners = triangles.ravel()
+        owner = np.repeat(np.arange(len(triangles)), 3)
+        order = np.argsort(same[corners], kind="stable")
+        group = same[corners][order]
+        starts = np.flatnonzero(np.r_[True, group[1:] != group[:-1]])
+        normals = np.empty((len(corners), 3))
+        above = place[triangles, 1].mean(axis=1)
+        broken = np.isin(place[:, 1], self._creases)
+        for start, stop in zip(starts, [*starts[1:], len(group)], strict=True):
+            at = order[start:stop]
+            own = unit[owner[at]]
+            near = (own @ own.T) > _CREASE
+            if broken[corners[at[0]]]:
+                upper = above[owner[at]] > place[corners[at[0]], 1]
+                near &= upper[:, None] == upper[None, :]
+            total = near @ face[owner[at]]
+            if points[corners[at[0]], 1] < 1e-9:
+                total[:, 1] = np.where(np.abs(own[:, 1]) < 0.6, 0.0, total[:, 1])
+            normals[at] = total
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        rows = np.column_stack([points[corners], normals, place[corners]])
+        rows, index = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
+        self._vertices = rows
+        self._triangles = index.reshape(-1, 3).astype(np.int64)
+
+    def paint(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        material: str,
+        *,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+        facing: tuple[float, float, float] | None = None,
+    ) -> Array:
+        """Give what lies in a convex polygon of a projection a material; returns the (N, 8) vertices that it has now.
+
+        Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
+        """
+        chosen = self._cut(polygon, projection, levels, facing)
+        self._material[chosen] = self._number(material)
+        return self._vertices[np.unique(self._triangles[chosen])]
+
+    def _cut(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        levels: tuple[float, float],
+        facing: tuple[float, float, float] | None,
+    ) -> Indices:
+        """Split triangles along a polygon's edges; returns those inside."""
+        p = np.asarray(polygon, dtype=np.float64)
+        edge = np.roll(p, -1, axis=0) - p
+        if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() < 0:
+            p, edge = p[::-1], (np.roll(p[::-1], -1, axis=0) - p[::-1])
+        place = self._vertices[:, projection]
+        corners = place[self._triangles]
+        active = ((corners.max(axis=1) > p.min(axis=0)) & (corners.min(axis=1) < p.max(axis=0))).all(axis=1)
+        level = self._vertices[:, T][self._triangles]
+        active &= (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
+        if facing is not None:
+            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.7
+        if not active.any():
+            return np.zeros(0, dtype=np.int64)
+        touched = np.zeros(len(self._vertices), dtype=bool)
+        touched[self._triangles[active]] = True
+        local = touched[self._triangles].any(axis=1)
+        triangles, material, inside = self._triangles[local], self._material[local], active[local]
+        edges = np.stack([-edge[:, 1], edge[:, 0]], axis=-1)
+        length = np.linalg.norm(edges, axis=1)
+        p, normals = p[length > 1e-9], edges[length > 1e-9] / length[length > 1e-9, None]
+        offsets = (p * normals).sum(axis=1)
+        for start, normal in zip(p, normals, strict=True):
+            # What lies outside one of the edges altogether needs no cutting by the others.
+            heights = self._vertices[:, projection][triangles[inside]] @ normals.T - offsets
+            inside[inside] = (heights.max(axis=1) > _SNAP).all(axis=1)
+            value = (self._vertices[:, projection] - start) @ normal
+            value[np.abs(value) < _SNAP] = 0
+            triangles, parent = self._split(triangles, inside, value)
+            value = (self._vertices[:, projection] - start) @ normal
+            value[np.abs(value) < _SNAP] = 0
+            material = material[parent]
+            inside = inside[parent] & (value[triangles].sum(axis=1) > 0)
+            if not inside.any():
+                break
+        kept = int((~local).sum())
+        self._triangles = np.concatenate([self._triangles[~local], triangles])
+        self._material = np.concatenate([self._material[~local], material])
+        return kept + np.flatnonzero(inside)
+
+    def _split(self, triangles: Indices, inside: NDArray[np.bool_], value: Array) -> tuple[Indices, Indices]:
+        """Split edges where `value` of the vertices changes sign: new triangles, and the old one of each."""
+        ends = np.sort(triangles[:, _EDGES], axis=-1)
+        crossing = inside[:, None] & (value[ends[..., 0]] * value[ends[..., 1]] < 0)
+        base = len(self._vertices)
+        key = ends[..., 0] * base + ends[..., 1]
+        keys = np.unique(key[crossing])
+        if not len(keys):
+            return triangles, np.arange(len(triangles))
+        a, b = keys // base, keys % base
+        share = (value[a] / (value[a] - value[b]))[:, None]
+        new = self._vertices[a] + (self._vertices[b] - self._vertices[a]) * share
+        new[:, NX:W] /= np.maximum(np.linalg.norm(new[:, NX:W], axis=1, keepdims=True), 1e-9)
+        self._vertices = np.concatenate([self._vertices, new])
+        found = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+        hit = keys[found] == key
+        middle = base + found
+        count = hit.sum(axis=1)
+        out, parents = [triangles[count == 0]], [np.flatnonzero(count == 0)]
+        for splits, first in ((1, hit.argmax(axis=1)), (2, ((~hit).argmax(axis=1) + 1) % 3), (3, 0 * count)):
+            at = np.flatnonzero(count == splits)
+            if not len(at):
+                continue
+            turn = (first[at, None] + np.arange(3)) % 3
+            v = np.take_along_axis(triangles[at], turn, axis=1).T
+            m = np.take_along_axis(middle[at], turn, axis=1).T
+            parts = {
+                1: [(v[0], m[0], v[2]), (m[0], v[1], v[2])],
+                2: [(m[0], v[1], m[1]), (v[0], m[0], m[1]), (v[0], m[1], v[2])],
+                3: [(v[0], m[0], m[2]), (m[0], v[1], m[1]), (m[1], v[2], m[2]), (m[0], m[1], m[2])],
+            }[splits]
+            out += [np.stack(part, axis=-1) for part in parts]
+            parents += [at] * len(parts)
+        return np.concatenate(out), np.concatenate(parents)
+
+    def sink(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        depth: float,
+        material: str,
+        *,
+        wall: str = "trim",
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+    ) -> None:
+        """Move what lies in a convex polygon `depth` metres inwards, level, and close its rim with walls."""
+        chosen = self._cut(polygon, projection, levels, None)
+        if not len(chosen):
+            return
+        start, end = self._rim(self._triangles[chosen])
+        inner = (self._vertices[start, Y] > 1e-9) | (self._vertices[end, Y] > 1e-9)
+        start, end = start[inner], end[inner]
+        used, index = np.unique(self._triangles[chosen], return_inverse=True)
+        floor = self._vertices[used]
+        floor[:, :NX] -= depth * self._outward(used)
+        at = np.full(len(self._vertices), -1)
+        at[used] = np.arange(len(used))
+        corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
+        normal = np.cross(corners[:, 2, :NX] - corners[:, 0, :NX], corners[:, 3, :NX] - corners[:, 1, :NX])
+        corners[:, :, NX:W] = (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))[:, None]
+        base = len(self._vertices)
+        self._vertices = np.concatenate([self._vertices, floor, corners.reshape(-1, 8)])
+        first = base + len(floor) + 4 * np.arange(len(corners))[:, None]
+        walls = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
+        self._triangles[chosen] = base + index.reshape(-1, 3)
+        self._material[chosen] = self._number(material)
+        self._triangles = np.concatenate([self._triangles, walls])
+        self._material = np.concatenate([self._material, np.full(len(walls), self._number(wall))])
+
+    def _outward(self, used: Indices) -> Array:
+        """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
+        _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
+        total = np.zeros((len(used), 3))
+        np.add.at(total, same.reshape(-1), self._vertices[used, NX:W])
+        normal = total[same.reshape(-1)] * [1, 1, 0]
+        return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+
+    def _rim(self, triangles: Indices) -> tuple[Indices, Indices]:
+        """Starts and ends of the edges around triangles, counter-clockwise."""
+        _, same = np.unique(np.round(self._vertices[:, :NX], 6), axis=0, return_inverse=True)
+        edges = triangles[:, _EDGES].reshape(-1, 2)
+        keys = same.reshape(-1)[edges]
+        base = int(keys.max()) + 1
+        rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
+        return edges[rim, 0], edges[rim, 1]
+
+    def _number(self, material: str) -> int:
+        if material not in self._names:
+            self._names.append(material)
+        return self._names.index(material)
+
+    def draw(
+        self,
+        polygon: ArrayLike,
+        projection: tuple[int, int],
+        material: str,
+        *,
+        layer: float = 1,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+        facing: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
+        patch = copy(self)
+        inside = patch._cut(polygon, projection, levels, facing)
+        a, b, c = np.moveaxis(patch._vertices[:, projection][patch._triangles[inside]], 1, 0)
+        # Walls around what is sunk have no area here, and nothing to show.
+        inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
+        if not len(inside):
+            return
+        used, index = np.unique(patch._triangles[inside], return_inverse=True)
+        v = patch._vertices[used]
+        position = v[:, :NX] + layer * _LIFT * v[:, NX:W]
+        kind = np.zeros(len(inside), dtype=np.int64)
+        self._drawn.append(Mesh(position, v[:, NX:W], index.reshape(-1, 3), (material,), kind))
+
+    def place(
+        self,
+        point: ArrayLike,
+        projection: tuple[int, int] = (W, Z),
+        *,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+    ) -> tuple[Array, Array]:
+        """(3,) position and unit normal of the surface's outermost point over a point of a projection."""
+        level = self._vertices[:, T][self._triangles]
+        chosen = (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
+        corners = self._vertices[self._triangles[chosen]]
+        a, b, c = np.moveaxis(corners[:, :, list(projection)], 1, 0)
+        p = np.asarray(point, dtype=np.float64)
+        area = _cross(b - a, c - a)
+        flat = np.abs(area) < 1e-10
+        area = np.where(flat, 1.0, area)
+        shares = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1) / area[:, None]
+        shares[flat] = -9.0
+        # Over a hole, the nearest triangle's edge.
+        inside = np.flatnonzero(shares.min(axis=1) > min(-1e-6, float(shares.min(axis=1).max()) - 1e-9))
+        weights = np.clip(shares[inside], 0, 1)
+        found = (corners[inside] * (weights / weights.sum(axis=1, keepdims=True))[..., None]).sum(axis=1)
+        best = found[(found[:, :NX] * found[:, NX:W]).sum(axis=1).argmax()]
+        return best[:NX], best[NX:W] / np.linalg.norm(best[NX:W])
+
+    def side(self, place: Array) -> float:
+        """y of the surface's outermost point over a place x, z."""
+        return float(self.place(place, SIDE)[0][1])
+
+    def line(
+        self,
+        points: ArrayLike,
+        projection: tuple[int, int],
+        material: str = "gap",
+        *,
+        width: float = 0.009,
+        layer: float = 1,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+        facing: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Draw a thin line through points (N, 2) of a projection."""
+        p = np.asarray(points, dtype=np.float64)
+        for start, end in pairwise(p):
+            along = (end - start) / np.hypot(*(end - start))
+            across = np.array([-along[1], along[0]]) * width / 2
+            reach = along * width / 2
+            quad = [start - across - reach, end - across + reach, end + across + reach, start + across - reach]
+            self.draw(quad, projection, material, layer=layer, levels=levels, facing=facing)
+
+    def carve_well(self, polygon: ArrayLike, inner: float) -> tuple[Mesh, Array]:
+        """Cut a wheel well, a polygon seen from the side, as deep as y = `inner`.
+
+        Returns its lining and the (N, 2, 3) edges that it leaves in the wall, each counter-clockwise around the hole.
+        """
+        gone = self._cut(polygon, SIDE, (INNER, SHOULDER), None)
+        removed = self._triangles[gone]
+        self._triangles = np.delete(self._triangles, gone, axis=0)
+        self._material = np.delete(self._material, gone)
+        position = self._vertices[:, :3]
+        start, end = self._rim(removed)
+        a, b = position[start], position[end]
+        a2, b2 = a.copy(), b.copy()
+        a2[:, 1] = b2[:, 1] = inner
+        center = np.tile((a.min(axis=0) + a.max(axis=0)) / 2, (len(a), 1))
+        center[:, 1] = inner
+        corners = np.concatenate([np.stack([a, b, b2], 1), np.stack([a, b2, a2], 1), np.stack([a2, b2, center], 1)])
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        corners = corners[area > 1e-8]
+        lining = from_triangles(corners.reshape(-1, 3), np.arange(3 * len(corners)), "under")
+        level = self._vertices[:, T]
+        wall = (level[start] >= 0) & (level[end] >= 0)
+        return lining, np.stack([a, b], axis=1)[wall & (np.abs(a[:, 2] - b[:, 2]) + np.abs(a[:, 0] - b[:, 0]) > 1e-6)]
+
+    @property
+    def half(self) -> Mesh:
+        used, index = np.unique(self._triangles, return_inverse=True)
+        v = self._vertices[used]
+        shell = Mesh(v[:, :3], v[:, NX:W], index.reshape(-1, 3), tuple(self._names), self._material)
+        return merged([shell, *self._drawn])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def along(outline: Array) -> Array:
+    """Metres along an outline (columns, 2) from its first point."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])

@@ -1,0 +1,187 @@
+"""Vehicle models that users add: kept in a folder of their own, one subfolder each."""
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.errors import UserError, one_of
+from skope.files import check_version, read_json, write_bytes
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles.keypoint_separation import Sidecar
+from skope.gen.vehicles.markers import Marked
+from skope.gen.vehicles.model import Derived
+from skope.gen.vehicles.shape import Dimensions
+from skope.safe_names import name as check_name
+from skope.schema import VEHICLE_TYPES, array
+from skope.types import Array
+
+DENSITY: Final = 115.0
+"""Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
+MASSES: Final = (1.0, 1_000_000.0)
+"""Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
+_VERSION: Final = 1
+_MESHES: Final = ("mesh", "wheel")
+_FIELDS: Final = ("vertices", "normals", "triangles", "material")
+
+
+@dataclass(frozen=True, eq=False)
+class AddedVehicle(Derived):
+    """A model from a file; its windows are opaque."""
+
+    model: str
+    vehicle_type: str
+    shape: Dimensions
+    mass: float
+    mesh: Mesh
+    wheel: Mesh
+    points: Array
+    digest: str = ""
+    """Digest of the model's files."""
+    substituted: tuple[str, ...] = ()
+
+    @property
+    def interior(self) -> None:
+        return None
+
+
+def folder() -> Path:
+    """$SKOPE_VEHICLES, or skope's folder in the user's data."""
+    own = os.environ.get("SKOPE_VEHICLES")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_DATA_HOME", Path.home() / ".local/share")) / "skope" / "vehicles"
+
+
+def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None) -> AddedVehicle:
+    """Make a vehicle from a model with markers.
+
+    Args:
+        marked: What `read_marked` read.
+        name: Name of the new model.
+        vehicle_type: One of `VEHICLE_TYPES`.
+        mass: Kilograms. Default: estimated from the size.
+    """
+    points = marked.points
+    right_front, left_front, right_rear, _ = (points[k] for k in (16, 17, 18, 19))
+    length, width, height = marked.size_lwh
+    shape = Dimensions(
+        length=length,
+        width=width,
+        height=height,
+        wheelbase=float(right_front[0] - right_rear[0]),
+        track=float(left_front[1] - right_front[1]),
+        wheel_radius=marked.wheel_radius,
+        wheel_width=marked.wheel_width,
+        front_overhang=float(length / 2 - right_front[0]),
+        clearance=float(max(marked.mesh.vertices[:, 2].min(), 0.0)),
+    )
+    kilograms = DENSITY * length * width * height if mass is None else mass
+    return AddedVehicle(name, vehicle_type, shape, kilograms, marked.mesh, marked.wheel, points)
+
+
+def save(vehicle: AddedVehicle) -> Path:
+    """Write a model's files; returns their folder. Raises UserError where another model has that name."""
+    path = folder() / vehicle.model
+    arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in _MESHES for field in _FIELDS}
+    mesh = io.BytesIO()
+    np.savez_compressed(mesh, **arrays)
+    row = {
+        "version": _VERSION,
+        "vehicle_type": vehicle.vehicle_type,
+        "shape": asdict(vehicle.shape),
+        "mass": vehicle.mass,
+        "keypoints": vehicle.points.tolist(),
+        "materials": {name: getattr(vehicle, name).materials for name in _MESHES},
+        "sidecar": vehicle.sidecar.to_dict(),
+    }
+    row_bytes = (json.dumps(row, indent=1, allow_nan=False) + "\n").encode()
+    files = {path / "mesh.npz": mesh.getvalue(), path / "vehicle.json": row_bytes}
+    if any(file.is_file() and file.read_bytes() != data for file, data in files.items()):
+        raise UserError(f"{path}: another model of that name was added already; choose another --name, or remove it")
+    for file, data in files.items():
+        write_bytes(file, data)
+    return path
+
+
+@cache
+def load(name: str) -> AddedVehicle:
+    """A model that was added under that name."""
+    path = folder() / check_name("model", name)
+    if not (path / "vehicle.json").is_file():
+        there = ", ".join(names()) or "none yet: skope gen vehicles add"
+        raise UserError(f"--vehicles: no model {name!r} was added; there are: {there}")
+    row = read_json(path / "vehicle.json")
+    if not isinstance(row, dict):
+        raise UserError(f"{path / 'vehicle.json'}: expected an object, got {row!r:.60}")
+    check_version(path / "vehicle.json", row.get("version"), _VERSION)
+    try:
+        with np.load(path / "mesh.npz", allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        mesh, wheel = (_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
+        vehicle = AddedVehicle(
+            model=name,
+            vehicle_type=one_of("vehicle_type", row["vehicle_type"], VEHICLE_TYPES),
+            shape=_dimensions(row["shape"]),
+            mass=check_mass("mass", row["mass"]),
+            points=array("keypoints", row["keypoints"], keypoints.K, 3),
+            digest=_digest(path),
+            mesh=mesh,
+            wheel=wheel,
+        )
+        Sidecar.from_dict(row["sidecar"])
+    except Exception as error:  # damaged archives and fields come in a dozen types
+        raise UserError(f"{path}: not a readable vehicle: {error}") from None
+    return vehicle
+
+
+def check_mass(field: str, kilograms: Any) -> float:
+    """Return a mass, or raise a UserError that names the field."""
+    low, high = MASSES
+    if isinstance(kilograms, bool) or not isinstance(kilograms, int | float) or not low <= kilograms <= high:
+        raise UserError(f"{field}: expected kilograms from {low:g} to {high:g}, got {kilograms!r:.60}")
+    return float(kilograms)
+
+
+def _dimensions(told: Mapping[str, Any]) -> Dimensions:
+    shape = Dimensions(**told)
+    for name, metres in shape.to_dict().items():
+        if not float(array(f"shape.{name}", metres, 1)[0]) >= 0:
+            raise UserError(f"shape.{name}: expected metres from 0, got {metres!r:.60}")
+    return shape
+
+
+def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
+    """A mesh of a file; a UserError where its arrays do not belong together."""
+    vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in _FIELDS)
+    count = len(triangles)
+    shapes = (vertices.shape, normals.shape, triangles.shape, material.shape)
+    if shapes != ((len(vertices), 3), (len(vertices), 3), (count, 3), (count,)) or not count:
+        raise UserError(f"mesh.npz: {name}: its arrays do not belong together")
+    if not (np.isfinite(vertices).all() and np.isfinite(normals).all()):
+        raise UserError(f"mesh.npz: {name}: not all numbers are finite")
+    for indices, limit in ((triangles, len(vertices)), (material, len(materials))):
+        if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= limit:
+            raise UserError(f"mesh.npz: {name}: triangles of vertices or materials that are not there")
+    return Mesh(vertices, normals, triangles, tuple(materials), material)
+
+
+def names() -> list[str]:
+    """Names of all models that the user has added."""
+    return sorted(path.parent.name for path in folder().glob("*/vehicle.json"))
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    for name in ("mesh.npz", "vehicle.json"):
+        digest.update((path / name).read_bytes())
+    return digest.hexdigest()[:16]

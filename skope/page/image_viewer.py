@@ -1,0 +1,113 @@
+"""Photographs inside the page, with vehicles drawn over them as SVG that keeps its line widths at any size."""
+
+import base64
+from collections.abc import Collection, Sequence
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import dataset, keypoints
+from skope.boxes import xywh_to_xyxy
+from skope.page.html_pieces import tag
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LONGEST: Final = 960
+"""Pixels of the longer edge of an embedded photograph."""
+QUALITY: Final = 78
+
+
+def embedded(path: Path, size: tuple[int, int]) -> str:
+    """An image file of `size` (width, height) as a data address; a UserError says what is wrong with it."""
+    return jpeg(dataset.read_image(path, size))
+
+
+def jpeg(pixels: NDArray[np.uint8], *, longest: int = LONGEST, quality: int = QUALITY) -> str:
+    """(H, W, 3) RGB as a data address, made smaller where it is longer than `longest`."""
+    scale = min(1.0, longest / max(pixels.shape[:2]))
+    if scale < 1:
+        pixels = np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert done
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def drawing(layers: Sequence[str], size: tuple[int, int]) -> str:
+    """Layers as one drawing over a photograph of `size` (width, height)."""
+    return tag("svg", *layers, viewBox="0 0 {} {}".format(*size), aria_hidden="true", preserveAspectRatio="none")
+
+
+def switches(legend: str, layers: dict[str, str], shown: Collection[str]) -> str:
+    """A box to tick for each layer (class: words) of the gallery around it; those in `shown` are ticked."""
+    boxes = "".join(
+        f'<label><input type="checkbox" data-layer="{layer}"{" checked" if layer in shown else ""}> '
+        f'<span class="key {layer}"></span>{escape(words)}</label>'
+        for layer, words in layers.items()
+    )
+    return tag("fieldset", tag("legend", escape(legend)), boxes, class_="choices")
+
+
+def unit(width: int) -> float:
+    """Unit of sizes inside a drawing over an image of `width` pixels."""
+    return max(1.0, width / 640)
+
+
+def box(box_xywh: ArrayLike, name: str | None = None) -> str:
+    """A rectangle; `name` is said when it is pointed at."""
+    x, y, w, h = (round(float(v), 1) for v in np.asarray(box_xywh))
+    return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
+
+
+def path(d: str, class_: str) -> str:
+    """A path, or nothing where there is nothing to draw."""
+    return f'<path class="{class_}" d="{d}"/>' if d else ""
+
+
+def points(
+    at: Floats,
+    placed: Flags,
+    sure: Flags,
+    joined: Flags,
+    scale: float,
+    skeleton: Sequence[tuple[int, int]],
+    shown: Collection[int] = range(keypoints.K),
+) -> str:
+    """Keypoints of a vehicle as SVG paths.
+
+    Args:
+        at: (33, 2 or more) x, y.
+        placed: (33,) which have a place and get a mark.
+        sure: (33,) which marks are dots; the others are rings.
+        joined: (33,) which keypoints the skeleton connects.
+        scale: `unit` of the drawing.
+        skeleton: Pairs of keypoints.
+        shown: Which keypoints are drawn at all.
+    """
+    edges = "".join(
+        f"M{place(at[a])}L{place(at[b])}" for a, b in skeleton if a in shown and b in shown and joined[a] and joined[b]
+    )
+    r = 1.6 * scale
+    ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
+    dots = "".join(f"M{place(at[k])}h0" for k in shown if placed[k] and sure[k])
+    rings = "".join(f"M{place(at[k])}{ring}" for k in shown if placed[k] and not sure[k])
+    return path(edges, "edges") + path(rings, "rings") + path(dots, "dots")
+
+
+def place(point: Floats) -> str:
+    """A position (2 or more,), of which x and y count, as SVG paths have it."""
+    return f"{point[0]:.1f} {point[1]:.1f}"
+
+
+def label(box_xywh: ArrayLike, text: str, scale: float, width: int) -> str:
+    """Text above a box, kept inside the image; it ends with the box where it begins in the image's last fifth."""
+    x0, y0, x1, _ = xywh_to_xyxy(box_xywh)
+    size = 11 * scale
+    late = x0 > 0.8 * width
+    x, anchor = (min(x1, width), "end") if late else (max(x0, 0.0), "start")
+    attributes = f'x="{x:.1f}" y="{max(y0 - 3, size):.1f}" text-anchor="{anchor}" font-size="{size:g}"'
+    return f"<text {attributes}>{escape(text)}</text>"

@@ -1,0 +1,179 @@
+"""The card of a dataset: what README.md says in words, and croissant.json to programs."""
+
+import hashlib
+import json
+import shlex
+import struct
+from collections import Counter
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skope import coco
+from skope.cli import app
+from skope.errors import UserError
+from skope.files import read_json, write_json
+from skope.gen.labels.annotate import Rules
+from skope.gen.output import card_text, dataset_card, licences
+from skope.gen.output.card_counts import Counts, kind_of
+from skope.gen.output.croissant import croissant
+from skope.gen.pipeline.config import Parameters, from_preset
+from tests.samples import make_dataset
+
+
+def parameters(**changes: Any) -> Parameters:
+    return from_preset("demo", seed=3, renderer="gl", driver="a driver", rules=Rules(), frames=2, **changes)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A folder with two splits, made by hand, whose manifest names every file, and its card."""
+    make_dataset(tmp_path)
+    (tmp_path / "dataset.json").unlink()
+    for path in ("recordings/a_00.npz", "depth/site/00_000001.png"):
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_bytes(struct.pack(">d", 1.0))
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    sums = {str(path.relative_to(tmp_path)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    write_json(tmp_path / "manifest.json", {"sha256": sums, "tallies": {}})
+    dataset_card.write(tmp_path, content())
+    return tmp_path
+
+
+def content(**changes: Any) -> dict[str, Any]:
+    counts = Counts()
+    counts.images = 4
+    counts.by["split"] = {"train": Counter(images=2, ground_truth=3, ignored=1), "easy": Counter(images=2)}
+    counts.by["vehicle_type"] = {"sedan": Counter(ground_truth=1), "van": Counter(ground_truth=2)}
+    counts.tally.update(vehicles=4, occluded_others=1, occluded_paper=2)
+    counts.apart_m, counts.most_apart_m = [0.003, 0.001], 0.3
+    return dataset_card.card(json.loads(json.dumps(parameters(**changes).to_dict())), [], counts)
+
+
+def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
+    text = (root / "README.md").read_text(encoding="utf-8")
+    titles = [line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")]
+    assert titles == [
+        *("What it is for", "How it was made", "What the labels mean", "Balance", "Limits", "People", "Licence"),
+    ]
+    assert "Not validated for safety or enforcement" in text
+    assert "v = 1: inside the image but hidden" in text
+    assert "Of 4 vehicles the occlusion rule `others` takes 1, the rule `paper` 2." in text
+    assert "| van | 2 | 0 | 66.7% |\n| sedan | 1 | 0 | 33.3% |" in text
+    assert "CC BY 4.0 (https://creativecommons.org/licenses/by/4.0/)" in text
+    assert "seed 3" in text
+
+
+def test_the_card_of_another_tool_says_what_it_knows() -> None:
+    known = {"version": 1, "keypoint_scheme": "skope33", "licence": "mine"}
+    text = card_text.markdown(known)
+    assert "## Licence\n\nmine" in text
+    assert "Not validated for safety or enforcement" in text
+    assert "## How it was made" not in text
+    assert "## People" not in text
+    part = {"name": "west", "licence": "CC0 1.0", "command": "skope gen --seed 4"}
+    assert "- west (CC0 1.0): `skope gen --seed 4`" in card_text.markdown({**known, "sources": [part]})
+
+
+def test_a_table_cell_cannot_break_out() -> None:
+    broken = {**content(), "counts": {"by_site": {"a|b": {"images": 1, "ground_truth": 2, "ignored": 0}}}}
+    assert "| a/b | 1 | 2 | 0 | 100.0% |" in card_text.markdown(broken)
+    assert "<td>&lt;i&gt;" not in card_text.html({**broken, "label_rules": ["<i>"]})
+    assert "&lt;i&gt;" in card_text.html({**broken, "label_rules": ["<i>"]})
+
+
+# -------------------------------------------------------------------------------------------------------------- licence
+
+
+@pytest.mark.parametrize(
+    ("given", "stated"),
+    [
+        ("cc by-sa 4.0", "CC BY-SA 4.0"),
+        ("CC-BY-NC-SA-4.0", "CC BY-NC-SA 4.0"),
+        ("cc0 1.0", "CC0 1.0"),
+        ("All rights reserved\n by us ", "All rights reserved by us"),
+    ],
+)
+def test_a_licence_has_one_name(given: str, stated: str) -> None:
+    assert licences.named(given) == stated
+    assert content(licence=licences.named(given))["licence"] == stated
+
+
+def test_a_licence_without_a_name_is_refused() -> None:
+    with pytest.raises(UserError, match="--licence: expected a licence's name"):
+        licences.named("  ")
+    result = CliRunner().invoke(app, ["gen", "--licence", "", "--out", "never"])
+    assert "--licence" in str(result.exception)
+
+
+def test_the_command_in_the_card_repeats_the_licence() -> None:
+    assert "--licence" not in content()["command"]
+    words = shlex.split(content(licence="our terms; see LICENCE")["command"])
+    assert words[words.index("--licence") + 1] == "our terms; see LICENCE"
+
+
+# ------------------------------------------------------------------------------------------------------------ croissant
+
+
+def test_croissant_describes_every_file(root: Path) -> None:
+    document = read_json(root / "croissant.json")
+    sums = read_json(root / "manifest.json")["sha256"]
+    patterns = []
+    for entry in document["distribution"]:
+        assert entry["@id"] == entry["name"]
+        if entry["@type"] == "cr:FileObject":
+            data = (root / entry["contentUrl"]).read_bytes()
+            assert hashlib.sha256(data).hexdigest() == entry["sha256"]
+        else:
+            patterns.append(entry["includes"])
+            found = [path for path in root.glob(entry["includes"]) if path.is_file()]
+            assert found, entry["includes"]
+    assert all(any(fnmatch(path, pattern) for pattern in patterns) for path in sums)
+    sets = document["recordSet"]
+    ids = [entry["@id"] for entry in (*document["distribution"], *sets, *(f for s in sets for f in s["field"]))]
+    assert len(set(ids)) == len(ids)
+
+
+def test_croissants_fields_are_rows_of_the_annotation_files(root: Path) -> None:
+    document = read_json(root / "croissant.json")
+    files = {entry["@id"]: entry for entry in document["distribution"]}
+    rows = {path.stem: read_json(path) for path in (root / "annotations").glob("*.json")}
+    for record_set in document["recordSet"]:
+        assert record_set["key"]["@id"] in {field["@id"] for field in record_set["field"]}
+        for field in record_set["field"]:
+            source = field["source"]
+            assert files[source["fileSet"]["@id"]]["includes"] == "annotations/*.json"
+            _, list_, name = source["extract"]["jsonPath"].split(".")
+            for annotations in rows.values():
+                assert all(name in row for row in annotations[list_.removesuffix("[*]")])
+
+
+def test_croissant_says_what_the_card_says(root: Path) -> None:
+    document = read_json(root / "croissant.json")
+    assert document["conformsTo"][0] == "http://mlcommons.org/croissant/1.0"
+    assert document["license"] == "https://creativecommons.org/licenses/by/4.0/"
+    assert document["rai:dataLimitations"] == card_text.limits(read_json(root / "dataset.json"))
+    assert document["@context"]["rai"] == "http://mlcommons.org/croissant/RAI/"
+
+
+def test_croissant_of_shards_names_each_archive() -> None:
+    sums = {"shards/train-000000.tar": "ab", "shards/train-000000.json": "cd", "recordings/a.npz": "ef"}
+    document = croissant({**content(), "format": "shards"}, sums)
+    objects = [entry for entry in document["distribution"] if entry["@type"] == "cr:FileObject"]
+    assert [(entry["contentUrl"], entry["sha256"]) for entry in objects] == [("shards/train-000000.tar", "ab")]
+    assert "recordSet" not in document
+
+
+def test_what_is_known_of_an_image_is_counted(tmp_path: Path) -> None:
+    file = coco.read(make_dataset(tmp_path) / "annotations/easy.json")
+    counts = Counts()
+    for image in file.images:
+        kinds = [kind_of(a.iscrowd, a.vehicle_type) for a in file.by_image()[image.id]]
+        counts.add({"split": "easy", "site": None, "weather": image.weather}, kinds, {"ignored": {}})
+    said = counts.to_dict()
+    assert said["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}
+    assert said["by_site"] == {}
+    assert said["by_vehicle_type"] == {"sedan": {"ground_truth": 4, "ignored": 0}}

@@ -1,0 +1,154 @@
+"""From a model file with markers to a vehicle that drives in generated scenes."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from skope.cli import app
+from skope.dataset import open_dataset
+from skope.errors import UserError
+from skope.files import read_json, write_json
+from skope.gen.inspect.check import check
+from skope.gen.vehicles import user_models
+from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.user_models import names
+from tests.gen.vehicles.test_markers import nodes, renamed, swapped, without, written
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SKOPE_VEHICLES", str(tmp_path / "vehicles"))
+    user_models.load.cache_clear()
+    return tmp_path / "vehicles"
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["gen", *arguments])
+    error = "" if isinstance(result.exception, SystemExit | None) else f"{result.exception}"
+    return result.exit_code, result.output + error
+
+
+def test_an_added_model_drives(tmp_path: Path, own_folder: Path) -> None:
+    path = written(tmp_path / "my_car.glb", nodes())
+    code, text = run("vehicles", "add", str(path), "--mass", "1500")
+    assert code == 0, text
+    assert "note: parts: no brake lamps" in text
+    assert names() == ["my_car"]
+    assert sorted(path.name for path in (own_folder / "my_car").iterdir()) == ["mesh.npz", "vehicle.json"]
+    vehicle = build("my_car", {})
+    assert vehicle.vehicle_type == "other"
+    assert vehicle.mass == 1500
+
+    out = tmp_path / "data"
+    flags = ["--sites", "t01_main_west", "--frames", "4", "--size", "320x180", "--workers", "1", "--seed", "2"]
+    code, text = run("--out", str(out), "--vehicles", "my_car", *flags)
+    assert code == 0, text
+    dataset = open_dataset(out)
+    assert list(check(dataset)) == []
+    models = [annotation.model for annotation in dataset.read("medium").annotations]
+    assert "my_car" in models
+    assert dataset.card["parameters"]["vehicles"] == {"my_car": user_models.load("my_car").digest}
+    assert "--vehicles my_car" in dataset.card["command"]
+
+
+def test_another_model_of_the_same_name_is_refused(tmp_path: Path, own_folder: Path) -> None:
+    path = written(tmp_path / "car.glb", nodes())
+    for _ in range(2):  # the same one is added again
+        code, text = run("vehicles", "add", str(path), "--mass", "1500")
+        assert code == 0, text
+    before = {file.name: file.read_bytes() for file in (own_folder / "car").iterdir()}
+    code, text = run("vehicles", "add", str(path), "--mass", "1600")
+    assert code != 0
+    assert f"{own_folder / 'car'}: another model of that name was added already" in text
+    assert {file.name: file.read_bytes() for file in (own_folder / "car").iterdir()} == before
+
+
+def test_what_is_wrong_is_said_and_nothing_is_added(tmp_path: Path, own_folder: Path) -> None:
+    for change, said in (
+        (without("kp_24"), "no marker for hood_front_right"),
+        (swapped, "left and right are swapped"),
+        (renamed("kp_24", "kp_77"), "marker kp_77"),
+    ):
+        code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", change(nodes()))))
+        assert code != 0
+        assert said in text
+    parts = nodes()
+    parts["kp_24"].vertices[:] += np.array([0.0, 0.0, 0.1])
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", parts)))
+    assert code != 0
+    assert "hood_front_right is" in text
+    assert "cm off the surface" in text
+    pair = nodes()
+    pair["kp_28"], pair["kp_29"] = pair["kp_29"], pair["kp_28"]
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", pair)))
+    assert code != 0
+    assert "mirror_right is on the left" in text
+    assert not own_folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--name", "sedan"], "--name sedan: expected letters"),
+        (["--name", "../x"], "--name ../x: expected letters"),
+        (["--name=-x"], "--name -x: expected letters"),
+        (["--name", "x" * 300], "--name: expected a name of up to 100 bytes"),
+        (["--type", "spaceship"], "--type: 'spaceship' is not one of"),
+        (["--scale", "0"], "--scale: expected a positive number"),
+        (["--scale", "inf"], "--scale: expected a positive number"),
+        (["--mass", "1e300"], "--mass: expected kilograms from 1 to 1e+06, got 1e+300"),
+        (["--mass", "nan"], "--mass: expected kilograms from 1 to 1e+06, got nan"),
+        (["--wheels", "front_right"], "--wheels: expected CORNER=OBJECT"),
+    ],
+)
+def test_bad_flags_are_refused(tmp_path: Path, flags: list[str], said: str) -> None:
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())), *flags)
+    assert code != 0
+    assert said in text
+
+
+def test_unknown_and_damaged_models_are_refused(own_folder: Path) -> None:
+    with pytest.raises(UserError, match="--vehicles: no model 'nothing' was added; there are: none yet"):
+        user_models.load("nothing")
+    (own_folder / "broken").mkdir(parents=True)
+    (own_folder / "broken" / "vehicle.json").write_text('{"version": 1}')
+    with pytest.raises(UserError, match="broken: not a readable vehicle"):
+        user_models.load("broken")
+
+
+@pytest.fixture
+def car(tmp_path: Path, own_folder: Path) -> Path:
+    """The vehicle.json of a model that was added."""
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())))
+    assert code == 0, text
+    return own_folder / "car" / "vehicle.json"
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("version", 99, r"vehicle\.json: version: expected 1, got 99"),
+        ("version", [1], r"vehicle\.json: version: expected 1, got \[1\]"),
+        ("keypoints", [[0.0, 0.0, 0.0]] * 5, "keypoints: expected 33 x 3 numbers, got 15"),
+        ("vehicle_type", "spaceship", "vehicle_type: 'spaceship' is not one of"),
+        ("mass", 1e300, r"mass: expected kilograms from 1 to 1e\+06, got 1e\+300"),
+        ("mass", "heavy", "mass: expected kilograms"),
+        ("shape", {"length": 1}, "not a readable vehicle"),
+        ("materials", {"mesh": [], "wheel": []}, "materials that are not there"),
+    ],
+)
+def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: str, value: object, said: str) -> None:
+    write_json(car, {**read_json(car), field: value})
+    with pytest.raises(UserError, match=f"{car.parent}.*{said}"):
+        user_models.load("car")
+    code, text = run("vehicles", "list")
+    assert code != 0
+    assert text.startswith("model ")
+    assert [line.split()[0] for line in text.splitlines()[1:-1]] == list(fleet())
+    assert re.search(f"{car.parent}.*{said}", text.splitlines()[-1])
+    code, text = run("vehicles", "check", "car")
+    assert code == 1
+    assert text.endswith("1 model, 1 findings\n")
