@@ -27,9 +27,9 @@ from skope.console import Console
 from skope.dataset import open_dataset, read_image
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
+from skope.image_selection import take
 from skope.metrics.counts import Options
 from skope.metrics.precision_recall import score_split
-from skope.sampling import take
 from skope.schema import Annotation, AnnotationFile, Image, Result
 
 T = TypeVar("T")

@@ -53,7 +53,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
 
     No other road users are left.
     """
-    from skope.gen.render.image_windows import hull_of, window_of
+    from skope.gen.render.pixel_windows import hull_of, window_of
     from skope.gen.vehicles.fleet import build
 
     keep: list[int] = []
@@ -148,7 +148,7 @@ class Peer:
                     )
 
     def draw(self) -> None:
-        from skope.gen.render.image_windows import NEAR
+        from skope.gen.render.pixel_windows import NEAR
         from skope.gen.render.tiny_renderer import FAR
 
         camera = self.recording.camera

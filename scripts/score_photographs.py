@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, draw, keypoints, safe_names, sampling
+from skope import coco, dataset, draw, image_selection, keypoints, safe_names
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
@@ -154,7 +154,7 @@ def score_photographs(
 
     def figures(scenes: Sequence[str]) -> Figures:
         images = [image for image in file.images if image.site in scenes]
-        whole = sampling.part(file, [image for image in images if image.id in photographs.complete])
+        whole = image_selection.part(file, [image for image in images if image.id in photographs.complete])
         return {
             "images": len(images),
             "boxes": box_figures(whole, for_images(results, whole), score),

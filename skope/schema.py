@@ -29,7 +29,6 @@ COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
-TIMES_OF_DAY: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 

@@ -29,6 +29,7 @@ from skope.gen.output.frames import FORMATS as IMAGE_FORMATS
 from skope.gen.output.writers import FORMATS
 from skope.gen.pipeline.config import presets
 from skope.gen.render.choose_renderer import RENDERERS
+from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.counts import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
 from skope.metrics.read_inputs import SCHEMES
@@ -162,7 +163,7 @@ CHOSEN = {
     "skope gen convert --from": READERS,
     "skope train export --to": tuple(EXPORTS),
     "--weather": schema.WEATHERS,
-    "--time-of-day": schema.TIMES_OF_DAY,
+    "--time-of-day": TIMES_OF_DAY,
     "--engine": ("local", "ray"),
     "--supervise": SUPERVISE,
     "--recipe": (*CHOICES, "FILE"),

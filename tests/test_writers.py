@@ -25,7 +25,7 @@ from skope.eval.inference.settings import Settings
 from tests import hostile
 from tests.eval.sightings import drive
 from tests.eval.test_evaluate import POINTS, scene
-from tests.gen.vehicles.test_markers import nodes, written
+from tests.gen.vehicles.test_keypoint_markers import nodes, written
 from tests.samples import make_annotation, make_dataset
 from tests.train.conftest import shrink
 

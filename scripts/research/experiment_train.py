@@ -29,7 +29,7 @@ from skope import detector
 from skope.console import Console
 from skope.dataset import CARD, open_dataset
 from skope.files import read_json, write_json, write_text
-from skope.sampling import take
+from skope.image_selection import take
 from skope.schema import VEHICLE_TYPES
 from skope.train import loop, run_folder, splits, validate
 from skope.train.recipe import RECIPES, Recipe, adjusted

@@ -15,12 +15,12 @@ from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
 from skope.eval.report import table
 from skope.files import write_json, write_text
+from skope.image_selection import take
 from skope.metrics import precision_recall, read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.output_folders import claim_output
-from skope.sampling import take
 from skope.schema import AnnotationFile, Result
 
 if TYPE_CHECKING:

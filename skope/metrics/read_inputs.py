@@ -8,10 +8,10 @@ from typing import Any, Final
 
 from skope import coco, dataset, keypoints
 from skope.errors import UserError, one_of
+from skope.image_selection import take
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
-from skope.sampling import take
 from skope.schema import AnnotationFile, Result
 
 SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skope import dataset, sampling, shards
+from skope import dataset, image_selection, shards
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_bytes
@@ -48,10 +48,10 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
     file = excluding(file, exclude_types)
-    learnt, validated = sampling.held_back(file, val_fraction)
-    validated = sampling.ignoring(learnt, validated)
+    learnt, validated = image_selection.held_back(file, val_fraction)
+    validated = image_selection.ignoring(learnt, validated)
     if max_images is not None:
-        learnt = sampling.take(learnt, max_images)
+        learnt = image_selection.take(learnt, max_images)
     if all(annotation.ignored for annotation in learnt.annotations):
         raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
     return TrainingSource(

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.scene.bodies import body_of
 from skope.gen.scene.recording import Moment
+from skope.gen.scene.road_user_bodies import body_of
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from skope.eval.inference import score_calibration
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.score_calibration import ALPHA, IOU
 from skope.eval.inference.settings import Settings
+from skope.image_selection import held_back, ignoring, last_frames
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
 from skope.output_folders import work_of
-from skope.sampling import held_back, ignoring, last_frames
 from skope.schema import AnnotationFile
 from skope.weights import shipped
 

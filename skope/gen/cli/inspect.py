@@ -184,7 +184,7 @@ def video(
     from skope.gen.pipeline.write_footage import plan_of, write_footage
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
-    from skope.gen.scene.versions import versions
+    from skope.gen.scene.package_versions import versions
     from skope.gen.site_files.site_file import read_site
 
     chosen, driver, _ = choose_renderer(renderer)

@@ -115,7 +115,7 @@ def add(
     from skope.errors import one_of
     from skope.gen.inspect.vehicle_checks import findings
     from skope.gen.vehicles.fleet import fleet
-    from skope.gen.vehicles.markers import read_marked
+    from skope.gen.vehicles.keypoint_markers import read_marked
     from skope.gen.vehicles.user_models import check_mass, save, vehicle_of
     from skope.schema import VEHICLE_TYPES
 

@@ -14,7 +14,7 @@ from skope.errors import UserError
 from skope.files import replacing_folder
 from skope.gen.formats.dataset_builder import DatasetBuilder, bare_name, check_outside, dataset_at
 from skope.gen.output.licences import united
-from skope.sampling import recordings
+from skope.image_selection import recordings
 from skope.schema import AnnotationFile, Image
 
 

@@ -13,7 +13,7 @@ from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.formats.dataset_builder import frame_rate, place_file
-from skope.sampling import recordings
+from skope.image_selection import recordings
 from skope.schema import Annotation, Image
 
 CLASS: Final = 1

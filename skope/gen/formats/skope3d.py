@@ -25,10 +25,10 @@ from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import DatasetBuilder, frame_rate, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
+from skope.image_selection import recordings
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.safe_names import for_opencv
 from skope.safe_names import name as check_name
-from skope.sampling import recordings
 from skope.schema import Annotation, Image
 from skope.types import Array
 from skope.video import write_video

@@ -14,8 +14,8 @@ from skope.errors import UserError, one_of
 from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.render.frame import STATIC, RenderedFrame
-from skope.gen.scene.bodies import body_of
 from skope.gen.scene.recording import Moment
+from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.vehicles.fleet import build
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import PAINTS

@@ -18,9 +18,9 @@ from skope.gen.output.writers import FORMATS
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import Range, check_settings
+from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.scene.versions import versions
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for

@@ -18,7 +18,7 @@ from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
-from skope.gen.scene.versions import versions
+from skope.gen.scene.package_versions import versions
 
 PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
 """Starts the worker processes; they stop when the context ends."""

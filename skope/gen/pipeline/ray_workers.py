@@ -13,8 +13,8 @@ from skope.gen.pipeline.workers import JobQueue, RenderJob, RenderJobSpec, Worke
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.scene import recording as recordings
+from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
-from skope.gen.scene.versions import versions
 from skope.gen.simulation.simulate import simulate
 
 _LOST: Final = 20

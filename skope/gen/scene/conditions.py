@@ -196,6 +196,7 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
         "gain_db": (12.0, 24.0),
     },
 }
+TIMES_OF_DAY: Final = tuple(_HOUR)
 
 
 def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None = None) -> dict[str, Range]:
@@ -215,7 +216,7 @@ def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None
         **_PLACE,
         **_CAMERA,
         **_WEATHER[one_of("weather", weather, tuple(_WEATHER))],
-        **_HOUR[one_of("time_of_day", time_of_day, tuple(_HOUR))],
+        **_HOUR[one_of("time_of_day", time_of_day, TIMES_OF_DAY)],
         **own,
     }
     follows = own.keys() & set(_CLOCK) and not own.keys() & set(_SUN)

@@ -22,9 +22,9 @@ from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range
 from skope.gen.scene.random_streams import Stream, rng
-from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sites import Site
 from skope.gen.towns.town import Town, towns
+from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
 VERSION: Final = 3

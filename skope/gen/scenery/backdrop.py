@@ -9,8 +9,8 @@ from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.own_road import Outline, OwnRoad
 from skope.gen.towns.town import Town
+from skope.gen.towns.user_road import Outline, OwnRoad
 from skope.types import Array
 
 _FAR: Final = 2000.0

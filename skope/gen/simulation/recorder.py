@@ -9,8 +9,8 @@ import numpy as np
 
 from skope.camera import Camera
 from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
-from skope.gen.scene.versions import versions
 from skope.gen.simulation.parked import Parked
 from skope.gen.simulation.pedestrians import PlacedBystander
 from skope.gen.simulation.physics import Pose, at_rest

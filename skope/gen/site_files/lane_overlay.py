@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.towns.layout import Layout, driven
-from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.town import Town
+from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
 Image = NDArray[np.uint8]

@@ -24,10 +24,10 @@ from skope.gen.site_files.site_camera import read_camera
 from skope.gen.site_files.toml_table import TomlTable
 from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map
-from skope.gen.towns.own_road import Occluder, Outline, OwnRoad
 from skope.gen.towns.sites import Site, site_of
 from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
+from skope.gen.towns.user_road import Occluder, Outline, OwnRoad
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
 

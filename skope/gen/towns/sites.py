@@ -11,8 +11,8 @@ import numpy as np
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.town import Town, folder
+from skope.gen.towns.user_road import OwnRoad
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-from skope.gen.towns.own_road import OwnRoad
+from skope.gen.towns.user_road import OwnRoad
 
 
 @dataclass(frozen=True)

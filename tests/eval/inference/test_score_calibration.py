@@ -15,8 +15,8 @@ from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
+from skope.image_selection import last_frames
 from skope.metrics.score_reliability import calibration_error, reliability
-from skope.sampling import last_frames
 from skope.schema import AnnotationFile, Image
 from tests.samples import make_annotation, make_dataset
 

@@ -12,7 +12,7 @@ import pytest
 
 from skope.dataset import open_dataset
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.versions import versions
+from skope.gen.scene.package_versions import versions
 from skope.gen.towns.town import Town
 from tests import hostile
 

@@ -15,7 +15,7 @@ from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.gl.light import Stage
 from skope.gen.render.gl.renderer import GLRenderer, device
-from skope.gen.render.image_windows import TILE, runs, tiles
+from skope.gen.render.pixel_windows import TILE, runs, tiles
 from tests.gen.scenes import conditions, driven, standing
 
 SIZE = (640, 360)

@@ -8,10 +8,10 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.render.daylight import Daylight, temperature_color
-from skope.gen.scene.conditions import LIMITS, Conditions, check_settings, parse_settings, ranges
+from skope.gen.scene.conditions import LIMITS, TIMES_OF_DAY, Conditions, check_settings, parse_settings, ranges
 from skope.gen.scene.sun import sun_position
 from skope.gen.simulation.simulate import lamps_on
-from skope.schema import TIMES_OF_DAY, WEATHERS
+from skope.schema import WEATHERS
 from tests.gen.scenes import conditions
 
 

@@ -38,10 +38,10 @@ from skope.gen.site_files.site_file import OwnSite, read_site
 from skope.gen.towns import netconvert
 from skope.gen.towns.layout import Layout, driven
 from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
-from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.sites import site, site_of
 from skope.gen.towns.town import Town, folder
+from skope.gen.towns.user_road import OwnRoad
 from skope.gen.traffic.demand import trips
 from skope.gen.traffic.route_files import scheduled, streams
 from skope.gen.vehicles.fleet import fleet

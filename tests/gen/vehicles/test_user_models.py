@@ -15,7 +15,7 @@ from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.user_models import names
-from tests.gen.vehicles.test_markers import nodes, renamed, swapped, without, written
+from tests.gen.vehicles.test_keypoint_markers import nodes, renamed, swapped, without, written
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skope.camera import Camera
 from skope.gen.render.gl.context import Device
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
-from skope.gen.render.image_windows import beam_corners, beam_hull_of
+from skope.gen.render.pixel_windows import beam_corners, beam_hull_of
 from skope.gen.render.vehicle_lamps import has_headlights
 from skope.gen.traffic.sumo import LAMPS
 from skope.types import Array

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
-from skope.gen.render.image_windows import Window
 from skope.gen.render.materials import GLOSS, MATERIALS
+from skope.gen.render.pixel_windows import Window
 from skope.gen.traffic.sumo import LAMPS
 from skope.types import Array
 

@@ -17,8 +17,8 @@ from skope.gen.render.materials import MATERIALS
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.backdrop import plates
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.own_road import OwnRoad
 from skope.gen.towns.town import Town
+from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
 _ROAD: Final = linear(np.array(MATERIALS["asphalt_worn"]))

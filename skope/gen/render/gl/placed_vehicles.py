@@ -9,9 +9,9 @@ import numpy as np
 from skope.camera import Camera
 from skope.gen.mesh import merged
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
-from skope.gen.render.image_windows import Window, hull_of, window_of
-from skope.gen.scene.bodies import body_of
+from skope.gen.render.pixel_windows import Window, hull_of, window_of
 from skope.gen.scene.recording import Moment
+from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.vehicles.model import Body
 from skope.gen.vehicles.paints import PAINTS
 from skope.types import Array

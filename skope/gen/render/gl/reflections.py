@@ -11,7 +11,7 @@ from skope.camera import Camera
 from skope.gen.render.gl.context import Device, projection, put
 from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle
 from skope.gen.render.gl.water import Plane
-from skope.gen.render.image_windows import TILE, mirror_hull_of, runs, tiles
+from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
 
 BLUR: Final = 64
 """How far water blurs a mirror image up and down in an image 1920 pixels wide (see blur.glsl), pixels."""

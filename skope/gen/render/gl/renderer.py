@@ -24,7 +24,7 @@ from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle, Placer
 from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.gl.street_lights import MAP_RADIUS
 from skope.gen.render.glare import Glare
-from skope.gen.render.image_windows import (
+from skope.gen.render.pixel_windows import (
     CONTACT,
     Window,
     crossing,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from skope.errors import UserError
-from skope.sampling import take
+from skope.image_selection import take
 from skope.schema import AnnotationFile
 from tests.samples import make_annotation, make_image
 

@@ -11,7 +11,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.markers import CORNERS, read_marked
+from skope.gen.vehicles.keypoint_markers import CORNERS, read_marked
 
 SEDAN = fleet()["sedan"].vehicle
 GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
