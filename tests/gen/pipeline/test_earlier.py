@@ -1,6 +1,6 @@
 """What an earlier layout of the package left behind is read and gone on with: a recording, a dataset half made.
 
-tests/files/earlier was made at commit e4798df, before modules and classes had their present places and names.
+tests/files/earlier was made at commit eb2d498, before modules and classes had their present places and names.
 """
 
 import json
