@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from skope.detector import Detections
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.records import Located
-    from skope.eval.tracking.tracker import Track
+    from skope.eval.tracking.tracks import Track
     from skope.train.data import DetectionDataset
 
 Pixels = NDArray[np.uint8]

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
@@ -32,17 +31,10 @@ def script() -> ModuleType:
     return load_script("score_photographs")
 
 
-@pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a small-input detector that has learned nothing and finds a handful of vehicles."""
-    torch.manual_seed(0)
-    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
-    model = detector.build(config)
-    with torch.no_grad():
-        model.roi_heads.box_predictor.cls_score.bias[1] -= 4.2
-    path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(1)
-    detector.save_weights(path, model, config, {})
-    return path
+@pytest.fixture
+def checkpoint(random_run: Path) -> Path:
+    """The weights of a small-input detector that has learned nothing and finds a handful of vehicles."""
+    return random_run / detector.checkpoint_name(1)
 
 
 def vehicle(number: int, image: int, box: Box, *, names: Sequence[str] = keypoints.NAMES, crowd: int = 0) -> Annotation:

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-import torch
 
-from skope import coco, detector
+from skope import coco
 from skope.schema import Result
 from tests.eval.sightings import drive
 from tests.samples import make_dataset
@@ -94,7 +93,7 @@ RUNS: Final[Sequence[Run]] = (
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[str, Path]:
     """Small files that the scripts read, by their names in `Run.arguments`."""
     folder = tmp_path_factory.mktemp("scripts")
     dataset = make_dataset(folder / "dataset", images=1)
@@ -110,18 +109,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "labels": dataset / "labels.json",
         "predictions": folder / "predictions.json",
         "road": folder / "road.json",
-        "checkpoint": unlearned(folder / "run"),
+        "checkpoint": random_run,
     }
-
-
-def unlearned(folder: Path) -> Path:
-    """A run folder with a small-input detector that has learned nothing and finds next to nothing."""
-    torch.manual_seed(0)
-    model = detector.build(config := detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96))
-    with torch.no_grad():
-        model.roi_heads.box_predictor.cls_score.bias[1] -= 4.2
-    detector.save_weights(folder / detector.checkpoint_name(1), model, config, {})
-    return folder
 
 
 @pytest.fixture

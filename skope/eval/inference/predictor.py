@@ -3,11 +3,11 @@
 import itertools
 import time
 from collections import deque
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.weights import shipped
 
 Pixels = NDArray[np.uint8]
+T = TypeVar("T")
 
 GPU_BATCH: Final = 8
 """Images that go through the network together on a GPU; a CPU gains nothing from batches."""
@@ -99,7 +100,7 @@ class Predictor:
                     for image, pixels in batch:
                         yield image.id, self._on_boxes(image.id, pixels, annotations[image.id])
                 else:
-                    yield from _by_image(batch, self._found(batch))
+                    yield from ((image.id, found) for image, found in self._found(batch))
                 bar.update(len(batch))
                 # The first batch also warms the libraries up: the second one, where there is one, tells the duration.
                 if bar.n == before + len(batch) < len(file.images):
@@ -111,25 +112,26 @@ class Predictor:
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
         """The results of one image after another, as they come."""
         for batch in _batches(images, self._batch):
-            alike = {image.id: image for image, _ in batch}
-            for image_id, found in _by_image(batch, self._found(batch)):
-                yield alike[image_id], found
-
-    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> list[Result]:
-        answers = self.detections([pixels for _, pixels in batch])
-        return [
-            result for (image, _), found in zip(batch, answers, strict=True) for result in found.to_results(image.id)
-        ]
+            yield from self._found(batch)
 
     def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
         """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""
+        batches = _batches(enumerate(images), self._batch)
+        return [found for batch in batches for found in self._detect([pixels for _, pixels in batch])]
+
+    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+        """The images of a batch, each with its results."""
+        answers = self._detect([pixels for _, pixels in batch])
+        for (image, _), found in zip(batch, answers, strict=True):
+            yield image, found.to_results(image.id)
+
+    def _detect(self, batch: Sequence[Pixels]) -> list[detector.Detections]:
+        """One pass of images of one size through the network."""
         least = self._settings.min_score
-        least = detector.MIN_SCORE if least is None else least
-        out: list[detector.Detections] = []
-        for _, alike in itertools.groupby(images, key=lambda pixels: pixels.shape):
-            while batch := list(itertools.islice(alike, self._batch)):
-                out += detector.detect(self._model, batch, self._device, min_score=least)
-        return [replace(found, keypoints=self._scored(found.keypoints)) for found in out]
+        answers = detector.detect(
+            self._model, batch, self._device, min_score=detector.MIN_SCORE if least is None else least
+        )
+        return [replace(found, keypoints=self._scored(found.keypoints)) for found in answers]
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.
@@ -141,12 +143,6 @@ class Predictor:
 
     def _scored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._calibration(points) if self._calibration else points
-
-
-def _by_image(batch: Sequence[tuple[Image, Pixels]], found: Sequence[Result]) -> Iterator[tuple[int, list[Result]]]:
-    """The results of each image of a batch."""
-    for image, _ in batch:
-        yield image.id, [result for result in found if result.image_id == image.id]
 
 
 def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
@@ -171,7 +167,7 @@ def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _batches(images: Iterator[tuple[Image, Pixels]], size: int) -> Iterator[list[tuple[Image, Pixels]]]:
+def _batches(images: Iterable[tuple[T, Pixels]], size: int) -> Iterator[list[tuple[T, Pixels]]]:
     """Neighbours of equal size, `size` at most together: another's padding would change what is found."""
     for _, alike in itertools.groupby(images, key=lambda pair: pair[1].shape):
         while batch := list(itertools.islice(alike, size)):

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from skope.console import Console
 from skope.eval.inference import bfloat16
 from skope.eval.inference.predictor import Predictor, _batches, _decoded
 from skope.eval.inference.settings import Settings
-from skope.schema import AnnotationFile, Result
+from skope.schema import AnnotationFile, Image, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
 
@@ -181,12 +182,11 @@ def test_images_are_looked_for_first_and_what_was_predicted_is_kept(
 ) -> None:
     seen: list[int] = []
 
-    def quick(self: Predictor, batch: Any) -> list[Result]:
-        seen.extend(image.id for image, _ in batch)
-        return [
-            Result(image_id=image.id, score=0.95, bbox=np.array([0, 0, 9, 9]), keypoints=np.ones((33, 3)))
-            for image, _ in batch
-        ]
+    def quick(self: Predictor, batch: Any) -> Iterator[tuple[Image, list[Result]]]:
+        for image, _ in batch:
+            seen.append(image.id)
+            found = Result(image_id=image.id, score=0.95, bbox=np.array([0, 0, 9, 9]), keypoints=np.ones((33, 3)))
+            yield image, [found]
 
     monkeypatch.setattr(Predictor, "_found", quick)
     root = make_dataset(tmp_path / "data", images=3)
