@@ -29,13 +29,13 @@ DENSITY = 2
 """Times the site's own traffic, so that there are enough vehicles to choose from in each frame."""
 STAGES = {
     "place and matrices": ["Placer.place"],
-    "depth and ids": ["GLRenderer._draw_geometry", "renderer._put"],
+    "depth and ids": ["GLRenderer._draw_geometry", "renderer._put_vehicle"],
     "whole silhouettes": ["GLRenderer._draw_silhouette"],
     "shadow maps": ["GLRenderer._draw_shadows"],
     "vehicles' colour": ["Device.prepare", "GLRenderer._draw_vehicles"],
     "headlights": ["Beams.draw"],
     "mirror images": ["Reflections.draw"],
-    "composition": ["GLRenderer._compose", "GLRenderer._draw_color"],
+    "composition": ["GLRenderer._compose_picture", "GLRenderer._draw_color"],
     "contrast": ["GLRenderer._draw_behind", "GLRenderer._contrast"],
     "copies": ["GLRenderer.render"],
     "glare": ["Glare.spread"],

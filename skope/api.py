@@ -282,7 +282,7 @@ def generate(
         seed=seed,
         **options,
     )
-    parameters, _ = asked.parameters()
+    request, _ = asked.request()
     start_pool, _ = WorkerOptions(workers=workers).pool_factory()
-    generate_dataset(parameters, Path(out), start_pool, Console(quiet=quiet))
+    generate_dataset(request, Path(out), start_pool, Console(quiet=quiet))
     return open_dataset(out)

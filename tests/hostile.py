@@ -17,8 +17,8 @@ from skope.depth_files import depth_png
 from skope.files import json_bytes, write_json
 from skope.gen.labels.annotate import RuleCounts, Rules
 from skope.gen.output.card_counts import kind_of
-from skope.gen.output.frames import FrameFiles, checksum, image_of
-from skope.gen.output.writers import Labels
+from skope.gen.output.frames import image_of
+from skope.gen.output.writers import FrameFiles, Labels, checksum
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.generate import finish_rendering
@@ -73,7 +73,7 @@ def parameters() -> dict[str, Any]:
         sites=tuple(SITES.values()),
         size=f"{SIZE[0]}x{SIZE[1]}",
     )
-    return dict(json.loads(json.dumps(made.to_dict())))
+    return dict(json.loads(json.dumps(made.parameters.to_dict())))
 
 
 def begun(root: Path) -> Path:

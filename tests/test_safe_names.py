@@ -25,7 +25,7 @@ from skope import cli, coco, safe_names, shards
 from skope.dataset import open_dataset
 from skope.errors import UserError
 from skope.gen.formats.convert import WRITERS
-from skope.gen.output.writers import unpack_shards
+from skope.gen.output.writers import checksum, unpack_shards
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.scene import recording as recordings
 from skope.gen.towns import town
@@ -138,7 +138,7 @@ def labels_edited(path: Path, change: Callable[[Any], object]) -> None:
 
 def signed(root: Path, name: str) -> None:
     """Have the manifest say the checksum that a file has now."""
-    data = hostile.checksum((root / name).read_bytes())
+    data = checksum((root / name).read_bytes())
     edited(root / "manifest.json", lambda manifest: manifest["sha256"].update({name: data}))
 
 

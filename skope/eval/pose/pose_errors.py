@@ -2,7 +2,6 @@
 occlusion."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from skope.eval.pose.records import Located, locate_view
 from skope.eval.pose.views import Scene
 from skope.schema import Annotation, Box3D
+from skope.text_table import text_table
 from skope.types import Array
 
 DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
@@ -125,25 +125,23 @@ def _cell(errors: PoseErrors) -> dict[str, Any]:
     return cell
 
 
-def table(title: str, summary: dict[str, Any]) -> Iterable[str]:
+def table(title: str, summary: dict[str, Any]) -> list[str]:
     """Lines for people: medians, and 90 and 99% in brackets."""
-    yield title
-    yield (
-        f"{'':>10} {'vehicles':>8} {'refused':>7} {'position, m':>22} {'heading, deg':>20} {'mod 180':>8} "
-        f"{'size, m':>8} {'3D IoU':>7}"
-    )
-    rows = [("all", summary["all"])]
-    rows += [(f"{band} m", cell) for band, cell in summary["distance"].items()]
-    rows += [(f"hid {band}", cell) for band, cell in summary["occlusion"].items()]
-    for name, cell in rows:
-        if not cell["vehicles"]:
-            continue
-        line = f"{name:>10} {cell['vehicles']:8d} {cell['refused']:7d} "
-        if cell["position"] is None:
-            yield line + f"{'-':>22} {'-':>20} {'-':>8} {'-':>8} {'-':>7}"
-            continue
-        p, h = cell["position"], cell["heading"]
-        yield line + (
-            f"{p['50']:7.3f} ({p['90']:5.2f}, {p['99']:5.2f}) {h['50']:6.2f} ({h['90']:4.1f}, {h['99']:5.1f}) "
-            f"{cell['axis']['50']:8.2f} {cell['size']['50']:8.3f} {cell['iou']:7.3f}"
-        )
+    cells = {"all": summary["all"]}
+    cells |= {f"{band} m": cell for band, cell in summary["distance"].items()}
+    cells |= {f"hid {band}": cell for band, cell in summary["occlusion"].items()}
+    head = ["", "vehicles", "refused", "position, m", "heading, deg", "mod 180", "size, m", "3D IoU"]
+    return [title, *text_table(head, [[name, *_shown(cell)] for name, cell in cells.items() if cell["vehicles"]])]
+
+
+def _shown(cell: dict[str, Any]) -> list[str]:
+    counts = [str(cell["vehicles"]), str(cell["refused"])]
+    if cell["position"] is None:
+        return [*counts, *["-"] * 5]
+    p, h = cell["position"], cell["heading"]
+    return [
+        *counts,
+        f"{p['50']:.3f} ({p['90']:5.2f}, {p['99']:5.2f})",
+        f"{h['50']:.2f} ({h['90']:4.1f}, {h['99']:5.1f})",
+        *(f"{cell['axis']['50']:.2f}", f"{cell['size']['50']:.3f}", f"{cell['iou']:.3f}"),
+    ]

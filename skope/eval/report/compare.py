@@ -18,6 +18,7 @@ from skope.metrics import precision_recall
 from skope.metrics.counts import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference
 from skope.metrics.split_scores import from_tallies
+from skope.text_table import text_table
 
 T = TypeVar("T")
 
@@ -160,26 +161,24 @@ def render(document: Mapping[str, Any], protocol: str) -> str:
     gaps = [f"{letter} - {letters[0]}" for letter in letters[1:]]
     for name, split in document["splits"].items():
         lines += ["", f"{name}: {split['images']} images, {evidence(split)}"]
-        lines.append(
-            f"  IoU  {'figure':18}" + "".join(f"{a:>8}" for a in letters) + "".join(f"  {g:^24}" for g in gaps)
-        )
-        for t, rows in split["iou"].items():
-            lines += [f"  {t:>3}  {_row(row)}" for row in rows if row["protocol"] in (None, protocol)]
+        rows = [
+            [t, row["figure"].replace("_", " "), *map(number, row["values"]), *map(_change, row["differences"])]
+            for t, figures in split["iou"].items()
+            for row in figures
+            if row["protocol"] in (None, protocol)
+        ]
         for ap in split["coco"][0]:
-            values = [of[ap] for of in split["coco"]]
-            lines.append(f"       {ap.replace('_', ' '):18}" + "".join(number(v, 8) for v in values))
+            values = [number(of[ap]) for of in split["coco"]]
+            rows.append(["", ap.replace("_", " "), *values, *[""] * len(gaps)])
+        table = text_table(["IoU", "figure", *letters, *gaps], rows, "ll" + "r" * len(letters) + "l" * len(gaps))
+        lines += [f"  {line}" for line in table]
     return "\n".join(lines)
-
-
-def _row(row: Mapping[str, Any]) -> str:
-    values = "".join(number(value, 8) for value in row["values"])
-    return f"{row['figure'].replace('_', ' '):18}{values}" + "".join(f"  {_change(d):24}" for d in row["differences"])
 
 
 def _change(gap: Mapping[str, Any]) -> str:
     if gap["value"] is None:
-        return f"{'-':>7}"
+        return "-"
     if gap["interval"] is None:
-        return f"{gap['value']:+7.3f}"
+        return f"{gap['value']:+.3f}"
     low, high = gap["interval"]
-    return f"{gap['value']:+7.3f} {low:+.3f}..{high:+.3f}{'*' if low > 0 or high < 0 else ' '}"
+    return f"{gap['value']:+.3f} {low:+.3f}..{high:+.3f}{'*' if low > 0 or high < 0 else ''}"

@@ -9,6 +9,7 @@ from typing import Any, Final
 from skope.errors import one_of
 from skope.metrics.counts import PROTOCOLS
 from skope.metrics.intervals import ENOUGH_SITES
+from skope.text_table import text_table
 
 _MEANING: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",
@@ -90,49 +91,34 @@ def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[
 
 def _cells(values: Sequence[float | None]) -> str:
     pck, *others = values
-    box_pr, box_re, point_pr, point_re = (number(value, 5) for value in others)
-    return f"{number(pck, 7, percent=True)}  {box_pr} {box_re}  {point_pr} {point_re}"
-
-
-def _names(splits: Mapping[str, Any]) -> int:
-    return max(map(len, (*splits, "split")))
+    box_pr, box_re, point_pr, point_re = (f"{number(value):>5}" for value in others)
+    return f"{number(pck, percent=True):>7}  {box_pr} {box_re}  {point_pr} {point_re}"
 
 
 def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
-    found = f"detections > {score:g}"
-    names = _names(splits)
-    averages = ("box AP", "box AP50", "keypoint AP", "keypoint AP50")
-    lines = ["  ".join([f"{'split':{names}}", "images", "vehicles", "ignored", found, *averages])]
-    for name, split in splits.items():
-        counts = (
-            f"{split['images']:>6}",
-            f"{split['ground_truth']:>8}",
-            f"{split['ignored']:>7}",
-            f"{split['detections']:>{len(found)}}",
-        )
-        aps = (number(value, len(title)) for value, title in zip(split["coco"].values(), averages, strict=True))
-        lines.append("  ".join([f"{name:{names}}", *counts, *aps]))
-    return lines
+    head = ["split", "images", "vehicles", "ignored", f"detections > {score:g}"]
+    rows = [
+        [name, *(split[key] for key in ("images", "ground_truth", "ignored", "detections"))]
+        + [number(value) for value in split["coco"].values()]
+        for name, split in splits.items()
+    ]
+    return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50"], rows)
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:
     """How exact the keypoints of the vehicles found are, at the lowest threshold; nothing where nothing is labelled."""
     found = {name: split["localisation"] for name, split in splits.items() if split.get("localisation")}
-    rows = {name: list(by.items())[-1] for name, by in found.items()}
-    if not any(figures["labelled"] for _, figures in rows.values()):
+    rows = [
+        [
+            *(name, t, figures["labelled"], number(figures["pck_0.05"], percent=True)),
+            *(number(figures["pck_area"]), number(figures["median_error"])),
+        ]
+        for name, by in found.items()
+        for t, figures in list(by.items())[-1:]
+    ]
+    if not any(row[2] for row in rows):
         return []
-    names = _names(splits)
-    titles = ("keypoints", "PCK@0.05 %", "area under PCK", "median error / L")
-    lines = ["", "  ".join([f"{'split':{names}}", "IoU", *titles])]
-    for name, (t, figures) in rows.items():
-        cells = (
-            f"{figures['labelled']:>{len(titles[0])}}",
-            number(figures["pck_0.05"], len(titles[1]), percent=True),
-            number(figures["pck_area"], len(titles[2])),
-            number(figures["median_error"], len(titles[3])),
-        )
-        lines.append("  ".join([f"{name:{names}}", f"{t:>3}", *cells]))
-    return lines
+    return ["", *text_table(["split", "IoU", "keypoints", "PCK@0.05 %", "area under PCK", "median error / L"], rows)]
 
 
 def _apart(splits: Mapping[str, Any]) -> list[str]:
@@ -142,19 +128,13 @@ def _apart(splits: Mapping[str, Any]) -> list[str]:
         for (quantity, part), words in _APART.items():
             parts = split["by"].get(quantity, {})
             if part in parts and len(parts) > 1:
-                rows.append((name, words, list(parts[part].items())[-1]))
+                t, figures = list(parts[part].items())[-1]
+                recall = number(figures["box_recall"]) if "box_recall" in figures else ""
+                pck = number(figures["pck"], percent=True)
+                rows.append([name, words, t, figures.get("ground_truth", ""), recall, figures["labelled"], pck])
     if not rows:
         return []
-    names, wide = _names(splits), max(len(words) for _, words, _ in rows)
-    lines = ["", f"{'split':{names}}  {'of these':{wide}}  IoU  vehicles  recall  keypoints  PCK %"]
-    for name, words, (t, figures) in rows:
-        vehicles = figures.get("ground_truth", "")
-        recall = number(figures["box_recall"], 6) if "box_recall" in figures else " " * 6
-        lines.append(
-            f"{name:{names}}  {words:{wide}}  {t:>3}  {vehicles:>8}  {recall}  {figures['labelled']:>9}  "
-            f"{number(figures['pck'], 5, percent=True)}"
-        )
-    return lines
+    return ["", *text_table(["split", "of these", "IoU", "vehicles", "recall", "keypoints", "PCK %"], rows, "ll")]
 
 
 def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
@@ -194,12 +174,12 @@ def span(interval: Sequence[float] | None, *, percent: bool = False) -> str:
     """An interval as low-high, "-" where there is none."""
     if interval is None:
         return "-"
-    low, high = (number(value, 0, percent=percent) for value in interval)
+    low, high = (number(value, percent=percent) for value in interval)
     return f"{low}-{high}"
 
 
-def number(value: float | None, width: int, *, percent: bool = False) -> str:
-    """A ratio right-aligned in `width` characters, "-" where there was nothing to divide by."""
+def number(value: float | None, *, percent: bool = False) -> str:
+    """A ratio in digits, "-" where there was nothing to divide by."""
     if value is None:
-        return f"{'-':>{width}}"
-    return f"{100 * value:>{width}.2f}" if percent else f"{value:>{width}.3f}"
+        return "-"
+    return f"{100 * value:.2f}" if percent else f"{value:.3f}"

@@ -15,7 +15,7 @@ from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions,
 from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
-    from skope.gen.pipeline.config import Parameters
+    from skope.gen.pipeline.config import DatasetRequest
 
 app = Commands(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles.app, name="vehicles")
@@ -33,10 +33,10 @@ def gen(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: 
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
     from skope.gen.pipeline.generate import generate_dataset
 
-    parameters, why = dataset.parameters()
+    request, why = dataset.request()
     start_pool, who = workers.pool_factory()
-    _announce(console, parameters, f"{who}, {why}")
-    made = generate_dataset(parameters, out, start_pool, console)
+    _announce(console, request, f"{who}, {why}")
+    made = generate_dataset(request, out, start_pool, console)
     _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
 
 
@@ -45,10 +45,10 @@ def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, 
     """Make the recordings only; `skope gen render` draws them, here or on a machine without SUMO and pybullet."""
     from skope.gen.pipeline.generate import simulate_dataset
 
-    parameters, _ = dataset.parameters()
+    request, _ = dataset.request()
     start_pool, who = workers.pool_factory()
-    _announce(console, parameters, who)
-    made = simulate_dataset(parameters, out, start_pool, console)
+    _announce(console, request, who)
+    made = simulate_dataset(request, out, start_pool, console)
     _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {shlex.quote(str(out))}")
 
 
@@ -67,16 +67,14 @@ def render(
     _next(console, dataset, "wrote" if made else "", f"skope train{_data(dataset)} --epochs 10")
 
 
-def _announce(console: Console, parameters: "Parameters", who: str) -> None:
-    own = parameters.own
+def _announce(console: Console, request: "DatasetRequest", who: str) -> None:
+    own, parameters = request.own, request.parameters
     for line in own.said if own else ():
         console.say(line)
     source, places = (
         (str(own.path), "1 site") if own else (f"preset {parameters.preset}", f"{len(parameters.sites)} sites")
     )
-    console.say(
-        f"{source}: {parameters.images} images of {parameters.size} from {places}, seed {parameters.seed}, {who}"
-    )
+    console.say(f"{source}: {request.images} images of {parameters.size} from {places}, seed {parameters.seed}, {who}")
 
 
 def _data(out: Path) -> str:

@@ -189,7 +189,7 @@ def video(
 
     chosen, driver, _ = choose_renderer(renderer)
     own = read_site(Path(site)) if site.endswith(".toml") else None
-    parameters = from_preset(
+    request = from_preset(
         "demo",
         seed=seed,
         renderer=chosen,
@@ -201,7 +201,7 @@ def video(
         size=None if own else size,
         fov_deg=None if own else fov,
     )
-    plan = plan_of(parameters.plans()[0], fps, seconds, f"{own.path}: camera.size" if own else "--size")
+    plan = plan_of(request.plans()[0], fps, seconds, f"{own.path}: camera.size" if own else "--size")
     here = replace(
         plan.site,
         weather=weather or plan.site.weather,
@@ -213,8 +213,8 @@ def video(
         "site": sha256_of(own.path) if own else site,
         "fps": fps,
         "seconds": seconds,
-        "size": parameters.size,
-        "fov": parameters.fov_deg,
+        "size": request.parameters.size,
+        "fov": request.parameters.fov_deg,
         "weather": here.weather,
         "time_of_day": here.time_of_day,
         "seed": seed,

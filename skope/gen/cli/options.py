@@ -11,7 +11,7 @@ from skope.command_options import FILE, LIST, SIZE, panel
 from skope.errors import UserError
 
 if TYPE_CHECKING:
-    from skope.gen.pipeline.config import Parameters
+    from skope.gen.pipeline.config import DatasetRequest
     from skope.gen.pipeline.workers import WorkerPool
 
 traffic = panel("Sites and traffic")
@@ -82,7 +82,7 @@ class DatasetOptions:
     ] = "CC BY 4.0"
     renderer: RendererOption = "auto"
 
-    def parameters(self) -> "tuple[Parameters, str]":
+    def request(self) -> "tuple[DatasetRequest, str]":
         """What the options ask for, and what to say of the renderer."""
         from skope.gen.labels.annotate import Rules
         from skope.gen.output.frames import Encoding

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from skope.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
 from skope.console import Console
 from skope.output_folders import replaceable_output
+from skope.text_table import text_table
 
 
 def sites(
@@ -58,12 +59,11 @@ def _table() -> tuple[dict[str, Any], list[str]]:
         for one in layout.sites
     ]
     rows = [
-        f"{row['name']:<20} {row['town']:<7} {row['height_m']:5.1f} m {row['pitch_deg']:4.0f}° {row['split']:<7} "
-        f"{row['sees']}"
+        [row["name"], row["town"], f"{row['height_m']:.1f} m", f"{row['pitch_deg']:.0f}°", row["split"], row["sees"]]
         for row in found
     ]
-    head = f"{'site':<20} {'town':<7} {'height':>7} {'pitch':>6} {'split':<7} sees"
-    return {"sites": found}, [head, *rows, f"{len(found)} sites; plans of the towns: skope gen sites --maps"]
+    table = text_table(["site", "town", "height", "pitch", "split", "sees"], rows, "llrrll")
+    return {"sites": found}, [*table, f"{len(found)} sites; plans of the towns: skope gen sites --maps"]
 
 
 def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
@@ -87,17 +87,17 @@ def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     from skope import draw
     from skope.gen.site_files.lane_overlay import overlay
     from skope.gen.site_files.site_file import read_site
-    from skope.gen.towns.layout import Layout
+    from skope.gen.towns.road_graph import RoadGraph
 
     own = read_site(path)
-    road, layout = own.road, Layout.of(own.site.town)
+    road, graph = own.road, RoadGraph.of(own.site.town)
     camera = road.camera
-    height = float(camera.position[2] - layout.road_level(camera.position[:2]))
+    height = float(camera.position[2] - graph.road_level(camera.position[:2]))
     out = out or SITE_PLANS / road.title
     picture = out / f"{road.title}.png"
     with replaceable_output(out, "skope gen sites --site", path) as drawn:
         draw.write(drawn / picture.name, overlay(road))
-    traffic = "left" if layout.mirrored else "right"
+    traffic = "left" if graph.mirrored else "right"
     told = {
         "site": road.title,
         "size": [camera.width, camera.height],

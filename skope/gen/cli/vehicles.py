@@ -13,6 +13,7 @@ from skope.errors import UserError
 from skope.gen.cli.options import RendererOption
 from skope.output_folders import replaceable_output
 from skope.safe_names import name as check_name
+from skope.text_table import text_table
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
@@ -27,18 +28,25 @@ def list_models(console: Console) -> None:
     """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
     from skope.gen.vehicles.fleet import fleet
 
-    console.result(f"{'model':<20} {'type':<10} {'L x W x H, m':<19} {'wheelbase':>9} {'triangles':>9} {'share':>6}")
     total = sum(entry.share for entry in fleet().values())
     models, damaged = _readable(_names())
+    rows = []
     for name, vehicle in models.items():
         entry = fleet().get(name)
-        size = " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh)
-        triangles = len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles)
-        share = f"{entry.share / total:6.1%}" if entry else f"{'added':>6}"
-        console.result(
-            f"{name:<20} {vehicle.vehicle_type:<10} {size:<19} {vehicle.shape.wheelbase:9.2f} {triangles:9d} "
-            f"{share}{'  held out for test sites' if entry and entry.held_out else ''}"
+        rows.append(
+            [
+                name,
+                vehicle.vehicle_type,
+                " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh),
+                f"{vehicle.shape.wheelbase:.2f}",
+                len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles),
+                f"{entry.share / total:.1%}" if entry else "added",
+                "held out for test sites" if entry and entry.held_out else "",
+            ]
         )
+    head = ["model", "type", "L x W x H, m", "wheelbase, m", "triangles", "share", ""]
+    for line in text_table(head, rows, "lllrrrl"):
+        console.result(line)
     if damaged:
         raise UserError("; ".join(damaged))
 

@@ -22,8 +22,15 @@ from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.files import read_json
 from skope.gen.formats.coco_write import CVAT_START, UNSAID
-from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, DatasetBuilder, bare_name
+from skope.gen.formats.dataset_builder import (
+    LICENCE_FILE,
+    SPLIT_NAME,
+    bare_name,
+    finish_dataset,
+    labelled_frame,
+)
 from skope.gen.formats.source_files import Files, InFolder, files_at
+from skope.gen.output.writers import FolderWriter
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation, Image
 
@@ -103,8 +110,8 @@ def read(
     if len(licences) > 1:
         raise UserError(f"files under different licences ({'; '.join(sorted(licences))}): read them apart")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
-    assert work.builder is not None  # a source without an annotation file was refused
-    work.builder.finish(command=command, licence=licences.pop(), label_rules=rules)
+    assert work.writer is not None  # a source without an annotation file was refused
+    finish_dataset(work.writer, command=command, licence=licences.pop(), label_rules=rules)
 
 
 @dataclass
@@ -115,7 +122,7 @@ class _Import:
     given: Files | None
     """Folder or archive with the images, if they do not lie beside the annotations."""
     console: Console
-    builder: DatasetBuilder | None = None
+    writer: FolderWriter | None = None
     left_out: Counter[str] = field(default_factory=Counter)
     """Number of annotations that were left out, by reason."""
     _names: set[str] = field(default_factory=set)
@@ -124,11 +131,11 @@ class _Import:
         """Take the images and vehicles of an annotation file, which lies among `files`."""
         labels = _labels(file, self.console)
         scheme = next(iter(labels.values())).scheme
-        if self.builder is None:
-            self.builder = DatasetBuilder(self.root, scheme)
-        if scheme is not self.builder.scheme:
+        if self.writer is None:
+            self.writer = FolderWriter(self.root, scheme)
+        if scheme is not self.writer.scheme:
             raise UserError(
-                f"{file.path}: has keypoints of scheme {scheme.name}, the others of {self.builder.scheme.name}"
+                f"{file.path}: has keypoints of scheme {scheme.name}, the others of {self.writer.scheme.name}"
             )
         own: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
         for i, row in enumerate(file.document["annotations"]):
@@ -154,7 +161,7 @@ class _Import:
                     self.left_out["whose box has no area inside the image"] += 1
                 else:
                     vehicles.append(vehicle)
-            self.builder.add(file.split, image, vehicles, contents)
+            self.writer.add(file.split, [labelled_frame(file.split, image, vehicles, contents)])
 
     def _image(
         self, where: str, row: Mapping[str, Any], file: _File, files: Files

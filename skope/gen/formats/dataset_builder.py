@@ -1,9 +1,9 @@
-"""Build a dataset folder image by image from other files, and helpers that all format converters share."""
+"""Frames and card of a dataset made from other files, and helpers that all format converters share."""
 
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -12,11 +12,11 @@ import numpy as np
 from skope import coco, schema, shards
 from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
-from skope.files import link, read_bytes, write_bytes, write_json, write_text
+from skope.files import json_bytes, read_bytes, sha256_of, write_json, write_text
 from skope.gen.output import card_text
-from skope.gen.output.card_counts import Counts, kind_of
-from skope.keypoints import Scheme
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.gen.output.card_counts import kind_of
+from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, checksum
+from skope.schema import Annotation, Image
 from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
@@ -26,76 +26,77 @@ SPLIT_NAME: Final = re.compile(r"\w[\w.-]*")
 """What a split may be called: the name becomes that of its annotation file."""
 
 
-@dataclass
-class DatasetBuilder:
-    """Writes a dataset folder at `root`, image by image; ids count through all splits from 1."""
+def labelled_frame(
+    split: str,
+    image: Image,
+    vehicles: Iterable[Annotation],
+    files: Mapping[str, Path | bytes],
+    sums: Mapping[str, str] | None = None,
+) -> FrameFiles:
+    """A frame of a dataset folder under construction, whose ids its writer gives.
 
-    root: Path
-    scheme: Scheme
-    counts: Counts = field(default_factory=Counts)
-    _splits: dict[str, tuple[list[Image], list[Annotation]]] = field(default_factory=dict)
+    Args:
+        split: Split that it goes to.
+        image: Its record, with the names that its files are to have.
+        vehicles: Its annotations.
+        files: Content of its files by these names.
+        sums: Their SHA-256 as far as it is known; that of others is computed.
+    """
+    own = [replace(vehicle, category_id=schema.CATEGORY_ID) for vehicle in vehicles]
+    ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
+    contents = {name: _in_memory(content) for name, content in files.items()}
+    known = sums or {}
+    labels = Labels(
+        name=str(PurePosixPath(*PurePosixPath(image.file_name).parts[1:]).with_suffix("")),
+        image=coco.image_to_dict(replace(image, split=split)),
+        rows=[json_bytes(coco.annotation_to_dict(vehicle)) for vehicle in own],
+        kinds=[kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own],
+        sha256={name: known.get(name) or _sum_of(content) for name, content in contents.items()},
+        tally={"ignored": dict(ignored)},
+    )
+    return FrameFiles(contents, labels)
 
-    def add(self, split: str, image: Image, vehicles: Iterable[Annotation], files: Mapping[str, Path | bytes]) -> None:
-        """Add an image.
 
-        Args:
-            split: Split that it goes to.
-            image: Its record; `id` and `split` are set here.
-            vehicles: Its annotations; their ids are set here.
-            files: Path in the dataset to what it is to hold: bytes, or the file (or member of a shard) at a path.
-        """
-        images, annotations = self._splits.setdefault(split, ([], []))
-        for name, content in files.items():
-            place_file(content, self.root / name)
-        self.counts.images += 1
-        number = self.counts.images
-        images.append(replace(image, id=number, split=split))
-        own = []
-        for vehicle in vehicles:
-            self.counts.vehicles += 1
-            own.append(replace(vehicle, id=self.counts.vehicles, image_id=number, category_id=schema.CATEGORY_ID))
-        annotations += own
-        ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
-        kinds = [kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
-        places = {"split": split, "site": image.site, "weather": image.weather}
-        self.counts.add(places, kinds, {"ignored": ignored})
+def _in_memory(content: Path | bytes) -> Path | bytes:
+    """The content itself where it is a shard's member, so that it is read once."""
+    return shards.read(content) if isinstance(content, Path) and shards.split_member(content) else content
 
-    def finish(self, *, command: str, licence: str, label_rules: Sequence[str], **more: Any) -> None:
-        """Write annotation files, card and README.
 
-        Args:
-            command: Command line that makes this dataset, for the card.
-            licence: What the images may be used under.
-            label_rules: Sentences that say what is labelled.
-            more: Further fields of the card.
+def _sum_of(content: Path | bytes) -> str:
+    return checksum(content) if isinstance(content, bytes) else sha256_of(content)
 
-        Raises:
-            UserError: No image was added.
-        """
-        if not self.counts.images:
-            raise UserError("no image was found: nothing to write")
-        for split, (images, annotations) in self._splits.items():
-            file = AnnotationFile(
-                images=tuple(images),
-                annotations=tuple(annotations),
-                info={"split": split},
-                name=split,
-                scheme=self.scheme,
-            )
-            coco.write(self.root / "annotations" / f"{split}.json", file)
-        card = {
-            "version": schema.VERSION,
-            "keypoint_scheme": self.scheme.name,
-            "format": "folder",
-            "command": command,
-            "counts": self.counts.to_dict(),
-            "label_rules": list(label_rules),
-            "versions": {"skope": __version__},
-            "licence": licence,
-            **more,
-        }
-        write_text(self.root / "README.md", card_text.markdown(card))
-        write_json(self.root / CARD, card)
+
+def finish_dataset(
+    writer: FolderWriter, *, command: str, licence: str, label_rules: Sequence[str], **more: Any
+) -> None:
+    """Write annotation files, manifest, README and card of a dataset that was joined or imported.
+
+    Args:
+        writer: It was given all frames.
+        command: Command line that makes this dataset, for the card.
+        licence: What the images may be used under.
+        label_rules: Sentences that say what is labelled.
+        more: Further fields of the card.
+
+    Raises:
+        UserError: There is no frame.
+    """
+    counts = writer.finish()
+    if not counts.images:
+        raise UserError("no image was found: nothing to write")
+    card = {
+        "version": schema.VERSION,
+        "keypoint_scheme": writer.scheme.name,
+        "format": "folder",
+        "command": command,
+        "counts": counts.to_dict(),
+        "label_rules": list(label_rules),
+        "versions": {"skope": __version__},
+        "licence": licence,
+        **more,
+    }
+    write_text(writer.root / "README.md", card_text.markdown(card))
+    write_json(writer.root / CARD, card)
 
 
 def dataset_at(root: Path) -> Dataset:
@@ -111,16 +112,6 @@ def check_outside(out: Path, sources: Iterable[Path]) -> None:
     for source in sources:
         if source.resolve() in out.resolve().parents:
             raise UserError(f"{out}: is inside {source}, which is left as it is; choose another folder")
-
-
-def place_file(content: Path | bytes, target: Path) -> None:
-    """Put a file in place at `target`: write bytes, link the file at a path, or extract that member of a shard."""
-    if isinstance(content, bytes):
-        write_bytes(target, content)
-    elif shards.split_member(content):
-        write_bytes(target, shards.read(content))
-    else:
-        link(content, target)
 
 
 def bare_name(name: str) -> str:

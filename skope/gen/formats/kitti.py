@@ -25,7 +25,7 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import place_file
+from skope.gen.output.writers import place_file
 from skope.schema import Annotation, Box3D, Image
 from skope.types import Array
 

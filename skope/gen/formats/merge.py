@@ -2,18 +2,19 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
 from skope import shards
 from skope.console import Console
-from skope.dataset import Dataset
+from skope.dataset import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import replacing_folder
-from skope.gen.formats.dataset_builder import DatasetBuilder, bare_name, check_outside, dataset_at
+from skope.gen.formats.dataset_builder import bare_name, check_outside, dataset_at, finish_dataset, labelled_frame
 from skope.gen.output.licences import united
+from skope.gen.output.writers import FolderWriter, FrameFiles
 from skope.image_selection import recordings
 from skope.schema import AnnotationFile, Image
 
@@ -47,21 +48,24 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
             )
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
-        builder = DatasetBuilder(folder, first.scheme)
+        writer = FolderWriter(folder, first.scheme)
         names, begun = _Sites(), dict[str, tuple[Path, str]]()
         for dataset in datasets:
             twice = Counter[Path]()
+            sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
             for split in dataset.splits:
                 file = dataset.read(split)
                 names.check(dataset, split, file)
                 twice.update(_twice(dataset, split, file, begun))
-                _add_split(dataset, split, file, names, builder, console)
+                images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
+                writer.add(split, _frames(dataset, split, file, images, names.of(dataset), sums, folder))
             names.close(dataset)
             for whose, count in twice.items():
                 console.say(
                     f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
                 )
-        builder.finish(
+        finish_dataset(
+            writer,
             # Names without folders: the card is published, and must not show how the user's disk is laid out.
             command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
             licence=licence,
@@ -139,20 +143,29 @@ def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, 
         yield whose
 
 
-def _add_split(
-    dataset: Dataset, split: str, file: AnnotationFile, names: _Sites, builder: DatasetBuilder, console: Console
-) -> None:
-    own, sites = file.by_image(), names.of(dataset)
-    for image in console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}"):
-        new, files = _rename(image, sites, dataset, builder.root)
-        builder.add(split, new, own[image.id], files)
+def _frames(
+    dataset: Dataset,
+    split: str,
+    file: AnnotationFile,
+    images: Iterable[Image],
+    sites: Mapping[str, str],
+    sums: Mapping[str, str],
+    root: Path,
+) -> Iterator[FrameFiles]:
+    """Images of a split with their names in the joined dataset at `root`; `sums` are checksums by present names."""
+    own = file.by_image()
+    for image in images:
+        new, files = _rename(image, sites, dataset, root)
+        known = {name: sums[path] for name, path in files.items() if path in sums}
+        contents = {name: dataset.root / path for name, path in files.items()}
+        yield labelled_frame(split, new, own[image.id], contents, known)
 
 
-def _rename(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, Path]]:
-    """An image's record with its names in the joined dataset, and the present path of each of its files by new name."""
+def _rename(image: Image, sites: Mapping[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, str]]:
+    """An image's record with its names in the joined dataset, and the present name of each of its files by new name."""
     site = None if image.site is None else sites[image.site]
     new: dict[str, str] = {}
-    files: dict[str, Path] = {}
+    files: dict[str, str] = {}
     for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
         old = getattr(image, key)
         if old is None:
@@ -164,7 +177,7 @@ def _rename(image: Image, sites: dict[str, str], dataset: Dataset, root: Path) -
         free = next((c for c in candidates if not (root / c).exists()), None)
         if free is None:
             raise UserError(f"{dataset.root}: {old}: another image has this name")
-        new[key], files[free] = free, dataset.root / old
+        new[key], files[free] = free, old
     return replace(image, site=site, **new), files  # type: ignore[arg-type]
 
 

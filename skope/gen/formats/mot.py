@@ -12,7 +12,8 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import frame_rate, place_file
+from skope.gen.formats.dataset_builder import frame_rate
+from skope.gen.output.writers import place_file
 from skope.image_selection import recordings
 from skope.schema import Annotation, Image
 

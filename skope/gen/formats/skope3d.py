@@ -23,8 +23,9 @@ from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import read_json, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
-from skope.gen.formats.dataset_builder import DatasetBuilder, frame_rate, licence_beside
+from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
+from skope.gen.output.writers import FolderWriter
 from skope.image_selection import recordings
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.safe_names import for_opencv
@@ -74,7 +75,7 @@ def read(
         UserError: An archive or the map cannot be read, a scene occurs twice, or scenes have different licences.
     """
     names = read_map(map_file) if map_file else None
-    builder = DatasetBuilder(root, SKOPE33 if names is not None else PUBLISHED)
+    writer = FolderWriter(root, SKOPE33 if names is not None else PUBLISHED)
     seen: dict[tuple[str, str], Path] = {}
     licences = set()
     for path in console.bar(archives(sources), unit="scene", label="reading scenes"):
@@ -88,13 +89,13 @@ def read(
             if (place.site, place.recording) in seen:
                 raise UserError(f"{path}: {scene.name} is in {seen[place.site, place.recording]} too")
             seen[place.site, place.recording] = path
-            _add_scene(scene, place, names, builder, root / ".video.avi")
+            _add_scene(scene, place, names, writer, root / ".video.avi")
     rules = ["Boxes, keypoints and tracks are those of the files read; v = 2: visible, v = 1: hidden, with a place."]
     if names is not None:
         rules.append(f"{len(names)} of {K} keypoints are mapped to scheme {SKOPE33.name}; the others are unlabelled.")
     if len(licences) > 1:
         raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): read them apart")
-    builder.finish(command=command, licence=licences.pop(), label_rules=rules)
+    finish_dataset(writer, command=command, licence=licences.pop(), label_rules=rules)
 
 
 def _places(path: Path) -> dict[str, ScenePlace]:
@@ -113,7 +114,7 @@ def _places(path: Path) -> dict[str, ScenePlace]:
 
 
 def _add_scene(
-    scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, builder: DatasetBuilder, video: Path
+    scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, writer: FolderWriter, video: Path
 ) -> None:
     scene.archive.extract(f"{scene.name}/{VIDEO}", video)
     try:
@@ -132,7 +133,9 @@ def _add_scene(
             done, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])
             assert done
             own = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
-            builder.add(place.split, image, [a for a in own if a is not None], {image.file_name: data.tobytes()})
+            vehicles = [vehicle for vehicle in own if vehicle is not None]
+            frame_files = labelled_frame(place.split, image, vehicles, {image.file_name: data.tobytes()})
+            writer.add(place.split, [frame_files])
     finally:
         video.unlink(missing_ok=True)
 

@@ -15,7 +15,8 @@ from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
-from skope.gen.formats.dataset_builder import bare_name, place_file
+from skope.gen.formats.dataset_builder import bare_name
+from skope.gen.output.writers import place_file
 from skope.image_selection import held_back
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation, AnnotationFile, Image

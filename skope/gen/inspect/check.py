@@ -131,7 +131,7 @@ class _Seen:
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     """Check the checksums of all files, and find stray files; nothing for datasets that came without a manifest."""
-    if "takes" not in dataset.card:
+    if "takes" not in dataset.card and not (dataset.root / MANIFEST).exists():
         return
     try:
         sums = read_manifest(dataset.root)["sha256"]

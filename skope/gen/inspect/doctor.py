@@ -16,7 +16,7 @@ from skope.camera import Camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import sites
 
 
@@ -88,7 +88,7 @@ def _empty_street() -> Recording:
     """A recording of an empty street, to draw on machines that can render but not simulate."""
     site = next(iter(sites().values()))
     spans = ranges(site.weather, site.time_of_day, site.conditions)
-    lights = Layout.of(site.town).net.getTrafficLights()
+    lights = RoadGraph.of(site.town).net.getTrafficLights()
     poses = np.zeros((0, 4, 4))
     return Recording(
         town=site.town,

@@ -36,18 +36,17 @@ def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactor
         raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")
     store = Store(dataset.root)
     with store.locked():
-        begun = store.read_plan()
-        assert begun is not None
+        plan = store.plan
         for finding in findings:
             if finding.stray:
                 (dataset.root / finding.where).unlink(missing_ok=True)
         store.reopen({finding.image for finding in findings if finding.image}, _lost_splits(dataset, findings))
-        lost = [store.recording_path(recording) for recording in store.recordings() if not store.recorded(recording)]
+        lost = [store.recording_path(recording) for recording in plan.recordings if not store.recorded(recording)]
         lost += [dataset.root / f.where for f in findings if f.where.startswith("recordings/") and not f.stray]
         if lost:
             for path in lost:
                 path.unlink(missing_ok=True)
             raise UserError(
-                f"{lost[0]}: has to be simulated again; go on with: {command(begun['parameters'])} --out {store.root}"
+                f"{lost[0]}: has to be simulated again; go on with: {command(plan.parameters)} --out {store.root}"
             )
-        finish_rendering(store, begun["parameters"]["renderer"], start_pool, console)
+        finish_rendering(store, plan.parameters.renderer, start_pool, console)

@@ -16,6 +16,7 @@ from skope.dataset import Dataset
 from skope.files import replacing
 from skope.keypoints import K
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.text_table import text_table
 
 PICTURES: Final = 200
 """Number of images of a split, evenly spread, whose brightness is measured."""
@@ -116,8 +117,7 @@ def _quartiles(values: list[float]) -> tuple[float, float, float]:
 
 def table(stats: Mapping[str, SplitStats]) -> list[str]:
     """Lines of a table with a column for each split."""
-    every = [("", list(stats)), *rows(stats)]
-    return [f"{name:<26}" + "".join(f"{cell:>18}" for cell in cells) for name, cells in every]
+    return text_table(["", *stats], [[name, *cells] for name, cells in rows(stats)])
 
 
 def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:

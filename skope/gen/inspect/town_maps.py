@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.layout import HALF_VIEW_DEG, Layout, polygons
+from skope.gen.towns.layout import HALF_VIEW_DEG, Layout
+from skope.gen.towns.regions import polygons
 from skope.gen.towns.town import Town
 
 Image = NDArray[np.uint8]
@@ -34,7 +35,7 @@ SPLITS: Final[dict[str, RGB]] = {
 def town_map(town: Town) -> Image:
     """(H, W, 3) RGB: north is up."""
     layout = Layout.of(town)
-    x0, y0, x1, y1 = layout.road.buffer(_FRAME).bounds
+    x0, y0, x1, y1 = layout.graph.road.buffer(_FRAME).bounds
     scale = SIZE / max(x1 - x0, y1 - y0)
     image = np.full((round((y1 - y0) * scale) + 60, round((x1 - x0) * scale), 3), _GROUND, dtype=np.uint8)
 
@@ -53,9 +54,9 @@ def town_map(town: Town) -> Image:
         fill(footprint, _HOUSE)
     for x, y, reach in built.trees:
         cv2.circle(image, pixels([x, y]).tolist(), round(reach * scale * 2**_SHIFT), _TREE, -1, cv2.LINE_AA, _SHIFT)
-    fill(layout.ground_road, _ROAD)
+    fill(layout.graph.ground_road, _ROAD)
     fill(layout.islands, _ISLAND)
-    for deck in layout.decks:
+    for deck in layout.graph.decks:
         fill(deck, _DECK)
     cones = image.copy()
     for site in layout.sites:

@@ -1,15 +1,13 @@
 """A dataset's card: dataset.json for programs, README.md for people and croissant.json for catalogues."""
 
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from skope import keypoints, schema
 from skope.dataset import CARD, read_manifest
 from skope.depth_files import DEPTH_SCALE
-from skope.errors import UserError
 from skope.files import write_json, write_text
 from skope.gen.labels import annotate
 from skope.gen.labels.annotate import Rules
@@ -17,40 +15,30 @@ from skope.gen.output import card_text, licences
 from skope.gen.output.card_counts import Counts
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
+from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
-_PARAMETERS: Final[dict[str, type]] = {
-    **dict.fromkeys(("preset", "size", "renderer", "driver", "format"), str),
-    **dict.fromkeys(("rules", "encoding", "frames", "settings", "cameras", "vehicles", "versions"), dict),
-    "seed": int,
-    "sites": list,
-    "shape_jitter": bool,
-    "interval_s": float,
-    "fov_deg": float,
-}
-"""Parameters that a card must have, with their types; `own`, which may be null, is checked apart."""
-_KINDS: Final = {str: "text", dict: "an object", int: "a whole number", list: "a list", bool: "true or false"}
 
 
-def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dict[str, Any]:
+def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     """The content of dataset.json.
 
     Args:
-        values: Parameters, as `Parameters.to_dict` gives them.
-        takes: Site, name, split and number of frames of each recording.
+        plan: Parameters and recordings of the dataset.
         counts: Images and vehicles of the whole dataset.
     """
-    own, solid = values["own"], values["renderer"] == "pybullet"
+    parameters = plan.parameters
+    own, solid = parameters.own, parameters.renderer == "pybullet"
     return {
         "version": schema.VERSION,
         "keypoint_scheme": keypoints.SCHEME,
-        "format": values["format"],
-        "seed": values["seed"],
-        "command": command(values),
+        "format": parameters.format,
+        "seed": parameters.seed,
+        "command": command(parameters),
         "counts": counts.to_dict(),
-        "label_rules": label_rules(Rules(**values["rules"])),
+        "label_rules": label_rules(parameters.rules),
         "occlusion_rules": {
             "vehicles": counts.tally["vehicles"],
             "taken_by_others": counts.tally["occluded_others"],
@@ -58,9 +46,9 @@ def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dic
         },
         "localizer_difference_m": counts.localizer_difference(),
         "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther"
-        if values["encoding"]["depth"]
+        if parameters.encoding.depth
         else "none",
-        "renderer": values["renderer"],
+        "renderer": parameters.renderer,
         "foliage": "solid in depth and visibility" if solid else "cut out leaf by leaf",
         "fleet": {
             "held_out": sorted(name for name, entry in fleet().items() if entry.held_out),
@@ -68,62 +56,33 @@ def card(values: Mapping[str, Any], takes: Sequence[Any], counts: Counts) -> dic
                 name: list(entry.vehicle.substituted) for name, entry in fleet().items() if entry.vehicle.substituted
             },
         },
-        "versions": values["versions"],
-        "parameters": values,
-        "takes": takes,
-        "licence": PHOTOGRAPH.format(_licence(values)) if own and own["photograph"] else _licence(values),
+        "versions": dict(parameters.versions),
+        **plan.to_dict(),
+        "licence": PHOTOGRAPH.format(parameters.licence) if own and own.photograph else parameters.licence,
     }
 
 
-def check_parameters(path: Path, values: Any) -> None:
-    """Raise a UserError, naming their file and the field, unless `values` are what `Parameters.to_dict` gives."""
-    if not isinstance(values, dict):
-        raise UserError(f"{path}: parameters: expected an object, got {_told(values)}")
-    for name, kind in _PARAMETERS.items():
-        if not isinstance(values.get(name), int | float if kind is float else kind):
-            expected = _KINDS.get(kind, "a number")
-            raise UserError(f"{path}: parameters.{name}: expected {expected}, got {_told(values.get(name))}")
-    if not all(isinstance(site, str) for site in values["sites"]):
-        raise UserError(f"{path}: parameters.sites: expected names, got {_told(values['sites'])}")
-    if not isinstance(values.get("own"), dict | None):
-        raise UserError(f"{path}: parameters.own: expected an object or null, got {_told(values['own'])}")
-    for name, example in (("rules", Rules()), ("encoding", Encoding())):
-        if values[name].keys() != asdict(example).keys():
-            raise UserError(
-                f"{path}: parameters.{name}: expected {', '.join(asdict(example))}, got {_told(values[name])}"
-            )
-
-
-def _told(value: Any) -> str:
-    return "nothing" if value is None else f"{value!r:.60}"
-
-
-def command(p: Mapping[str, Any]) -> str:
+def command(p: Parameters) -> str:
     """The command that makes the same dataset again."""
-    rules, encoding, counts = p["rules"], p["encoding"], set(p["frames"].values())
-    parts = [f"skope gen --preset {p['preset']} --seed {p['seed']}"]
-    parts.append(f"--site {p['own']['file']}" if p["own"] else f"--sites {','.join(p['sites'])}")
+    counts = set(p.frames.values())
+    parts = [f"skope gen --preset {p.preset} --seed {p.seed}"]
+    parts.append(f"--site {p.own.file}" if p.own else f"--sites {','.join(p.sites)}")
     if len(counts) == 1:  # else they are the preset's
         parts.append(f"--frames {counts.pop()}")
-    parts.append(f"--interval {p['interval_s']} --size {p['size']}")
-    if not p["own"]:
-        parts.append(f"--fov {p['fov_deg']}")
-    parts.append(f"--renderer {p['renderer']} --localizer {rules['localizer']} --occlusion-rule {rules['occlusion']}")
-    parts.append(f"--min-visible {rules['min_visible']} --min-box {rules['min_box']}")
-    if encoding != asdict(Encoding()):
-        parts.append(f"--image-format {encoding['image']} --quality {encoding['quality']}")
-        parts += [] if encoding["depth"] else ["--no-depth"]
-    parts += [f"--format {p['format']}"] if p["format"] != "folder" else []
-    parts += [f"--vehicles {','.join(p['vehicles'])}"] if p["vehicles"] else []
-    parts += ["--shape-jitter"] if p["shape_jitter"] else []
-    parts += ["--camera-jitter"] if "zoom_by" in p["cameras"] else []
-    parts += [f"--licence {shlex.quote(_licence(p))}"] if _licence(p) != licences.DEFAULT else []
-    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p["settings"].items())])
-
-
-def _licence(values: Mapping[str, Any]) -> str:
-    # Folders that were begun before it could be chosen do not have it.
-    return str(values.get("licence", licences.DEFAULT))
+    parts.append(f"--interval {p.interval_s} --size {p.size}")
+    if not p.own:
+        parts.append(f"--fov {p.fov_deg}")
+    parts.append(f"--renderer {p.renderer} --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}")
+    parts.append(f"--min-visible {p.rules.min_visible} --min-box {p.rules.min_box}")
+    if p.encoding != Encoding():
+        parts.append(f"--image-format {p.encoding.image} --quality {p.encoding.quality}")
+        parts += [] if p.encoding.depth else ["--no-depth"]
+    parts += [f"--format {p.format}"] if p.format != "folder" else []
+    parts += [f"--vehicles {','.join(p.vehicles)}"] if p.vehicles else []
+    parts += ["--shape-jitter"] if p.shape_jitter else []
+    parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
+    parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT else []
+    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
 
 
 def label_rules(rules: Rules) -> list[str]:

@@ -1,6 +1,5 @@
-"""A finished frame: the bytes of its files, and its labels."""
+"""Make finished frames: render, annotate and encode."""
 
-import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,7 +14,7 @@ from skope.errors import UserError, one_of
 from skope.files import json_bytes
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.output.card_counts import kind_of
-from skope.gen.output.writers import Labels
+from skope.gen.output.writers import FrameFiles, Labels, checksum
 from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording
 from skope.schema import Image
@@ -49,13 +48,6 @@ class Encoding:
         ok, data = cv2.imencode(FORMATS[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
         assert ok
         return data.tobytes()
-
-
-@dataclass(frozen=True)
-class FrameFiles:
-    files: dict[str, bytes]
-    """Contents by path in the dataset."""
-    labels: Labels
 
 
 def frames_of(
@@ -110,7 +102,3 @@ def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0
         sun_elevation_deg=recording.conditions.sun_elevation_deg,
         camera=recording.camera,
     )
-
-
-def checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

@@ -1,19 +1,22 @@
-"""What a dataset's labels are kept in: one annotation file a split beside the images, or shards of tar; both ways."""
+"""Write a dataset's frames: one annotation file a split beside the images, or tar shards; and read them back."""
 
+import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO, Any, Final, Protocol
+from typing import IO, Any, Final
 
 import orjson
 
 from skope import coco, safe_names, shards
 from skope.dataset import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
-from skope.files import json_bytes, read_bytes, read_json, sha256_of, write_bytes
-from skope.gen.output.card_counts import Kind, kind_of
+from skope.files import json_bytes, link, read_json, sha256_of, write_bytes
+from skope.gen.output.card_counts import Counts, Kind, kind_of
+from skope.keypoints import SKOPE33, Scheme
 
 FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
@@ -22,130 +25,159 @@ _IN_MEMORY: Final = 1 << 26
 
 @dataclass(frozen=True)
 class Labels:
-    """A frame's rows of the annotation file, with its files."""
+    """A frame's rows of the annotation file, and what the manifest says of it."""
 
     name: str
     """<site>/<recording>_<frame>."""
     image: Mapping[str, Any]
+    """Its files are named as a dataset folder names them: images/<name>.jpg, depth/<name>.png."""
     rows: list[bytes]
     """Annotations of the frame, a JSON object each; `id` and `image_id` come first."""
     kinds: list[Kind]
     """Kind of each annotation."""
     sha256: Mapping[str, str]
-    """Checksums of the frame's files, by path in the dataset."""
+    """Checksums of the frame's files, by their names."""
     tally: Any
     """What the rules did to the frame's vehicles, for the card's counts."""
 
 
-class DatasetWriter(Protocol):
-    """Writes the labels of recordings, one after the other, and then the manifest."""
+@dataclass(frozen=True)
+class FrameFiles:
+    """A frame that is to be written: the content of its files by name, and its labels."""
+
+    files: Mapping[str, Path | bytes]
+    """A path is that of a file, or of a shard's member, that holds the content."""
+    labels: Labels
+
+
+class DatasetWriter(ABC):
+    """Writes frames into the dataset folder at `root`, recording by recording, and then the manifest.
+
+    Ids of images and annotations count through the whole dataset from 1, in the order in which frames are added.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._counts = Counts()
+        self._sums: dict[str, str] = {}
+        self._tallies: dict[str, Any] = {}
 
     def add_file(self, path: Path) -> None:
         """Name a file of the dataset, by its path in it, in the manifest."""
-        ...
+        self._sums[str(path)] = sha256_of(self.root / path)
 
-    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
-        """Write the frames of a recording, whose image and depth files are in the folder `source`."""
-        ...
+    @abstractmethod
+    def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
+        """Write frames of a recording; files that lie at their place in the folder already are not copied."""
 
-    def finish(self) -> None: ...
-
-
-class _Manifest:
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.sums: dict[str, str] = {}
-        self.tallies: dict[str, Any] = {}
-
-    def add_file(self, path: Path) -> None:
-        self.sums[str(path)] = sha256_of(self.root / path)
-
-    def finish(self) -> None:
-        content = {"sha256": dict(sorted(self.sums.items())), "tallies": self.tallies}
+    def finish(self) -> Counts:
+        """Write what is left, the manifest last; returns the counts of images and vehicles."""
+        content = {"sha256": dict(sorted(self._sums.items())), "tallies": self._tallies}
         write_bytes(self.root / MANIFEST, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+        return self._counts
+
+    def _numbered(self, split: str, labels: Labels) -> Labels:
+        """The labels under the next ids; they are counted."""
+        counts = self._counts
+        places = {"split": split, "site": labels.image.get("site"), "weather": labels.image.get("weather")}
+        counts.add(places, labels.kinds, labels.tally)
+        counts.images += 1
+        rows = [_with_ids(row, counts.vehicles + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
+        counts.vehicles += len(rows)
+        return replace(labels, image={**labels.image, "id": counts.images}, rows=rows)
 
 
-class Folder(_Manifest):
-    """Annotation files; images and depth beside them."""
+class FolderWriter(DatasetWriter):
+    """Writes annotation files; images and depth lie beside them."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, scheme: Scheme = SKOPE33) -> None:
         super().__init__(root)
-        self._files = ExitStack()
+        self.scheme = scheme
+        self._open = ExitStack()
         self._splits: dict[str, tuple[list[bytes], IO[bytes]]] = {}
         """Rows of images in memory, and those of vehicles, a line each, in a temporary file when they are many."""
 
-    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
+    def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         if split not in self._splits:
             rows = SpooledTemporaryFile(_IN_MEMORY, dir=str(self.root))  # noqa: SIM115 - the stack closes it
-            self._splits[split] = [], self._files.enter_context(rows)
+            self._splits[split] = [], self._open.enter_context(rows)
         images, annotations = self._splits[split]
         for frame in frames:
-            image = {**frame.image}
-            for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
-                if key in image:
-                    there = image[key]
-                    image[key] = f"{kind}/{frame.name}{Path(there).suffix}"
-                    self.sums[image[key]] = frame.sha256[there]
-                    if source != self.root:
-                        write_bytes(self.root / image[key], shards.read(source / there))
-            images.append(json_bytes(image))
-            annotations.writelines(row + b"\n" for row in frame.rows)
-            self.tallies[image["file_name"]] = frame.tally
+            labels = self._numbered(split, frame.labels)
+            for name, content in frame.files.items():
+                if content != self.root / name:
+                    place_file(content, self.root / name)
+                self._sums[name] = labels.sha256[name]
+            images.append(json_bytes(labels.image))
+            annotations.writelines(row + b"\n" for row in labels.rows)
+            self._tallies[labels.image["file_name"]] = labels.tally
 
-    def finish(self) -> None:
-        with self._files:
+    def finish(self) -> Counts:
+        with self._open:
             for split, (images, annotations) in self._splits.items():
                 path = Path("annotations") / f"{split}.json"
                 annotations.seek(0)
-                coco.write_lines(self.root / path, {"split": split}, images, (row[:-1] for row in annotations))
+                rows = (row[:-1] for row in annotations)
+                coco.write_lines(self.root / path, {"split": split}, images, rows, self.scheme)
                 self.add_file(path)
-        super().finish()
+        return super().finish()
 
 
-class Shards(_Manifest):
-    """Writes a tar shard for each recording, in place of its loose files."""
+class ShardWriter(DatasetWriter):
+    """Writes a tar shard for each recording; loose files of the folder that are in it are removed."""
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
         self._numbers: dict[str, int] = {}
 
-    def add(self, split: str, frames: Iterable[Labels], source: Path) -> None:
+    def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         number = self._numbers.get(split, 0)
         self._numbers[split] = number + 1
         path = Path(shards.FOLDER) / f"{split}-{number:06d}.tar"
         shard, loose = self.root / path, list[Path]()
-        members = self._members(path, frames, source, loose)
+        members = self._members(path, split, frames, loose)
         if shard.with_suffix(".json").is_file():
             # Its index came last: it is whole, and its files may be gone.
             for _ in members:
                 pass
         else:
-            shards.write_shard(shard, ((name, content) for name, content in _read(members)))
+            shards.write_shard(shard, ((name, _content_bytes(content)) for name, content in members))
         for file in (path, path.with_suffix(".json")):
             self.add_file(file)
-        if source == self.root:
-            for file in loose:
-                file.unlink(missing_ok=True)
-                with suppress(OSError):  # until it is empty
-                    file.parent.rmdir()
-                    file.parent.parent.rmdir()
+        for file in loose:
+            file.unlink(missing_ok=True)
+            with suppress(OSError):  # until it is empty
+                file.parent.rmdir()
+                file.parent.parent.rmdir()
 
     def _members(
-        self, path: Path, frames: Iterable[Labels], source: Path, loose: list[Path]
+        self, path: Path, split: str, frames: Iterable[FrameFiles], loose: list[Path]
     ) -> Iterator[tuple[str, Path | bytes]]:
         for frame in frames:
-            image = {**frame.image}
+            labels = self._numbered(split, frame.labels)
+            image = dict(labels.image)
             for key, kind in (("file_name", ""), ("depth_file_name", ".depth")):
                 if key in image:
-                    there = image[key]
-                    member = f"{frame.name}{kind}{Path(there).suffix}"
+                    name = image[key]
+                    content, member = frame.files[name], f"{labels.name}{kind}{Path(name).suffix}"
                     image[key] = f"{path}/{member}"
-                    self.sums[image[key]] = frame.sha256[there]
-                    loose.append(source / there)
-                    yield member, source / there
-            self.tallies[image["file_name"]] = frame.tally
-            rows = b",".join(frame.rows)
-            yield f"{frame.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
+                    self._sums[image[key]] = labels.sha256[name]
+                    if content == self.root / name:
+                        loose.append(self.root / name)
+                    yield member, content
+            self._tallies[image["file_name"]] = labels.tally
+            rows = b",".join(labels.rows)
+            yield f"{labels.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
+
+
+def writer_of(form: str, root: Path) -> DatasetWriter:
+    """The writer of a format of `FORMATS`."""
+    return ShardWriter(root) if form == "shards" else FolderWriter(root)
+
+
+def checksum(data: bytes) -> str:
+    """SHA-256 in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
 
 
 def unpack_shards(root: Path) -> None:
@@ -164,40 +196,49 @@ def unpack_shards(root: Path) -> None:
         shard.unlink()
 
 
-def _read(members: Iterable[tuple[str, Path | bytes]]) -> Iterator[tuple[str, bytes]]:
-    for name, content in members:
-        yield name, content if isinstance(content, bytes) else read_bytes(content)
+def _content_bytes(content: Path | bytes) -> bytes:
+    return content if isinstance(content, bytes) else shards.read(content)
 
 
-def numbered(row: bytes, id_: int, image_id: int) -> bytes:
+def place_file(content: Path | bytes, target: Path) -> None:
+    """Put a file in place at `target`: write bytes, link the file at a path, or extract that member of a shard."""
+    if isinstance(content, Path) and not shards.split_member(content):
+        link(content, target)
+    else:
+        write_bytes(target, _content_bytes(content))
+
+
+def _with_ids(row: bytes, id_: int, image_id: int) -> bytes:
     """A row of `Labels` under other ids."""
     assert row.startswith(b'{"id":')
     _, _, rest = row.split(b",", 2)
     return b'{"id":%d,"image_id":%d,%b' % (id_, image_id, rest)
 
 
-def writer_of(form: str, root: Path) -> DatasetWriter:
-    """The writer of a format."""
-    return Shards(root) if form == "shards" else Folder(root)
-
-
-def frames_of_split(dataset: Dataset, split: str) -> Iterator[Labels]:
-    """Labels of the frames of a split, of a dataset that `skope gen` made; a UserError names what is missing."""
+def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
+    """The frames of a split, of a dataset that `skope gen` made; a UserError names what is missing."""
     manifest = read_manifest(dataset.root)
-    for image, annotations in rows_of(dataset, split):
-        lost = [key for key in ("site", "recording", "frame_index") if image.get(key) is None]
+    for row, annotations in rows_of(dataset, split):
+        lost = [key for key in ("site", "recording", "frame_index") if row.get(key) is None]
         if lost:
-            raise UserError(f"{dataset.root}: {split}: image {image['id']}: field {lost[0]} is missing")
+            raise UserError(f"{dataset.root}: {split}: image {row['id']}: field {lost[0]} is missing")
+        image = {key: value for key, value in row.items() if value is not None}
         name = f"{image['site']}/{image['recording']}_{image['frame_index']:06d}"
-        files = [image[key] for key in ("file_name", "depth_file_name") if key in image]
+        files: dict[str, Path | bytes] = {}
+        sums = {}
         try:
-            sums, tally = {file: manifest["sha256"][file] for file in files}, manifest["tallies"][files[0]]
+            tally = manifest["tallies"][image["file_name"]]
+            for key, folder in (("file_name", "images"), ("depth_file_name", "depth")):
+                if key in image:
+                    there = image[key]
+                    image[key] = f"{folder}/{name}{Path(there).suffix}"
+                    files[image[key]], sums[image[key]] = dataset.root / there, manifest["sha256"][there]
         except KeyError as error:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
-        # Other tools may have rewritten the file: ids are put first, as `numbered` needs them.
+        # Other tools may have rewritten the file: ids are put first, as `_with_ids` needs them.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
         kinds = [kind_of(row["iscrowd"], row.get("vehicle_type")) for row in annotations]
-        yield Labels(name, image, rows, kinds, sums, tally)
+        yield FrameFiles(files, Labels(name, image, rows, kinds, sums, tally))
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:

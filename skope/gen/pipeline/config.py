@@ -1,10 +1,9 @@
-"""Presets, the parameters that decide every byte of a dataset, and the plans of its recordings."""
+"""Presets, what a user asks for, and the plans of its recordings."""
 
 import math
-import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -12,13 +11,11 @@ from typing import Any
 from skope.camera import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.labels.annotate import Rules
-from skope.gen.output import licences
-from skope.gen.output.frames import Encoding
+from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import FORMATS
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import Range, check_settings
-from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import OwnSite
@@ -29,92 +26,64 @@ _SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
 """Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parameters:
-    """Everything that decides a dataset's content; saved in its card."""
+@dataclass(frozen=True)
+class DatasetRequest:
+    """A dataset that is asked for: its parameters, and the user's own site, of which parameters hold digests only.
 
-    preset: str
-    seed: int
-    sites: tuple[str, ...]
-    frames: Mapping[str, int]
-    """Frames per site, by the sites' split."""
-    recordings: int
-    """Recordings per site, which share its frames."""
-    interval_s: float
-    size: str
-    fov_deg: float
-    renderer: str
-    driver: str
-    """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
-    rules: Rules
-    settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
-    cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
-    vehicles: Mapping[str, str] = field(default_factory=dict)
-    """Models of the user (`skope gen vehicles add`) that drive beside the fleet: name to SHA-256 of the files."""
-    shape_jitter: bool = False
-    """Whether each vehicle gets a shape of its own near its model's."""
+    Raises a UserError that names the flag where a parameter is out of range.
+    """
+
+    parameters: Parameters
     own: OwnSite | None = None
-    """A user's own site (`--site`), in place of those of the package."""
-    encoding: Encoding = field(default_factory=Encoding)
-    format: str = "folder"
-    """How the dataset is stored, one of `skope.gen.output.writers.FORMATS`."""
-    licence: str = licences.DEFAULT
-    """What the images may be used under, as the card states it."""
 
     def __post_init__(self) -> None:
-        self.pixels()
-        one_of("--format", self.format, FORMATS)
-        if not all(self.sites) or not self.sites or len(set(self.sites)) < len(self.sites):
+        p = self.parameters
+        p.pixels()
+        one_of("--format", p.format, FORMATS)
+        if not all(p.sites) or not p.sites or len(set(p.sites)) < len(p.sites):
             raise UserError("--sites: expected one or more different sites, separated by commas")
-        for name in self.sites:
+        for name in p.sites:
             self.site(name)
-        for frames in self.frames.values():
+        for frames in p.frames.values():
             if frames < 1:
                 raise UserError(f"--frames: expected a whole number from 1, got {frames}")
-        if self.seed < 0:
-            raise UserError(f"--seed: expected a whole number from 0, got {self.seed}")
-        if not 5 <= self.fov_deg <= 150:
-            raise UserError(f"--fov: expected degrees from 5 to 150, got {self.fov_deg}")
-        step_for(self.interval_s)
-        check_settings(self.settings)
-        camera_sampling.check_ranges(self.cameras)
+        if p.seed < 0:
+            raise UserError(f"--seed: expected a whole number from 0, got {p.seed}")
+        if not 5 <= p.fov_deg <= 150:
+            raise UserError(f"--fov: expected degrees from 5 to 150, got {p.fov_deg}")
+        step_for(p.interval_s)
+        check_settings(p.settings)
+        camera_sampling.check_ranges(p.cameras)
         self._check_lens()
         if self.own:
             self._check_own(self.own)
 
     def _check_lens(self) -> None:
         """Raise a UserError where the strongest distortion at the widest angle would fold the image."""
-        widest = self.cameras.get("fov_deg", (self.fov_deg, self.fov_deg))[1]
-        low, high = map(round, self.settings.get("fisheye", (0.0, 0.0)))
-        for k1 in set(self.settings.get("k1", (0.0, 0.0))):
+        p = self.parameters
+        widest = p.cameras.get("fov_deg", (p.fov_deg, p.fov_deg))[1]
+        low, high = map(round, p.settings.get("fisheye", (0.0, 0.0)))
+        for k1 in set(p.settings.get("k1", (0.0, 0.0))):
             for model in ("brown", "fisheye")[low : high + 1]:
                 if k1 or model == "fisheye":
                     lens = Distortion(model, (k1, 0.0, 0.0, 0.0))
-                    pinhole_of(self.site(self.sites[0]).camera(self.pixels(), widest, lens))
+                    pinhole_of(self.site(p.sites[0]).camera(p.pixels(), widest, lens))
 
     def _check_own(self, own: OwnSite) -> None:
-        camera, photograph, (width, height) = own.road.camera, own.road.photograph, self.pixels()
+        p = self.parameters
+        camera, photograph, (width, height) = own.road.camera, own.road.photograph, p.pixels()
         if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
             raise UserError(
-                f"--size {self.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
+                f"--size {p.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
                 "only sizes of that shape can be had"
             )
-        lens = next((name for name in ("k1", "fisheye") if name in self.settings), None)
+        lens = next((name for name in ("k1", "fisheye") if name in p.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
             raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
-        if self.cameras and photograph:
+        if p.cameras and photograph:
             raise UserError(f"{own.path}: a photograph shows the road from one camera only: no other can be drawn")
-        if self.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
-            raise UserError(f"--preset {self.preset}: {own.path} says how its camera hangs (try --camera-jitter)")
-
-    def pixels(self) -> tuple[int, int]:
-        """Width and height of the images."""
-        match = re.fullmatch(r"(\d+)x(\d+)", self.size)
-        if not match or not all(16 <= int(n) <= 8192 for n in match.groups()):
-            raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
-        return int(match[1]), int(match[2])
+        if p.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
+            raise UserError(f"--preset {p.preset}: {own.path} says how its camera hangs (try --camera-jitter)")
 
     def site(self, name: str) -> Site:
         """The site of that name, or a UserError that lists those of the package."""
@@ -122,55 +91,46 @@ class Parameters:
 
     def plans(self) -> list[RecordingPlan]:
         """One plan for each recording, site by site; a site's frames are shared out evenly to its recordings."""
+        p = self.parameters
         return [
             RecordingPlan(
                 site=self._in_its_light(name, index),
                 index=index,
                 frames=frames,
-                interval=self.interval_s,
-                size=self.pixels(),
-                fov_deg=self.fov_deg,
-                seed=self.seed,
-                settings=self.settings,
-                cameras=self.cameras,
-                vehicles=tuple(self.vehicles),
-                shape_jitter=self.shape_jitter,
+                interval=p.interval_s,
+                size=p.pixels(),
+                fov_deg=p.fov_deg,
+                seed=p.seed,
+                settings=p.settings,
+                cameras=p.cameras,
+                vehicles=tuple(p.vehicles),
+                shape_jitter=p.shape_jitter,
             )
-            for name in self.sites
-            for index, frames in enumerate(_share_out(self.frames_of(name), self.recordings))
+            for name in p.sites
+            for index, frames in enumerate(_share_out(self.frames_of(name), p.recordings))
         ]
 
     def _in_its_light(self, name: str, index: int) -> Site:
         """The site with the weather, hour and traffic of its recording `index`."""
         if self.own is None:
-            return in_its_light(site(name), index, self.seed)
+            return in_its_light(site(name), index, self.parameters.seed)
         own = replace(self.own.site, split=self.own.splits[index])
         # A photograph shows one light, which all recordings share.
-        return own if self.own.road.photograph else in_its_light(own, index, self.seed)
+        return own if self.own.road.photograph else in_its_light(own, index, self.parameters.seed)
 
     def frames_of(self, name: str) -> int:
         """Number of frames of the site of that name; where its split is not among `frames`, that of the first split."""
-        return self.frames.get(self.site(name).split, next(iter(self.frames.values())))
+        frames = self.parameters.frames
+        return frames.get(self.site(name).split, next(iter(frames.values())))
+
+    def dataset_plan(self) -> DatasetPlan:
+        """What the dataset's folder is to become."""
+        return DatasetPlan(self.parameters, tuple(plan.info for plan in self.plans()))
 
     @property
     def images(self) -> int:
         """How many images the dataset will hold."""
-        return sum(self.frames_of(name) for name in self.sites)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The parameters as JSON values for the card, and the versions of skope and libraries that made the dataset."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        own = self.own.to_dict() if self.own else None
-        return {
-            **values,
-            **{
-                "own": own,
-                "rules": asdict(self.rules),
-                "encoding": asdict(self.encoding),
-                "sites": list(self.sites),
-                "versions": versions(),
-            },
-        }
+        return sum(self.frames_of(name) for name in self.parameters.sites)
 
 
 def _share_out(frames: int, recordings: int) -> list[int]:
@@ -227,8 +187,8 @@ def from_preset(
     camera_jitter: bool = False,
     settings: Mapping[str, Range] | None = None,
     **overrides: Any,
-) -> Parameters:
-    """The parameters of a preset, with changes.
+) -> DatasetRequest:
+    """The dataset of a preset, with changes.
 
     Args:
         preset: A name of `presets()`.
@@ -252,7 +212,7 @@ def from_preset(
     if own is not None:
         own, camera = own.with_recordings(row["recordings"]), own.road.camera
         values |= {
-            "own": own,
+            "own": _record_of(own),
             "sites": (own.site.name,),
             "recordings": len(own.splits),
             "size": f"{camera.width}x{camera.height}",
@@ -263,4 +223,15 @@ def from_preset(
     values["cameras"] = _range_pairs(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
-    return Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)
+    parameters = Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)
+    return DatasetRequest(parameters, own)
+
+
+def _record_of(own: OwnSite) -> OwnSiteRecord:
+    return OwnSiteRecord(
+        file=own.path.name,
+        digests=dict(own.digests),
+        town=own.road.name,
+        photograph=bool(own.road.photograph),
+        splits=own.splits,
+    )

@@ -8,12 +8,12 @@ import json
 import shutil
 from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from skope import safe_names
-from skope.dataset import CARD, Dataset, check_takes, read_card
+from skope.dataset import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import (
     json_bytes,
@@ -22,23 +22,19 @@ from skope.files import (
     parse_json,
     read_bytes,
     read_json,
-    replacing,
     unwritable,
     write_bytes,
     write_json,
 )
 from skope.gen.output.card_counts import Counts
-from skope.gen.output.dataset_card import check_parameters
 from skope.gen.output.dataset_card import write as write_card
-from skope.gen.output.frames import FrameFiles
-from skope.gen.output.writers import Labels, frames_of_split, numbered, unpack_shards, writer_of
+from skope.gen.output.parameters import DatasetPlan, Parameters
+from skope.gen.output.writers import FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo
 
 _GROWS: Final = ("frames", "sites", "recordings")
 """Parameters that a dataset can be extended by."""
-_LATER: Final = ("renderer", "driver", "versions")
-"""Parameters that may be open until rendering begins."""
 
 
 class Store:
@@ -67,42 +63,39 @@ class Store:
 
     # ------------------------------------------------------------------------------------------------------ beginnings
 
-    def begin(self, parameters: Mapping[str, Any], infos: Iterable[RecordingInfo]) -> None:
+    def begin(self, wanted: DatasetPlan) -> None:
         """Start a dataset, resume it, or extend a complete one by sites and frames.
 
         Args:
-            parameters: `Parameters.to_dict()` of the dataset that is asked for.
-            infos: All its recordings, in the order in which ids count.
+            wanted: The dataset that is asked for.
 
         Raises:
             UserError: The folder holds other files, or a dataset of other parameters (the message names them).
         """
-        wanted = json.loads(json.dumps({"parameters": parameters, "takes": [astuple(info) for info in infos]}))
         begun = self.read_plan()
         if begun is None:
             if any(path.name != ".lock" for path in self.root.iterdir()):
                 raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
-            write_json(self._plan_path, wanted)
+            self._write_plan(wanted)
             return
         self._refuse_other_parameters(begun, wanted)
         for leftover in self.root.rglob(".*.part*"):
             leftover.unlink(missing_ok=True)
         if self.complete:
             shutil.rmtree(self._work, ignore_errors=True)
-            if begun["takes"] != wanted["takes"]:
+            if begun.recordings != wanted.recordings:
                 self.reopen()
-        elif begun["takes"] != wanted["takes"]:
+        elif begun.recordings != wanted.recordings:
             # Shards that are already there have the frames and ids of the former plan.
             unpack_shards(self.root)
         if not self.complete:
-            write_json(self._plan_path, wanted)
+            self._write_plan(wanted)
 
-    def read_plan(self) -> dict[str, Any] | None:
+    def read_plan(self) -> DatasetPlan | None:
         """What the folder's dataset is to become, from `.work/` or, when it is complete, from its card.
 
         Returns:
-            "parameters", and "takes": site, name, split and number of frames of each recording. None for a folder
-            without a dataset.
+            None for a folder without a dataset.
 
         Raises:
             UserError: The file that says it is damaged.
@@ -111,42 +104,37 @@ class Store:
         if not path.is_file():
             return None
         try:
-            value = read_json(path) if path == self._plan_path else read_card(self.root)
-            if not isinstance(value, dict):
-                raise UserError(f"{path}: expected an object with parameters and takes")
-            check_parameters(path, value.get("parameters"))
-            check_takes(path, value.get("takes"))
+            return DatasetPlan.from_dict(read_json(path) if path == self._plan_path else read_card(self.root), path)
         except UserError as error:
             raise UserError(
                 f"{error}; {self.root} cannot be gone on with: choose another folder, or remove what is there"
             ) from None
-        return {name: value[name] for name in ("parameters", "takes")}
 
-    def fix_renderer(self, values: Mapping[str, Any]) -> None:
+    @property
+    def plan(self) -> DatasetPlan:
+        """The plan of a dataset that was begun."""
+        plan = self.read_plan()
+        assert plan is not None
+        return plan
+
+    def _write_plan(self, plan: DatasetPlan) -> None:
+        write_json(self._plan_path, plan.to_dict())
+
+    def fix_renderer(self, parameters: Parameters) -> None:
         """Save the renderer, driver and versions of a dataset that was simulated without choosing them."""
-        begun = self.read_plan()
-        assert begun is not None
-        write_json(self._plan_path, {**begun, "parameters": begun["parameters"] | values})
+        self._write_plan(replace(self.plan, parameters=parameters))
 
-    def recordings(self) -> list[RecordingInfo]:
-        """All recordings that the dataset is to have, in the order in which ids count."""
-        begun = self.read_plan()
-        return [RecordingInfo(*row) for row in begun["takes"]] if begun else []
-
-    def _refuse_other_parameters(self, begun: dict[str, Any], wanted: dict[str, Any]) -> None:
-        was, now = begun["parameters"], wanted["parameters"]
-        if not was["renderer"]:  # simulated elsewhere, and to be rendered here
-            was = was | {name: now[name] for name in _LATER}
-        larger = {(site, name): frames for site, name, _, frames in wanted["takes"]}
-        grows = all(larger.get((site, name), 0) >= frames for site, name, _, frames in begun["takes"])
-        different = [
-            name
-            for name in sorted(was.keys() | now)
-            if was.get(name) != now.get(name) and not (grows and name in _GROWS)
-        ]
+    def _refuse_other_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
+        was, now = begun.parameters, wanted.parameters
+        if not was.renderer:  # simulated elsewhere, and to be rendered here
+            was = replace(was, renderer=now.renderer, driver=now.driver, versions=now.versions)
+        larger = {(info.site, info.name): info.frames for info in wanted.recordings}
+        grows = all(larger.get((info.site, info.name), 0) >= info.frames for info in begun.recordings)
+        before, asked = was.to_dict(), now.to_dict()
+        different = [name for name in sorted(asked) if before[name] != asked[name] and not (grows and name in _GROWS)]
         if different:
             list_ = ", ".join(
-                f"{name} = {_short_json(was.get(name))}, now {_short_json(now.get(name))}" for name in different
+                f"{name} = {_short_json(before[name])}, now {_short_json(asked[name])}" for name in different
             )
             raise UserError(
                 f"{self.root}: was begun with other parameters ({list_}); "
@@ -163,7 +151,7 @@ class Store:
         Raises:
             UserError: The dataset is in shards.
         """
-        begun = self.read_plan()
+        plan = self.plan
         sound = Dataset(self.root, read_card(self.root))
         if sound.sharded:
             raise UserError(
@@ -171,11 +159,10 @@ class Store:
             )
         for split in (split for split in sound.splits if split not in lost):
             for frame in frames_of_split(sound, split):
-                if frame.image["file_name"] in broken:
-                    continue
-                self._write_labels(frame)
+                if frame.labels.image["file_name"] not in broken:
+                    self._write_labels(frame.labels)
         # From here on the folder counts as under construction.
-        write_json(self._plan_path, begun)
+        self._write_plan(plan)
 
     # ---------------------------------------------------------------------------------------------------- going along
 
@@ -212,8 +199,8 @@ class Store:
     def write_frame(self, frame: FrameFiles) -> None:
         """Write a frame: its files, then its labels, which make it count."""
         for path, data in frame.files.items():
-            with replacing(self.root / path) as temporary:
-                temporary.write_bytes(data)
+            assert isinstance(data, bytes)
+            write_bytes(self.root / path, data)
         self._write_labels(frame.labels)
 
     def _write_labels(self, labels: Labels) -> None:
@@ -240,32 +227,19 @@ class Store:
 
     # ------------------------------------------------------------------------------------------------------------ end
 
-    def merge(self, infos: Iterable[RecordingInfo], form: str) -> Counts:
-        """Write the annotation files or shards, and the manifest.
-
-        Args:
-            infos: The recordings; ids count through the whole dataset in their order, from 1.
-            form: One of `skope.gen.output.writers.FORMATS`.
-
-        Returns:
-            The dataset's counts of images and vehicles.
-        """
-        counts, writer = Counts(), writer_of(form, self.root)
-        for info in infos:
+    def merge(self) -> Counts:
+        """Write the annotation files or shards, and the manifest; returns the counts of images and vehicles."""
+        plan = self.plan
+        writer = writer_of(plan.parameters.format, self.root)
+        for info in plan.recordings:
             writer.add_file(self.recording_path(info).relative_to(self.root))
-            writer.add(info.split, self._labels_with_ids(info, counts), self.root)
-        writer.finish()
-        return counts
+            writer.add(info.split, self._frames(info))
+        return writer.finish()
 
-    def _labels_with_ids(self, info: RecordingInfo, counts: Counts) -> Iterator[Labels]:
+    def _frames(self, info: RecordingInfo) -> Iterator[FrameFiles]:
         for frame in range(info.frames):
             labels = self._read_labels(info.frame_name(frame))
-            places = {"split": info.split, "site": info.site, "weather": labels.image["weather"]}
-            counts.add(places, labels.kinds, labels.tally)
-            counts.images += 1
-            rows = [numbered(row, counts.vehicles + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
-            counts.vehicles += len(rows)
-            yield replace(labels, image={**labels.image, "id": counts.images}, rows=rows)
+            yield FrameFiles({name: self.root / name for name in labels.sha256}, labels)
 
     def finish(self, content: Mapping[str, Any]) -> None:
         """Write the card and remove `.work/`, which makes the dataset complete."""

@@ -6,14 +6,13 @@ Simulating and rendering can be done apart, on two machines: the folder with the
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 from skope.console import Console, minutes
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
 from skope.gen.output import dataset_card
-from skope.gen.output.frames import Encoding
-from skope.gen.pipeline.config import Parameters
+from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
@@ -24,11 +23,11 @@ PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
 """Starts the worker processes; they stop when the context ends."""
 
 
-def generate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory, console: Console) -> bool:
+def generate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactory, console: Console) -> bool:
     """Make the dataset at `root`, or resume it where a stopped run was.
 
     Args:
-        parameters: Everything that decides the dataset's content.
+        request: What the dataset is to hold.
         root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
         start_pool: Starts the workers, as `local_pool` or `ray_pool` do.
         console: Where progress is shown.
@@ -41,21 +40,21 @@ def generate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory
     """
     store, begun = Store(root), time.perf_counter()
     with store.locked():
-        store.begin(parameters.to_dict(), [plan.info for plan in parameters.plans()])
+        store.begin(request.dataset_plan())
         if store.complete:
             return False
         with start_pool() as pool:
-            _simulate(store, parameters, pool, console)
+            _simulate(store, request, pool, console)
             _render(store, pool, console)
         _finish(store, console, begun)
     return True
 
 
-def simulate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory, console: Console) -> bool:
+def simulate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactory, console: Console) -> bool:
     """Make a dataset's recordings only; `render_dataset` makes its frames, here or on another machine.
 
     Args:
-        parameters: Everything that decides the dataset's content; renderer and driver stay open until rendering.
+        request: What the dataset is to hold; renderer and driver stay open until rendering.
         root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
         start_pool: Starts the workers.
         console: Where progress is shown.
@@ -68,15 +67,14 @@ def simulate_dataset(parameters: Parameters, root: Path, start_pool: PoolFactory
     """
     store = Store(root)
     with store.locked():
-        open_ = parameters.to_dict() | {"renderer": "", "driver": ""}
-        begun = store.read_plan()
-        if begun and begun["parameters"]["renderer"]:
-            open_ |= {name: begun["parameters"][name] for name in ("renderer", "driver")}
-        store.begin(open_, [plan.info for plan in parameters.plans()])
-        if store.complete or all(store.recorded(plan.info) for plan in parameters.plans()):
+        begun, wanted = store.read_plan(), request.dataset_plan()
+        drawn = begun.parameters if begun else None
+        renderer, driver = (drawn.renderer, drawn.driver) if drawn else ("", "")
+        store.begin(replace(wanted, parameters=replace(wanted.parameters, renderer=renderer, driver=driver)))
+        if store.complete or all(store.recorded(plan.info) for plan in request.plans()):
             return False
         with start_pool() as pool:
-            _simulate(store, parameters, pool, console)
+            _simulate(store, request, pool, console)
     return True
 
 
@@ -110,7 +108,7 @@ def finish_rendering(store: Store, renderer: str, start_pool: PoolFactory, conso
     """Render the missing frames of a dataset under construction, and complete it; see `render_dataset`."""
     begun = time.perf_counter()
     _fix_renderer(store, renderer)
-    absent = [store.recording_path(info) for info in store.recordings() if not store.recorded(info)]
+    absent = [store.recording_path(info) for info in store.plan.recordings if not store.recorded(info)]
     if absent:
         raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
     with start_pool() as pool:
@@ -123,25 +121,24 @@ def _fix_renderer(store: Store, renderer: str) -> None:
 
     Raises UserError where renderer, driver or a library's version differs from that of the frames of before.
     """
-    begun = store.read_plan()
-    assert begun is not None
-    parameters = begun["parameters"]
-    chosen, driver, _ = choose_renderer(parameters["renderer"] or renderer)
+    drawn = store.plan.parameters
+    chosen, driver, _ = choose_renderer(drawn.renderer or renderer)
     here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}
-    if not parameters["renderer"]:
-        store.fix_renderer({"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here})
+    now = replace(drawn, renderer=chosen, driver=driver, versions={**drawn.versions, **here})
+    if not drawn.renderer:
+        store.fix_renderer(now)
         return
-    is_now = {"renderer": chosen, "driver": driver, "versions": parameters["versions"] | here}
-    for name, value in is_now.items():
-        if parameters[name] != value:
+    for name in ("renderer", "driver", "versions"):
+        before, value = getattr(drawn, name), getattr(now, name)
+        if before != value:
             raise UserError(
-                f"{store.root}: its frames are drawn with {name} = {parameters[name]}, here it is {value}: "
+                f"{store.root}: its frames are drawn with {name} = {before}, here it is {value}: "
                 "the bytes would not be the same"
             )
 
 
-def _simulate(store: Store, parameters: Parameters, pool: WorkerPool, console: Console) -> None:
-    todo = [plan for plan in parameters.plans() if not store.recorded(plan.info)]
+def _simulate(store: Store, request: DatasetRequest, pool: WorkerPool, console: Console) -> None:
+    todo = [plan for plan in request.plans() if not store.recorded(plan.info)]
     for path in (store.recording_path(plan.info) for plan in todo):
         if path.is_file() and not recording.sound(path):
             console.say(f"{path}: is broken, and is made again")
@@ -150,7 +147,7 @@ def _simulate(store: Store, parameters: Parameters, pool: WorkerPool, console: C
 
 
 def _render(store: Store, pool: WorkerPool, console: Console) -> None:
-    infos = store.recordings()
+    infos = store.plan.recordings
     missing = {info: frames for info in infos if (frames := store.missing(info))}
     todo = sum(map(len, missing.values()))
     if not todo:
@@ -166,17 +163,13 @@ def _render(store: Store, pool: WorkerPool, console: Console) -> None:
 
 def spec_of(store: Store) -> RenderJobSpec:
     """How the frames of a dataset under construction are drawn, labelled and written, from its saved parameters."""
-    begun = store.read_plan()
-    assert begun is not None
-    values = begun["parameters"]
-    return RenderJobSpec(values["renderer"], values["driver"], Rules(**values["rules"]), Encoding(**values["encoding"]))
+    parameters = store.plan.parameters
+    return RenderJobSpec(parameters.renderer, parameters.driver, parameters.rules, parameters.encoding)
 
 
 def _finish(store: Store, console: Console, begun: float) -> None:
-    infos, values = store.recordings(), store.read_plan()
-    assert values is not None
-    counts = store.merge(infos, values["parameters"]["format"])
-    content = dataset_card.card(values["parameters"], values["takes"], counts)
+    counts = store.merge()
+    content = dataset_card.card(store.plan, counts)
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.gen.output.frames import FrameFiles, frames_of
+from skope.gen.output.frames import frames_of
+from skope.gen.output.writers import FrameFiles
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import JobQueue, RenderJob, RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer

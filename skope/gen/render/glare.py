@@ -50,7 +50,7 @@ class Glare:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
             lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in town.lamps]
-            self._add(self._still, lit, depth, None)
+            self._add_lamps(self._still, lit, depth, None)
 
     def spread(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.int32], moment: Moment
@@ -59,12 +59,12 @@ class Glare:
         if not self.seen:
             return rgb
         light = self._still.copy()
-        self._add(light, lit_lamps(moment), depth, ids)
+        self._add_lamps(light, lit_lamps(moment), depth, ids)
         signals = (
             Lit(-1, center, facing, color, _SIGNAL)
             for center, facing, color in lit_signals(self._camera, moment, self._signals)
         )
-        self._add(light, signals, depth, None)
+        self._add_lamps(light, signals, depth, None)
         if not light.any():
             return rgb
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
@@ -77,7 +77,7 @@ class Glare:
         cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
         return rgb
 
-    def _add(
+    def _add_lamps(
         self, light: NDArray[np.float32], lit: Iterable[Lit], depth: NDArray[np.float32], ids: NDArray[np.int32] | None
     ) -> None:
         """Add lamps that the camera sees to the grid."""
@@ -92,20 +92,22 @@ class Glare:
         pixels, z, valid = camera.project(centers)
         for i in np.flatnonzero(valid & camera.inside(pixels) & ~turned_away).tolist():
             lamp, away = lamps[i], float(distances[i])
-            if self._hidden(lamp, pixels[i], float(z[i]), depth, ids):
+            if self._is_hidden(lamp, pixels[i], float(z[i]), depth, ids):
                 continue
             aimed = 0.35 + 0.65 * max(float(cosines[i]), 0.0) ** 2
             strength = self._strength * lamp.intensity * aimed * min(1.0, _FULL / away) ** 1.1
             color = np.array(lamp.color, dtype=np.float32)
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
-            _sprite(light, pixels[i] / COARSE, 2.2 * scale, strength * through * color)
+            _add_spread_light(light, pixels[i] / COARSE, 2.2 * scale, strength * through * color)
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
-            _sprite(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
+            _add_spread_light(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
 
     @staticmethod
-    def _hidden(lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None) -> bool:
+    def _is_hidden(
+        lamp: Lit, pixel: Array, z: float, depth: NDArray[np.float32], ids: NDArray[np.int32] | None
+    ) -> bool:
         column, row = pixel.astype(int)
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False
@@ -113,7 +115,7 @@ class Glare:
 
 
 @lru_cache(maxsize=64)
-def _spread(radius: int, core: float) -> NDArray[np.float32]:
+def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
     """(2 r + 1, 2 r + 1) a point spread function that falls off as glare in eyes and lenses does, 1 in the middle."""
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
     square = (x * x + y * y) / (core * core)
@@ -121,7 +123,7 @@ def _spread(radius: int, core: float) -> NDArray[np.float32]:
     return np.asarray((1 + square) ** -1.3 * edge, dtype=np.float32)
 
 
-def _sprite(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
+def _add_spread_light(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
     """Add a lamp's spread light around `center`, in cells."""
     peak = float(color.max())
     if peak < _LEAST:
@@ -131,5 +133,5 @@ def _sprite(light: NDArray[np.float32], center: Array, core: float, color: NDArr
     height, width = light.shape[:2]
     x, y = (int(v) for v in np.floor(center))
     x0, y0, x1, y1 = max(x - radius, 0), max(y - radius, 0), min(x + radius + 1, width), min(y + radius + 1, height)
-    spread = _spread(radius, core)[y0 - y + radius : y1 - y + radius, x0 - x + radius : x1 - x + radius]
+    spread = _point_spread(radius, core)[y0 - y + radius : y1 - y + radius, x0 - x + radius : x1 - x + radius]
     light[y0:y1, x0:x1] += spread[..., None] * color

@@ -110,10 +110,12 @@ class Lens:
         x0, y0 = np.maximum(low, 0)
         x1, y1 = np.minimum(high, size)
         if x0 < x1 and y0 < y1:
-            mask[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] = self._sampled(silhouette, x0, y0, x1, y1)
+            mask[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] = self._sample_silhouette(
+                silhouette, x0, y0, x1, y1
+            )
         return Silhouette(int(low[0]), int(low[1]), mask)
 
-    def _sampled(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
+    def _sample_silhouette(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
         """The silhouette at the source pixels of a window of the image."""
         row, column = np.divmod(self._nearest[y0:y1, x0:x1], self.pinhole.width)
         row, column = row - silhouette.y, column - silhouette.x

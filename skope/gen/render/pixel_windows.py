@@ -40,7 +40,7 @@ def window_of(hull: Array, camera: Camera) -> Window | None:
 
 def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
-    return _hull(_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+    return _projected_hull(_box_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
 def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
@@ -48,11 +48,11 @@ def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_di
 
     Shadows are followed for 25 m at most.
     """
-    corners = _corners(vehicle)
+    corners = _box_corners(vehicle)
     around = corners * [1, 1, 0] + np.sign(corners) * [CONTACT, CONTACT, 0]
     world = np.concatenate([corners, around]) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
     length = min(vehicle.size_lwh[2] / max(sun_direction[2], 1e-3), 25.0)
-    return _hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
+    return _projected_hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
 
 
 def beam_corners(reach: float) -> Array:
@@ -64,13 +64,13 @@ def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: f
     """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light."""
     ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
     points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
-    return _hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+    return _projected_hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
 def mirror_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, mirror: Array) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
-    world = _corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
-    return _hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
+    world = _box_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
+    return _projected_hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
 
 
 def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -118,7 +118,7 @@ def union(windows: Sequence[Window]) -> Window:
     return min(x0), min(y0), max(x1), max(y1)
 
 
-def _hull(points_world: Array, camera: Camera) -> Array:
+def _projected_hull(points_world: Array, camera: Camera) -> Array:
     pixels = _project(points_world, camera)
     if not len(pixels):
         return np.zeros((0, 2))
@@ -132,7 +132,7 @@ def _project(points_world: Array, camera: Camera) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _corners(vehicle: Body) -> Array:
+def _box_corners(vehicle: Body) -> Array:
     """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
     low, high = vehicle.extent.copy()
     low[2] = -0.1

@@ -34,7 +34,7 @@ class Rain:
         rng = recording.rng(Stream.RAIN)
         shutter = float(np.clip(recording.conditions.shutter_s, *_EXPOSED))
         if self._rate > 0:
-            self._streaks = _streaks(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
+            self._streaks = _streak_field(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
 
     def fall(self, rgb: Image, frame: int) -> Image:
         """The picture (H, W, 3) of a frame with rain."""
@@ -50,9 +50,9 @@ class Rain:
         around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
         light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
         fallen = cv2.add(rgb, cv2.cvtColor(cv2.multiply(window, light, scale=1 / 255), cv2.COLOR_GRAY2RGB))
-        return self._on_glass(np.asarray(fallen, dtype=np.uint8), frame)
+        return self._put_drops_on_glass(np.asarray(fallen, dtype=np.uint8), frame)
 
-    def _on_glass(self, rgb: Image, frame: int) -> Image:
+    def _put_drops_on_glass(self, rgb: Image, frame: int) -> Image:
         """Drops on the glass show the street upside down, out of focus and small."""
         time = float(self._recording.times_s[frame])
         rng = self._recording.rng(Stream.DROPS_ON_GLASS)
@@ -65,12 +65,12 @@ class Rain:
                 continue
             soft = _out_of_focus(rgb) if soft is None else soft
             radius = width * (0.004 + 0.011 * size * size)
-            _drop(rgb, soft, (x * width, y * height), radius, 1 + 0.35 * flat)
+            _draw_drop(rgb, soft, (x * width, y * height), radius, 1 + 0.35 * flat)
         return rgb
 
 
 @lru_cache(maxsize=2)
-def _streaks(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Image:
+def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Image:
     """A field of streaks, from long faint ones of drops near the camera to short ones far away."""
     width, height = (round(_FIELD * side) for side in size)
     scale = size[0] / 1920
@@ -106,7 +106,7 @@ def _smaller(rgb: Image, times: int) -> Image:
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _drop(rgb: Image, soft: Image, center: tuple[float, float], radius: float, tall: float) -> None:
+def _draw_drop(rgb: Image, soft: Image, center: tuple[float, float], radius: float, tall: float) -> None:
     """Draw one drop into the picture."""
     height, width = rgb.shape[:2]
     cx, cy = center

@@ -68,7 +68,7 @@ def sigma_of(conditions: Conditions) -> float:
 
 
 @lru_cache(maxsize=2)
-def _field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
+def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
     """(2, height, width, 3) what noise adds and what it takes, for an image and `_SLACK` pixels more on each axis.
 
     With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
@@ -96,7 +96,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _SLACK, 2)
     height, width = clean.shape[:2]
     conditions = recording.conditions
-    field = _field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))
+    field = _noise_field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))
     more, less = field[:, y : y + height, x : x + width]
     noisy = cv2.add(clean, more)
     return np.asarray(cv2.subtract(noisy, less, dst=noisy), dtype=np.uint8)

@@ -20,7 +20,7 @@ def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
     conditions = recording.conditions
     height, width = rgb.shape[:2]
     if conditions.screen_text >= 0.5:
-        _write(rgb, recording, frame)
+        _write_overlay_text(rgb, recording, frame)
     if conditions.rescale >= 1 and conditions.compression_quality >= 100:
         return rgb
     size = tuple(max(8, round(side * conditions.rescale)) for side in (width, height))
@@ -37,7 +37,7 @@ def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
     return np.ascontiguousarray(small, dtype=np.uint8)
 
 
-def _write(rgb: Image, recording: Recording, frame: int) -> None:
+def _write_overlay_text(rgb: Image, recording: Recording, frame: int) -> None:
     """Date and time above, the site's name below, in white with a dark edge."""
     height, width = rgb.shape[:2]
     conditions = recording.conditions

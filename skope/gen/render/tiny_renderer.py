@@ -228,7 +228,7 @@ class TinyRenderer:
                 stage.move(part, T_chassis_world @ T_world_wheel)
         return stage.draw(self._camera, T_camera_chassis, window, self._light)
 
-    def _shaded(self, moment: Moment) -> NDArray[np.uint8]:
+    def _shadowed_background(self, moment: Moment) -> NDArray[np.uint8]:
         """The background with the vehicles' shadows on the ground."""
         mask = np.zeros(self._ground.shape, dtype=np.uint8)
         contact = np.zeros_like(mask)
@@ -239,8 +239,8 @@ class TinyRenderer:
             flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
             if self._light.shadows:
                 sun = np.array(self._light.direction)
-                self._fill(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
-            self._fill(contact, flat)
+                self._fill_hull(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
+            self._fill_hull(contact, flat)
         if not contact.any():
             return self._background.rgb.copy()
         shade = 1 - SHADOW * cv2.blur(mask, (3, 3)).astype(np.float32) / 255
@@ -248,7 +248,7 @@ class TinyRenderer:
         shade = np.where(self._ground, shade, np.float32(1))
         return (self._background.rgb * shade[..., None]).astype(np.uint8)
 
-    def _fill(self, mask: NDArray[np.uint8], points: Array) -> None:
+    def _fill_hull(self, mask: NDArray[np.uint8], points: Array) -> None:
         """Fill the convex hull of ground points (N, 3) in a fine mask."""
         pixels, depth, valid = self._camera.project(points)
         if valid.all() and (depth > NEAR).all() and np.abs(pixels).max() < 20 * self._camera.width:
@@ -266,13 +266,13 @@ class TinyRenderer:
                 moment.vehicles, moment.T_world_chassis, moment.T_world_wheels, moment.lamps, strict=True
             )
         ]
-        shaded = self._shaded(moment)
+        shaded = self._shadowed_background(moment)
         rgb, depth = shaded.copy(), self._background.depth.copy()
         ids = np.where(self._background.part >= 0, STATIC, SKY).astype(np.int32)
         for i, layer in enumerate(layers):
-            _put(layer, self._image, rgb, depth, ids, i + 1)
+            _draw_layer(layer, self._image, rgb, depth, ids, i + 1)
         light_signals(rgb, depth, self._camera, moment, self._signals, FINE)
-        clean = _mean(rgb)
+        clean = _mean_colors(rgb)
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
         coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
@@ -306,11 +306,11 @@ class TinyRenderer:
         rgb, depth = shaded[fine].copy(), self._background.depth[fine].copy()
         window = (coarse[1].start, coarse[0].start, coarse[1].stop, coarse[0].stop)
         for other in (*layers[:i], *layers[i + 1 :]):
-            _put(other, window, rgb, depth)
-        return float(np.abs(clean[coarse] - _mean(rgb))[visible].mean())
+            _draw_layer(other, window, rgb, depth)
+        return float(np.abs(clean[coarse] - _mean_colors(rgb))[visible].mean())
 
 
-def _put(
+def _draw_layer(
     layer: _FineLayer | None,
     window: Window,
     rgb: NDArray[np.uint8],
@@ -346,7 +346,7 @@ def quaternion(R: Array) -> list[float]:
     return result
 
 
-def _mean(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _mean_colors(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Fine colours -> image colours, before rounding."""
     rows, columns = rgb.shape[0] // FINE, rgb.shape[1] // FINE
     return np.asarray(cv2.resize(rgb.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA))

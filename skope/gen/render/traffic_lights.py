@@ -23,12 +23,12 @@ def lit_signals(
     camera: Camera, moment: Moment, signals: tuple[Signal, ...]
 ) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
     """Place, direction and colour of the lamps that are lit and turned to the camera."""
-    for signal, lamp in _lit(camera, moment, signals):
+    for signal, lamp in _lit_heads(camera, moment, signals):
         red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
         yield signal.lamps[lamp], signal.facing, (red, green, blue)
 
 
-def _lit(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
+def _lit_heads(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
     """The heads that are turned to the camera, with their lit lamp."""
     for signal in signals:
         lamp = _LAMP.get(moment.signals[signal.program][signal.link].lower())
@@ -45,7 +45,7 @@ def light_signals(
     fine: int = 1,
 ) -> None:
     """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
-    for signal, lamp in _lit(camera, moment, signals):
+    for signal, lamp in _lit_heads(camera, moment, signals):
         pixel, z, valid = camera.project(signal.lamps[lamp])
         if not valid or not camera.inside(pixel):
             continue

@@ -11,6 +11,7 @@ from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.conditions import Range
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import Site
 from skope.types import Array
 
@@ -71,8 +72,8 @@ def drawn(
     if not spans:
         return own
     layout = Layout.of(site.town)
-    lanes, level = np.concatenate(list(layout.lane_points.values())), _level(layout, site)
-    lowest = _lowest(layout, site)
+    lanes, level = np.concatenate(list(layout.graph.lane_points.values())), _level(layout, site)
+    lowest = _lowest(layout.graph, site)
     enough = min(_ROAD, _seen(own, lanes) / 2)
     for _ in range(_TRIES):
         values = {name: float(rng.uniform(*spans[name])) for name in LIMITS if name in spans}
@@ -98,12 +99,12 @@ def _moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
 
 def _level(layout: Layout, site: Site) -> float:
     """Height of the road that the site looks at, metres."""
-    return layout.road_level(site.position[:2]) if site.road else layout.road_below(site)
+    return layout.graph.road_level(site.position[:2]) if site.road else layout.road_below(site)
 
 
-def _lowest(layout: Layout, site: Site) -> float:
+def _lowest(graph: RoadGraph, site: Site) -> float:
     """Height that a camera on a bridge keeps to: that of its parapet; elsewhere it may hang at any, metres."""
-    decks = [layout.lane_points[str(edge.getID())] for edge in layout.edges_of("bridge")]
+    decks = [graph.lane_points[str(edge.getID())] for edge in graph.edges_of("bridge")]
     x, y, z = site.position
     under = [points for points in decks if (np.hypot(points[:, 0] - x, points[:, 1] - y) < _BRIDGE).any()]
     return z if under else -math.inf

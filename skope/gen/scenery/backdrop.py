@@ -9,6 +9,7 @@ from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import Outline, OwnRoad
 from skope.types import Array
@@ -33,7 +34,7 @@ def _ground(layout: Layout, middle: Array) -> Mesh:
     x, y = (np.linspace(at - reach, at + reach, count + 1) for at in middle)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     z = (
-        layout.ground.road(layout.world(places).reshape(-1, 2))
+        layout.ground.road(layout.graph.world(places).reshape(-1, 2))
         if level is None
         else np.full(places[..., 0].size, level)
     )
@@ -43,7 +44,7 @@ def _ground(layout: Layout, middle: Array) -> Mesh:
 
 def _occluders(road: OwnRoad) -> Iterator[Mesh]:
     for one in road.occluders:
-        corners = _triangles(road, one.polygon)
+        corners = _filling_triangles(road, one.polygon)
         points, _ = road.camera.unproject(corners, np.full(len(corners), one.distance))
         yield from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron")
 
@@ -51,9 +52,9 @@ def _occluders(road: OwnRoad) -> Iterator[Mesh]:
 def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
     """Something high over the road that throws the shadows which the photograph has; None when it has none."""
     camera, out = road.camera, []
-    level = Layout.of(Town.of(road)).road_level(camera.position[:2])
+    level = RoadGraph.of(Town.of(road)).road_level(camera.position[:2])
     for outline in road.shades:
-        rays, _ = camera.rays(_triangles(road, outline))
+        rays, _ = camera.rays(_filling_triangles(road, outline))
         directions = rays @ camera.T_camera_world[:3, :3]
         reach = (level - camera.position[2]) / directions[:, 2:]
         points = camera.position + reach * directions + toward_sun * _PLATES / toward_sun[2]
@@ -61,7 +62,7 @@ def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
     return merged(out) if out else None
 
 
-def _triangles(road: OwnRoad, outline: Outline) -> Array:
+def _filling_triangles(road: OwnRoad, outline: Outline) -> Array:
     """(3T, 2) corners of triangles that fill an outline in the image, small enough for the lens."""
     fine = shapely.segmentize(Polygon(outline), max(road.camera.width, road.camera.height) / 50)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))

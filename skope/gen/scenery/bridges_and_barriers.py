@@ -15,7 +15,9 @@ from skope.gen.scenery.ground import Part, surfaces
 from skope.gen.scenery.markings import markings
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.walls import left_of, parapet, rings, runs
-from skope.gen.towns.layout import BARRIER, KERB_WIDTH, Layout, beside, driven, half_width, polygons, right_of
+from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.regions import polygons
+from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
 from skope.types import Array
 
 DECK: Final = 1.1
@@ -26,13 +28,14 @@ _CELL: Final = 3.0
 
 
 def structures(layout: Layout) -> Iterator[Mesh]:
-    drawn = unary_union(list(markings(layout))) if layout.decks else Polygon()
-    for deck in layout.decks:
+    graph = layout.graph
+    drawn = unary_union(list(markings(graph))) if graph.decks else Polygon()
+    for deck in graph.decks:
         yield from _bridge(layout, deck, drawn)
     yield from _guard_rails(layout)
-    yield from _barriers(layout)
+    yield from _noise_barriers(layout)
     for gantry in layout.style.gantries:
-        yield _gantry(layout, layout.net.getEdge(gantry.edge), gantry.at, gantry.signs)
+        yield _gantry(layout, graph.net.getEdge(gantry.edge), gantry.at, gantry.signs)
     yield from _wires(layout)
     yield from _median_barriers(layout)
 
@@ -43,7 +46,7 @@ def structures(layout: Layout) -> Iterator[Mesh]:
 def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     """A deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
     walk, kerb = layout.deck_edge, layout.style.kerb
-    lanes = layout.deck_lanes
+    lanes = layout.graph.deck_lanes
 
     def height(places: Array) -> Array:
         return lanes.near(places, 40.0)[0]
@@ -53,7 +56,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
-    whole = _along_only(deck, walk, layout)
+    whole = _widened_deck(layout.graph, deck, walk)
     beside_lanes = whole.difference(deck)
     stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
     yield from surfaces(
@@ -67,10 +70,10 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
             z = height(line) + kerb
             inner = shapely.distance(deck, shapely.points(line)) < 0.05
             is_kerb = inner[:-1] & inner[1:]
-            yield _sides(line, z - kerb, z, is_kerb, "kerb")
-            yield _sides(line, z - DECK, z, ~is_kerb, "concrete")
+            yield _vertical_faces(line, z - kerb, z, is_kerb, "kerb")
+            yield _vertical_faces(line, z - DECK, z, ~is_kerb, "concrete")
             outer = shapely.distance(deck, shapely.points(line)) > walk - 0.05
-            yield from _along_edge(line, z, outer[:-1] & outer[1:])
+            yield from _edge_parapets(line, z, outer[:-1] & outer[1:])
     soffit = [Part("concrete", whole, False)]
     for part in surfaces(soffit, lambda places: height(places) - DECK, cells):
         yield Mesh(part.vertices, -part.normals, part.triangles[:, ::-1], part.materials, part.material)
@@ -78,10 +81,10 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     yield from _piers(layout, deck, whole, height)
 
 
-def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
+def _widened_deck(graph: RoadGraph, deck: Polygon, walk: float) -> Polygon:
     """A deck widened to both sides of its lanes only."""
     parts = [deck]
-    for edge in layout.edges_of("bridge"):
+    for edge in graph.edges_of("bridge"):
         lane = driven(edge)[0]
         line = LineString(lane.getShape())
         if line.intersects(deck):
@@ -93,7 +96,7 @@ def _along_only(deck: Polygon, walk: float, layout: Layout) -> Polygon:
     )
 
 
-def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
+def _vertical_faces(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
     """Vertical faces along a ring (N, 2) with its inside on the right, seen from outside."""
     a, b = line[1:][chosen], line[:-1][chosen]
     za, zb, ta, tb = low[1:][chosen], low[:-1][chosen], high[1:][chosen], high[:-1][chosen]
@@ -103,7 +106,7 @@ def _sides(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], mate
     return quads(corners.reshape(-1, 4, 3), material)
 
 
-def _along_edge(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
+def _edge_parapets(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
     for first, last in runs(chosen):
         piece = slice(first, last + 1)
         if LineString(line[piece]).length > 2.0:
@@ -115,13 +118,13 @@ def _end_faces(deck: Polygon, height: Any) -> Iterator[Mesh]:
     """The deck's ends under the carriageway."""
     for ring in rings(deck):
         z = height(ring)
-        yield _sides(ring, z - DECK, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete")
+        yield _vertical_faces(ring, z - DECK, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete")
 
 
 def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterator[Mesh]:
     """Columns under a crossbeam wherever the deck leads over a gap between carriageways."""
-    axis = _axis(layout, deck)
-    kept_clear = layout.ground_road.buffer(0.55)
+    axis = _deck_axis(layout.graph, deck)
+    kept_clear = layout.graph.ground_road.buffer(0.55)
     shapely.prepare(kept_clear)
     spots = np.arange(0.15, 0.85, 0.5 / axis.length) * axis.length
     places = np.array([axis.interpolate(s).coords[0] for s in spots])
@@ -143,9 +146,9 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
         yield merged([beam, *columns]).moved([*places[k], foot], heading)
 
 
-def _axis(layout: Layout, deck: Polygon) -> LineString:
+def _deck_axis(graph: RoadGraph, deck: Polygon) -> LineString:
     """The line along a deck's middle."""
-    lines = [LineString(driven(edge)[-1].getShape()) for edge in layout.edges_of("bridge")]
+    lines = [LineString(driven(edge)[-1].getShape()) for edge in graph.edges_of("bridge")]
     edge_line = max((line for line in lines if line.intersects(deck)), key=lambda line: line.length)
     middle = deck.centroid
     foot = edge_line.interpolate(edge_line.project(middle))
@@ -157,14 +160,15 @@ def _axis(layout: Layout, deck: Polygon) -> LineString:
 
 def _guard_rails(layout: Layout) -> Iterator[Mesh]:
     """Guard rails along the right of roads that have them, and in medians; not where another carriageway joins."""
-    for edge in layout.edges:
-        if not layout.kind(edge).guard_rails or layout.kind(edge).form != "ground":
+    graph = layout.graph
+    for edge in graph.edges:
+        lanes, kind = driven(edge), graph.kind(edge)
+        if not kind.guard_rails or kind.form != "ground":
             continue
-        lanes, shoulder = driven(edge), layout.kind(edge).shoulder
-        lines = [LineString(lanes[0].getShape()).offset_curve(-(lanes[0].getWidth() / 2 + shoulder + 0.35))]
+        lines = [LineString(lanes[0].getShape()).offset_curve(-(lanes[0].getWidth() / 2 + kind.shoulder + 0.35))]
         if layout.style.median_rails:
             lines.append(LineString(lanes[-1].getShape()).offset_curve(lanes[-1].getWidth() / 2 + 0.75).reverse())
-        kept_clear = layout.road.buffer(0.3)
+        kept_clear = graph.road.buffer(0.3)
         for line in lines:
             left = line.difference(kept_clear)
             for piece in getattr(left, "geoms", [left]):
@@ -194,12 +198,13 @@ def _rail(path: LineString, near: bool) -> Mesh:
 
 def _median_barriers(layout: Layout) -> Iterator[Mesh]:
     """Concrete barriers between the directions of roads between retaining walls."""
-    for edge in layout.edges_of("walled"):
+    walled = layout.graph.edges_of("walled")
+    for edge in walled:
         lane = driven(edge)[-1]
         line = LineString(lane.getShape())
-        others = [LineString(driven(other)[-1].getShape()) for other in layout.edges_of("walled") if other is not edge]
+        others = [LineString(driven(other)[-1].getShape()) for other in walled if other is not edge]
         gap = min((line.distance(other) for other in others), default=99.0) - lane.getWidth()
-        if not 0.6 < gap < 2 * BARRIER or any(other.getID() < edge.getID() for other in layout.edges_of("walled")):
+        if not 0.6 < gap < 2 * BARRIER or any(other.getID() < edge.getID() for other in walled):
             continue
         path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
         z = layout.ground.road(path)
@@ -222,11 +227,11 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
 # ----------------------------------------------------------------------------------------------- barriers and gantries
 
 
-def _barriers(layout: Layout) -> Iterator[Mesh]:
+def _noise_barriers(layout: Layout) -> Iterator[Mesh]:
     """Noise barriers of panels between steel posts."""
     for name, start, end in layout.style.barriers:
-        edge = layout.net.getEdge(name)
-        lane, kind = driven(edge)[0], layout.kind(edge)
+        edge = layout.graph.net.getEdge(name)
+        lane, kind = driven(edge)[0], layout.graph.kind(edge)
         offset = lane.getWidth() / 2 + max(kind.shoulder, kind.sidewalk) + 2.2
         line = substring(LineString(lane.getShape()).offset_curve(-offset), start, end)
         for s in np.arange(0.0, line.length - 4.0, 4.0):
@@ -243,7 +248,7 @@ def _barriers(layout: Layout) -> Iterator[Mesh]:
 
 def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mesh:
     """A truss on two legs over an edge's lanes, with signs that face its traffic."""
-    lanes, kind = driven(edge), layout.kind(edge)
+    lanes, kind = driven(edge), layout.graph.kind(edge)
     s = at if at >= 0 else lanes[0].getLength() + at
     width = 2 * half_width(edge)
     middle, heading = beside(edge, s, -half_width(edge))
@@ -281,10 +286,11 @@ def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mes
 
 def _wires(layout: Layout) -> Iterator[Mesh]:
     """Timber poles each 38 m along the right of roads that have them, with three sagging wires between."""
-    kept_clear = unary_union([layout.road.buffer(1.2), layout.sightlines(30.0)])
+    graph = layout.graph
+    kept_clear = unary_union([graph.road.buffer(1.2), layout.sightlines(30.0)])
     shapely.prepare(kept_clear)
-    for edge in layout.edges:
-        kind = layout.kind(edge)
+    for edge in graph.edges:
+        kind = graph.kind(edge)
         if not kind.wires:
             continue
         offset = max(kind.sidewalk, kind.shoulder + 2.0) + 1.2

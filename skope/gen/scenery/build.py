@@ -23,8 +23,9 @@ from skope.gen.scenery.houses import car_parks, covered, drive_bays, forecourts,
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
-from skope.gen.towns.layout import Layout, driven, right_of
+from skope.gen.towns.layout import Layout
 from skope.gen.towns.parking import Bay, lot_bays
+from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.town import Town
 from skope.types import Array
 
@@ -106,10 +107,10 @@ def scenery(town: Town) -> Scenery:
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
     if town.road and town.road.photograph:
         return Scenery(backdrop(Layout.of(town), town.road), ())
-    return Scenery.from_arrays(cached("town", digest_of(town.name), lambda: _grown(town).to_arrays()))
+    return Scenery.from_arrays(cached("town", digest_of(town.name), lambda: _grow_scenery(town).to_arrays()))
 
 
-def _grown(town: Town) -> Scenery:
+def _grow_scenery(town: Town) -> Scenery:
     layout = Layout.of(town)
     # A generator of its own for each part, so that a change of one leaves the others as they are.
     rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.name.encode())).spawn(len(_PARTS)), strict=True))
@@ -138,7 +139,7 @@ def _grown(town: Town) -> Scenery:
     bays = (*lot_bays(lots), *drive_bays(houses))
     footprints = tuple(house.footprint for house in houses)
     grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamp_positions(furnished))
-    return _out_of_mirror(grown) if layout.mirrored else grown
+    return _out_of_mirror(grown) if layout.graph.mirrored else grown
 
 
 def _out_of_mirror(seen: Scenery) -> Scenery:
@@ -157,7 +158,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
 _PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")
 
 
-def _head() -> Mesh:
+def _signal_head() -> Mesh:
     """Housing, back plate and visors of a signal that faces -x; its lowest point is at 2.55 m."""
     out = Solid()
     out.box("trim", (-0.12, -0.17, 2.6), (0.1, 0.17, 3.6))
@@ -169,7 +170,7 @@ def _head() -> Mesh:
     return out.mesh()
 
 
-def _arm(reach: float) -> Mesh:
+def _signal_arm(reach: float) -> Mesh:
     """A taller pole with an arm that carries a head `reach` metres to the left, above 5 m."""
     pole = lathe([(3.0, 0.09), (5.7, 0.08), (6.0, 0.07), (6.01, 0.0)], ["pole"] * 3, 8, "z").moved([0.2, 0, 0])
     arm = tube([(0.2, 0.0, 5.75), (0.2, reach / 2, 5.85), (0.2, reach + 0.3, 5.85)], (0.06, 0.05, 0.04), "pole", 7)
@@ -182,24 +183,27 @@ def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
     Of more than one lane, a second head hangs over the road, unless it would hang before a camera.
     """
     signals, poles = [], []
-    for program in layout.net.getTrafficLights():
+    for program in layout.graph.net.getTrafficLights():
         links = {lane.getEdge().getID(): (lane.getEdge(), link) for lane, _, link in reversed(program.getConnections())}
         for edge, link in links.values():
-            if edge not in layout.edges:
+            if edge not in layout.graph.edges:
                 continue
             lanes = driven(edge)
             shape = np.array(lanes[0].getShape())
             heading = float(np.arctan2(*(shape[-1] - shape[-2])[::-1]))
             foot = shape[-1] + right_of(heading) * (lanes[0].getWidth() / 2 + 0.7)
             facing = np.array([-np.cos(heading), -np.sin(heading), 0.0])
-            parts = [_head(), lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0])]
+            parts = [
+                _signal_head(),
+                lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0]),
+            ]
             heads = [np.zeros(3)]
             if len(lanes) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
                 reach = 0.7 + lanes[0].getWidth()
                 for k in range(1 if len(lanes) < 4 else 2):
                     heads.append(np.array([0.0, reach + 2 * k * lanes[0].getWidth(), 2.65]))
-                    parts.append(_head().moved(heads[-1]))
-                parts.append(_arm(float(heads[-1][1])))
+                    parts.append(_signal_head().moved(heads[-1]))
+                parts.append(_signal_arm(float(heads[-1][1])))
             base = layout.height(foot)
             poles.append(merged(parts).moved([*foot, base], heading))
             for at in heads:

@@ -106,7 +106,7 @@ def facade(
         return out
     _put_windows(out, style, windows, rng, near)
     if near:
-        _dress(out, width, style, plinth=shop is None, wrap=wrap)
+        _put_trim(out, width, style, plinth=shop is None, wrap=wrap)
     if style.balconies and not shop:
         _put_balconies(out, style, middles[1::3] if count > 2 else middles[:1], near)
     return out
@@ -158,7 +158,7 @@ def _window(style: FacadeStyle, look: int, near: bool) -> Solid:
         y0 = 0.5 * h
         out.pane("curtain", (0.0, w), (0.0, y0), -REVEAL)
     out.pane("window", (x0, x1), (y0, y1), -REVEAL)
-    _glazing(out, style.frame, (w, h), style.panes, 0.035 - REVEAL)
+    _put_window_frame(out, style.frame, (w, h), style.panes, 0.035 - REVEAL)
     out.box(style.dressing, (-0.07, -0.08, 0.0), (w + 0.07, 0.0, 0.07), without="-z")
     out.recess(style.walls, (0.0, w), (0.0, h), (-REVEAL, 0.0))
     if style.lintels:
@@ -186,7 +186,7 @@ def _far_window(style: FacadeStyle, look: int) -> Solid:
     return out
 
 
-def _glazing(out: Solid, frame: str, size: tuple[float, float], panes: tuple[int, int], z: float) -> None:
+def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: tuple[int, int], z: float) -> None:
     """A frame around a window and bars that divide it."""
     w, h = size
     f = FRAME
@@ -217,7 +217,7 @@ def _door(style: FacadeStyle, near: bool) -> Solid:
     out.box(style.dressing, (-0.25, -0.15, 0.0), (w + 0.25, 0.0, 0.45), without="-z -y")
     if near:
         out.recess(style.walls, (0.0, w), (0.0, h), (-depth, 0.0))
-        _glazing(out, style.frame, (w, h), (1, 1), 0.03 - depth)
+        _put_window_frame(out, style.frame, (w, h), (1, 1), 0.03 - depth)
         out.pane(style.frame, (FRAME, w - FRAME), (h - 0.45, h - 0.39), 0.03 - depth)
         for low, high in ((0.15, 0.75), (0.9, 1.6)):
             for a in (0.14, 0.54):
@@ -239,17 +239,17 @@ class _ShopFront:
         for bay, (x0, x1) in enumerate(zip(edges[:-1] + 0.14, edges[1:] - 0.14, strict=True)):
             low = 0.04 if bay == door_bay else 0.55
             self.holes.append((x0, x1, low, top))
-            self._pane(style, shop, (x0, x1 - x0), (low, top - low), bay == door_bay, near)
-        self._board(width, top, shop, rng, near)
+            self._add_pane(style, shop, (x0, x1 - x0), (low, top - low), bay == door_bay, near)
+        self._add_fascia(width, top, shop, rng, near)
 
-    def _pane(
+    def _add_pane(
         self, style: FacadeStyle, shop: Shop, x: tuple[float, float], y: tuple[float, float], door: bool, near: bool
     ) -> None:
         depth = (0.7 if door else 0.1) if near else 0.0
         part = Solid()
         (w, h), frame = (x[1], y[1]), style.frame if style.frame != "frame" else shop.fascia
         part.pane("shop_window", (0.0, w), (0.0, h), -depth)
-        _glazing(part, frame, (w, h), (2 if door or w < 3 else 3, 2 if door else 1), 0.03 - depth)
+        _put_window_frame(part, frame, (w, h), (2 if door or w < 3 else 3, 2 if door else 1), 0.03 - depth)
         if near:
             part.recess(style.walls if door else frame, (0.0, w), (0.0, h), (-depth, 0.0))
         if not door:
@@ -257,13 +257,13 @@ class _ShopFront:
             part.box(style.dressing, (-0.05, -0.04, 0.0), (w + 0.05, 0.0, 0.08), without="-z")
         self.solid.add(part, (x[0], y[0], 0.0))
 
-    def _board(self, width: float, top: float, shop: Shop, rng: np.random.Generator, near: bool) -> None:
+    def _add_fascia(self, width: float, top: float, shop: Shop, rng: np.random.Generator, near: bool) -> None:
         low, high, front = top + 0.1, top + 0.75, 0.14
         x0, x1 = 0.2, width - 0.2
         self.solid.box(shop.fascia, (x0, low, 0.0), (x1, high, front), without="-z")
         self.solid.box("dressing", (x0 - 0.08, high, 0.0), (x1 + 0.08, high + 0.08, front + 0.08), without="-z")
         if near:
-            _letter(self.solid, shop.lettering, (x0, x1), (low + 0.16, high - 0.16), front + 0.006, rng)
+            _put_lettering(self.solid, shop.lettering, (x0, x1), (low + 0.16, high - 0.16), front + 0.006, rng)
         if shop.awning:
             reach, drop = 1.25, 0.55
             inner, outer = (low - 0.02, front - 0.04), (low - drop, reach)
@@ -273,7 +273,7 @@ class _ShopFront:
             self.solid.box(shop.awning, (x0, outer[0] - 0.2, reach - 0.02), (x1, outer[0], reach))
 
 
-def _letter(
+def _put_lettering(
     out: Solid, material: str, x: tuple[float, float], y: tuple[float, float], z: float, rng: np.random.Generator
 ) -> None:
     """Strokes that look like a word from afar, centred on a board."""
@@ -295,7 +295,7 @@ def _letter(
 # ---------------------------------------------------------------------------------------------------------- decoration
 
 
-def _dress(out: Solid, width: float, style: FacadeStyle, *, plinth: bool, wrap: bool) -> None:
+def _put_trim(out: Solid, width: float, style: FacadeStyle, *, plinth: bool, wrap: bool) -> None:
     """Plinth, string course, cornice and quoins."""
     bands = [(0.0, 0.14, 0.04)] if plinth else []  # its gap before the door is hidden by the step
     if style.cornice:

@@ -12,7 +12,9 @@ from skope.gen.mesh import Mesh
 from skope.gen.scenery.houses import House, car_parks, covered, forecourts, paths
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush, hedge
-from skope.gen.towns.layout import KERB_WIDTH, Layout, along, free, polygons, rectangle, right_of
+from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.regions import free, polygons, rectangle
+from skope.gen.towns.road_graph import along, right_of
 
 SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""
@@ -24,11 +26,11 @@ def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Gener
     """Boundaries and bushes of all plots that have a garden."""
     built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
     paved = [layout.sidewalk.buffer(layout.style.plaza + 0.05), layout.beside_lanes("shoulder").buffer(0.3)]
-    street = unary_union([layout.road.buffer(KERB_WIDTH + 0.05), *paved])
+    street = unary_union([layout.graph.road.buffer(KERB_WIDTH + 0.05), *paved])
     taken = unary_union([covered(houses).buffer(0.25), street])
     for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
         yield layout.draped(part)
-    for part in _scattered(layout, unary_union([built.buffer(0.8), street.buffer(0.9), pits]), rng):
+    for part in _scattered_shrubs(layout, unary_union([built.buffer(0.8), street.buffer(0.9), pits]), rng):
         yield layout.draped(part)
     seen = unary_union([taken, layout.around_cameras])
     shapely.prepare(taken)
@@ -42,7 +44,7 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
     if house.terraced or house.setback == 0.0 or not house.kind.garden:
         return
     x, y = house.size[0] / 2, house.size[1] / 2
-    front, kind = y + house.setback - 0.25, _fence(layout, rng)
+    front, kind = y + house.setback - 0.25, _draw_fence_kind(layout, rng)
     for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
         if _fits(taken, house, (a, front), (b, front)):
             middle = house.to_world(np.array([(a + b) / 2, front]))
@@ -51,7 +53,7 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
         low, high = -y - 11.0, -y + 2.0
         if house.kind.drive and _fits(seen, house, (side, low), (side, high)):
             middle = house.to_world(np.array([side, (low + high) / 2]))
-            yield _panels(high - low, house.near).mesh().moved([*middle, 0.0], house.heading + np.pi / 2)
+            yield _panel_fence(high - low, house.near).mesh().moved([*middle, 0.0], house.heading + np.pi / 2)
     for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
         if abs(at) > 1.6:
             place = house.to_world(np.array([at, y + 1.6]))
@@ -61,23 +63,23 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
 def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Enclosures and shrubs where no house stands at the street; all lower than 1 m or so."""
     shapely.prepare(taken)
-    edges = [edge for edge in layout.edges_of("ground") if not layout.kind(edge).guard_rails]
-    kinds = {edge.getID(): _fence(layout, rng) for edge in edges}
+    edges = [edge for edge in layout.graph.edges_of("ground") if not layout.graph.kind(edge).guard_rails]
+    kinds = {edge.getID(): _draw_fence_kind(layout, rng) for edge in edges}
     length = 5.6
     for edge, place, heading in along(edges, length + 0.15, 0.0):
-        place = place + right_of(heading) * _margin(layout, edge, 0.6)
+        place = place + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
         run = rectangle(place, heading, length, 0.5)
         if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
             near = layout.camera_distance(place) < 25.0
             yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
     for edge, place, heading in along(edges, 2.6, 0.0):
-        at = place + right_of(heading) * _margin(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
+        at = place + right_of(heading) * _enclosure_offset(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
         likely = rng.random()
         if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
             yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
 
 
-def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
+def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
     shapely.prepare(taken)
     for site in layout.sites:
@@ -97,14 +99,14 @@ def _scattered(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator
                     yield bush(float(rng.uniform(0.3, 0.5)), rng).moved([*ring.interpolate(s).coords[0], 0.0])
 
 
-def _margin(layout: Layout, edge: Any, beyond: float) -> float:
+def _enclosure_offset(layout: Layout, edge: Any, beyond: float) -> float:
     """Distance from the kerb to the enclosure of the land beside a road, metres."""
-    kind = layout.kind(edge)
+    kind = layout.graph.kind(edge)
     sidewalk = kind.sidewalk + layout.style.plaza
     return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
 
 
-def _fence(layout: Layout, rng: np.random.Generator) -> str:
+def _draw_fence_kind(layout: Layout, rng: np.random.Generator) -> str:
     names, shares = list(layout.style.fences), np.array(list(layout.style.fences.values()))
     return names[rng.choice(len(names), p=shares / shares.sum())]
 
@@ -118,17 +120,17 @@ def _boundary(kind: str, length: float, near: bool, rng: np.random.Generator) ->
     if kind == "hedge":
         return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
     if kind == "pickets":
-        return _pickets(length, near).mesh()
+        return _picket_fence(length, near).mesh()
     if kind == "railing":
         return _railing(length, near).mesh()
     if kind == "wire":
-        return _wire(length).mesh()
+        return _wire_fence(length).mesh()
     if kind == "rails":
-        return _rails(length).mesh()
+        return _rail_fence(length).mesh()
     return _low_wall(length, kind).mesh()
 
 
-def _wire(length: float) -> Solid:
+def _wire_fence(length: float) -> Solid:
     """Timber posts with wires, as around pastures."""
     half = length / 2
     out = Solid()
@@ -139,7 +141,7 @@ def _wire(length: float) -> Solid:
     return out
 
 
-def _rails(length: float) -> Solid:
+def _rail_fence(length: float) -> Solid:
     """Posts with two boards, as around paddocks."""
     half = length / 2
     out = Solid()
@@ -161,7 +163,7 @@ def _low_wall(length: float, material: str) -> Solid:
     return out
 
 
-def _pickets(length: float, near: bool) -> Solid:
+def _picket_fence(length: float, near: bool) -> Solid:
     half = length / 2
     out = Solid()
     for z in (0.25, 0.68):
@@ -187,7 +189,7 @@ def _railing(length: float, near: bool) -> Solid:
     return out
 
 
-def _panels(length: float, near: bool) -> Solid:
+def _panel_fence(length: float, near: bool) -> Solid:
     half = length / 2
     out = Solid()
     out.box("timber", (-half, -0.02, 0.05), (half, 0.02, 1.7), without="-z")

@@ -17,8 +17,10 @@ from skope.gen.mesh import Mesh, from_triangles
 from skope.gen.scenery.markings import crossings, markings
 from skope.gen.scenery.road_wear import covers, repairs, sidewalk_covers, tracks
 from skope.gen.scenery.walls import kerbs
-from skope.gen.towns.layout import GRID, KERB_WIDTH, Layout, polygons, rectangle
+from skope.gen.towns.layout import KERB_WIDTH, Layout
 from skope.gen.towns.parking import bay_lines
+from skope.gen.towns.regions import GRID, polygons, rectangle
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.terrain import COARSEST
 from skope.types import Array
 
@@ -52,16 +54,17 @@ class Beside:
 
 def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) -> list[Part]:
     """All of the ground; what is beside the carriageway lies a kerb's height above it."""
-    road = shapely.set_precision(layout.ground_road, GRID)
+    graph = layout.graph
+    road = shapely.set_precision(graph.ground_road, GRID)
     kerbed = layout.style.kerb > 0
     x0, y0, x1, y1 = road.bounds
     everywhere = shapely.box(x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
     patches, old, seals = repairs(layout, rng)
-    street = _cut(
+    street = _share_out(
         road,
         [
             ("cover", unary_union(list(covers(layout, rng)))),
-            ("marking", unary_union([*markings(layout), *crossings(layout)])),
+            ("marking", unary_union([*markings(graph), *crossings(graph)])),
             ("bitumen", seals),
             ("asphalt_patch", patches),
             ("asphalt_old", old),
@@ -72,20 +75,20 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
         ],
         carriageway=True,
     )
-    kerb = road.difference(layout.walled_road).buffer(KERB_WIDTH, join_style="mitre") if kerbed else Polygon()
+    kerb = road.difference(graph.walled_road).buffer(KERB_WIDTH, join_style="mitre") if kerbed else Polygon()
     sidewalk, islands = layout.sidewalk, layout.islands
     flush = _flush_decks(layout)
-    beyond = _cut(
+    beyond = _share_out(
         everywhere.difference(road).difference(flush),
         [
             ("kerb", kerb),
             ("cover", unary_union(list(sidewalk_covers(layout, rng))).intersection(sidewalk)),
-            ("tactile", _tactile(layout, road).intersection(sidewalk)),
+            ("tactile", _tactile_paving(graph, road).intersection(sidewalk)),
             ("soil", beside_road.pits.intersection(sidewalk)),
             (layout.style.median, islands.buffer(0.01)),
             ("asphalt_old", layout.beside_lanes("shoulder")),
             ("sidewalk", sidewalk.union(beside_road.forecourts)),
-            ("paving", unary_union([beside_road.walks, layout.walled_road.buffer(4.5), *layout.under_decks])),
+            ("paving", unary_union([beside_road.walks, graph.walled_road.buffer(4.5), *layout.under_decks])),
             ("marking", bay_lines(beside_road.parking)),
             ("asphalt_old", beside_road.parking),
             ("gravel", beside_road.drives),
@@ -99,30 +102,31 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
     return [*street, *beyond]
 
 
-def _cut(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
+def _share_out(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
     """Share a region out: each layer gets what the ones before it left."""
     out, left = [], shapely.set_precision(whole, GRID)
     for material, region in layers:
         if region.is_empty:
             continue
-        region = _areas(shapely.set_precision(region, GRID))
-        out.append(Part(material, _areas(shapely.intersection(left, region, grid_size=GRID)), carriageway))
-        left = _areas(shapely.difference(left, region, grid_size=GRID))
+        region = _only_polygons(shapely.set_precision(region, GRID))
+        out.append(Part(material, _only_polygons(shapely.intersection(left, region, grid_size=GRID)), carriageway))
+        left = _only_polygons(shapely.difference(left, region, grid_size=GRID))
     return out
 
 
-def _areas(shape: Any) -> Any:
+def _only_polygons(shape: Any) -> Any:
     """A shape without the points and lines that overlays leave."""
     return shapely.MultiPolygon(polygons(shape))
 
 
 def _flush_decks(layout: Layout) -> Any:
     """Decks, sidewalks included, that continue the ground beside the carriageway that they lead over."""
+    graph = layout.graph
     out = []
-    for deck in layout.decks:
-        own = deck.buffer(layout.deck_edge, join_style="mitre").difference(layout.ground_road.buffer(0.01))
+    for deck in graph.decks:
+        own = deck.buffer(layout.deck_edge, join_style="mitre").difference(graph.ground_road.buffer(0.01))
         corners = np.array(deck.exterior.coords)
-        above, _ = layout.deck_lanes.near(corners, 10.0)
+        above, _ = graph.deck_lanes.near(corners, 10.0)
         if np.abs(above - layout.ground.beside(corners)).max() < 0.3:
             out.append(own)
     return unary_union(out)
@@ -133,7 +137,7 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
     kinds = layout.style.open_ground
     if len(kinds) < 2:
         return
-    away = everywhere.difference(layout.road.buffer(layout.style.fields_from))
+    away = everywhere.difference(layout.graph.road.buffer(layout.style.fields_from))
     x0, y0, x1, y1 = everywhere.bounds
     shares: dict[str, list[Any]] = {kind: [] for kind in kinds}
     turn = rng.uniform(-0.3, 0.3)
@@ -153,9 +157,9 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
 def ground_meshes(layout: Layout, parts: Sequence[Part]) -> Iterator[Mesh]:
     """The parts as meshes at the ground's heights, and the kerbs between them."""
     kerb, ground = layout.style.kerb, layout.ground
-    x0, y0, x1, y1 = layout.ground_road.bounds
+    x0, y0, x1, y1 = layout.graph.ground_road.bounds
     bounds = (x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
-    cells = None if ground.flat else ground.cells(bounds, layout.ground_road)
+    cells = None if ground.flat else ground.cells(bounds, layout.graph.ground_road)
     heights: dict[bool, Callable[[Array], Array]] = {
         True: ground.road,
         False: lambda places: ground.beside(places) + kerb,
@@ -202,9 +206,9 @@ def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: fl
     return [*cells[cell[inside]], *(polygon for piece in cut for polygon in polygons(piece))]
 
 
-def _tactile(layout: Layout, road: Any) -> Any:
+def _tactile_paving(graph: RoadGraph, road: Any) -> Any:
     """Ribbed paving on the sidewalk at both ends of crossings."""
-    stripes = unary_union(list(crossings(layout)))
+    stripes = unary_union(list(crossings(graph)))
     spans = polygons(stripes.buffer(0.6, join_style="mitre"))
     ends = unary_union([span.minimum_rotated_rectangle.buffer(0.8, join_style="mitre") for span in spans])
     return ends.intersection(road.buffer(KERB_WIDTH + 0.8))

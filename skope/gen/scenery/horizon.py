@@ -9,6 +9,7 @@ from skope.gen.mesh import Mesh, grid
 from skope.gen.scenery.ground import MARGIN
 from skope.gen.scenery.quads import Solid
 from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.types import Array
 
 _WALLS: Final = ("concrete", "plaster_grey", "brick_buff", "stone", "plaster_white", "brick_brown", "cladding_grey")
@@ -20,9 +21,9 @@ def horizon(layout: Layout, rng: np.random.Generator) -> Iterator[Mesh]:
         yield _skyline(layout, rng)
 
 
-def _ring(layout: Layout, count: int) -> tuple[Array, Array, Array]:
+def _ground_outline(graph: RoadGraph, count: int) -> tuple[Array, Array, Array]:
     """Middle and half sizes of the ground, and (count, 2) directions all around, clockwise."""
-    x0, y0, x1, y1 = layout.road.bounds
+    x0, y0, x1, y1 = graph.road.bounds
     centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
     angle = np.linspace(0, 2 * np.pi, count)[::-1]
     return centre, half, np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -31,7 +32,7 @@ def _ring(layout: Layout, count: int) -> tuple[Array, Array, Array]:
 def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
     """Wooded hills all around."""
     count = 540
-    centre, half, ring = _ring(layout, count + 1)
+    centre, half, ring = _ground_outline(layout.graph, count + 1)
     angle = np.linspace(0, 2 * np.pi, count + 1)[::-1]
     swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
     size = layout.style.hill_height
@@ -53,7 +54,7 @@ def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
 
 def _skyline(layout: Layout, rng: np.random.Generator) -> Mesh:
     """Blocks of several heights, with bands of windows, all around and far away."""
-    centre, half, ring = _ring(layout, 150)
+    centre, half, ring = _ground_outline(layout.graph, 150)
     out = Solid()
     for k, direction in enumerate(ring[:-1]):
         x, y = centre + direction * half * rng.uniform(0.66, 0.86)

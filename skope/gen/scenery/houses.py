@@ -13,8 +13,10 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.scenery import large_buildings, roof
 from skope.gen.scenery.facade import FacadeStyle, Shop, facade
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout, beside, driven, polygons, rectangle
+from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
+from skope.gen.towns.regions import polygons, rectangle
+from skope.gen.towns.road_graph import beside, driven
 from skope.gen.towns.style import Kind, Row
 from skope.types import Array
 
@@ -85,11 +87,11 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     """The houses of a town, in rows along the right-hand sides of its edges, and some behind them."""
     out: list[House] = []
     taken = Taken(layout)
-    fronts = [edge for edge in layout.edges if layout.kind(edge).form != "bridge"]
+    fronts = [edge for edge in layout.graph.edges if layout.graph.kind(edge).form != "bridge"]
     for edge in fronts:
         s, length = 0.0, driven(edge)[0].getLength()
         while s < length:
-            row = _row(layout, edge, s)
+            row = _row_at(layout, edge, s)
             if row is None:
                 s += 5.0
                 continue
@@ -102,7 +104,7 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     kinds = layout.style.behind
     for edge in fronts if kinds else []:
         for s in np.arange(10.0, driven(edge)[0].getLength(), 23.0):
-            kind = layout.style.kinds[_any(kinds, rng)]
+            kind = layout.style.kinds[_draw_name(kinds, rng)]
             size = (rng.uniform(*kind.length), rng.uniform(*kind.depth))
             place, heading = beside(edge, float(s), rng.uniform(26.0, 52.0) + max(size) / 2)
             turned = heading + rng.choice([0.0, np.pi / 2, np.pi])
@@ -112,7 +114,7 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     return out
 
 
-def _any(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+def _draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
     names, weights = list(shares), np.array(list(shares.values()))
     return names[rng.choice(len(names), p=weights / weights.sum())]
 
@@ -121,8 +123,9 @@ class Taken:
     """Areas where no further house may stand."""
 
     def __init__(self, layout: Layout) -> None:
-        walled = layout.walled_road.buffer(3.0) if not layout.walled_road.is_empty else layout.walled_road
-        streets = [layout.road.buffer(1.0), layout.sidewalk.buffer(0.4), walled, *layout.under_decks]
+        walled = layout.graph.walled_road
+        walls = walled.buffer(3.0) if not walled.is_empty else walled
+        streets = [layout.graph.road.buffer(1.0), layout.sidewalk.buffer(0.4), walls, *layout.under_decks]
         self._kept_clear = unary_union(
             [
                 *streets,
@@ -152,8 +155,8 @@ class Taken:
         return True
 
 
-def _row(layout: Layout, edge: Any, s: float) -> Row | None:
-    distance = layout.centre_distance(beside(edge, s, 0.0)[0])
+def _row_at(layout: Layout, edge: Any, s: float) -> Row | None:
+    distance = layout.graph.signal_distance(beside(edge, s, 0.0)[0])
     rows = (
         row for row in layout.style.rows if (not row.roads or edge.getType() in row.roads) and distance < row.within
     )
@@ -161,10 +164,11 @@ def _row(layout: Layout, edge: Any, s: float) -> Row | None:
 
 
 def _next_house(layout: Layout, row: Row, edge: Any, s: float, rng: np.random.Generator) -> House:
-    kind = layout.style.kinds[_any(row.kinds, rng)]
+    kind = layout.style.kinds[_draw_name(row.kinds, rng)]
     length, depth = rng.uniform(*kind.length), rng.uniform(*kind.depth)
     setback = rng.uniform(*row.setback) + kind.parking
-    street = max(layout.kind(edge).sidewalk, layout.kind(edge).shoulder) + 0.15
+    road = layout.graph.kind(edge)
+    street = max(road.sidewalk, road.shoulder) + 0.15
     place, heading = beside(edge, s + length / 2, street + setback + depth / 2)
     return _house(layout, kind, place, heading, (length, depth), setback)
 
@@ -177,14 +181,14 @@ def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh
             rectangle(house.to_world(np.array([s * house.size[0] / 2, 0.0])), house.heading, 1.0, 4.0) for s in (1, -1)
         ]
         joined = [len(index.query(side, predicate="intersects")) > 1 for side in sides]
-        yield _made(house, (joined[0], joined[1]), rng).moved([*house.center, house.floor], house.heading)
+        yield _house_mesh(house, (joined[0], joined[1]), rng).moved([*house.center, house.floor], house.heading)
         if house.floor - house.footing > 0.05:
             x, y = house.size[0] / 2, house.size[1] / 2
             foundation = box([-x, -y, house.footing - house.floor - 0.3], [x, y, 0.0], "stone")
             yield foundation.moved([*house.center, house.floor], house.heading)
 
 
-def _made(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> Mesh:
+def _house_mesh(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> Mesh:
     half, kind = (house.size[0] / 2, house.size[1] / 2), house.kind
     if kind.form == "silo":
         return large_buildings.silo(kind, half[0], house.near, rng)
@@ -194,10 +198,10 @@ def _made(house: House, joined: tuple[bool, bool], rng: np.random.Generator) -> 
         return large_buildings.hall(kind, half, house.near, rng).mesh()
     if kind.form == "barn":
         return large_buildings.barn(kind, half, rng).mesh()
-    return _building(house, _style(kind, rng), joined, rng).mesh()
+    return _building(house, _draw_style(kind, rng), joined, rng).mesh()
 
 
-def _style(kind: Kind, rng: np.random.Generator) -> FacadeStyle:
+def _draw_style(kind: Kind, rng: np.random.Generator) -> FacadeStyle:
     def one(names: tuple[str, ...]) -> str:
         return str(rng.choice(names))
 

@@ -8,7 +8,8 @@ import shapely
 from shapely import LineString, Polygon
 from shapely.ops import substring, unary_union
 
-from skope.gen.towns.layout import Layout, driven, is_minor, is_signalled, joins, legs, rectangle
+from skope.gen.towns.regions import rectangle
+from skope.gen.towns.road_graph import RoadGraph, driven, is_minor, is_signalled, joins, legs
 from skope.types import Array
 
 CROSSING: Final = (0.7, 3.7)
@@ -21,17 +22,17 @@ _THROUGH: Final = 12.0
 """Lines are continued through junctions of two edges that are shorter than this, metres."""
 
 
-def markings(layout: Layout) -> Iterator[Polygon]:
+def markings(graph: RoadGraph) -> Iterator[Polygon]:
     """Centre and edge lines (solid), lane lines (dashed), stop lines and arrows."""
-    for edge in layout.edges:
-        lanes, kind = driven(edge), layout.kind(edge)
+    for edge in graph.edges:
+        lanes, kind = driven(edge), graph.kind(edge)
         right = LineString(lanes[0].getShape())
         if kind.edge_lines:
             yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(_LINE, cap_style="flat")
         for lane in lanes:
             shape, half = LineString(lane.getShape()), lane.getWidth() / 2
             if lane is lanes[-1]:
-                yield from _left_line(layout, edge, shape, half)
+                yield from _left_line(graph, edge, shape, half)
             else:
                 yield from _lane_line(edge, shape.offset_curve(half))
             if is_signalled(edge):
@@ -41,14 +42,14 @@ def markings(layout: Layout) -> Iterator[Polygon]:
                 yield from _give_way(shape, half)
             if is_signalled(edge) or len(lanes) > 1:
                 yield from _arrows(lane, shape)
-    yield from _through(layout)
+    yield from _lines_through_joints(graph)
 
 
-def _left_line(layout: Layout, edge: Any, shape: LineString, half: float) -> Iterator[Polygon]:
+def _left_line(graph: RoadGraph, edge: Any, shape: LineString, half: float) -> Iterator[Polygon]:
     """The line to the left of an edge's lanes; where the other direction is beside, both draw one: a double line."""
-    if layout.kind(edge).edge_lines and not _is_divided(edge):
+    if graph.kind(edge).edge_lines and not _is_divided(edge):
         # Overtaking is allowed: a broken line, drawn by one of the two directions.
-        if edge.getID() < min((e.getID() for e in _opposite(edge)), default="~"):
+        if edge.getID() < min((e.getID() for e in _opposite_edges(edge)), default="~"):
             left = shape.offset_curve(half)
             for start in np.arange(4.0, left.length - 6.0, 12.0):
                 yield substring(left, start, start + 4.0).buffer(_LINE, cap_style="flat")
@@ -56,7 +57,7 @@ def _left_line(layout: Layout, edge: Any, shape: LineString, half: float) -> Ite
         yield shape.offset_curve(half - 0.16).buffer(_LINE, cap_style="flat")
 
 
-def _opposite(edge: Any) -> list[Any]:
+def _opposite_edges(edge: Any) -> list[Any]:
     return [
         e for e in legs(edge.getToNode()) if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()
     ]
@@ -67,7 +68,7 @@ def _is_divided(edge: Any) -> bool:
     mine = LineString(driven(edge)[-1].getShape())
     return not any(
         LineString(driven(other)[-1].getShape()).distance(mine) < driven(edge)[-1].getWidth() + 0.3
-        for other in _opposite(edge)
+        for other in _opposite_edges(edge)
     )
 
 
@@ -79,15 +80,15 @@ def _lane_line(edge: Any, left: LineString) -> Iterator[Polygon]:
         yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(_LINE, cap_style="flat")
 
 
-def _through(layout: Layout) -> Iterator[Polygon]:
+def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
     """Outer lines across short joints of the network, where a road merely changes its number of lanes."""
-    for edge in layout.edges:
+    for edge in graph.edges:
         followers = [e for e in edge.getOutgoing() if not e.isSpecial()]
         if len(followers) != 1 or joins(edge) > 2 or is_signalled(edge):
             continue
         (other,) = followers
         for index, side in ((0, -1.0), (-1, 1.0)):
-            if side < 0 and not layout.kind(edge).edge_lines:
+            if side < 0 and not graph.kind(edge).edge_lines:
                 continue
             ends = []
             for lane, at in ((driven(edge)[index], -1), (driven(other)[index], 0)):
@@ -142,23 +143,23 @@ def _arrow(ways: set[str]) -> Any:
     return unary_union(parts)
 
 
-def crossings(layout: Layout) -> Iterator[Polygon]:
+def crossings(graph: RoadGraph) -> Iterator[Polygon]:
     """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
 
     In the corner of a narrow junction, where two crossings would meet, there are none.
     """
-    zebras = [zebra for edge in layout.edges if (zebra := _zebra(layout, edge))]
+    zebras = [zebra for edge in graph.edges if (zebra := _zebra(graph, edge))]
     hulls = [shapely.MultiPolygon([stripe for stripe, _ in zebra]).convex_hull for zebra in zebras]
     for number, zebra in enumerate(zebras):
         others = unary_union([hull for k, hull in enumerate(hulls) if k != number])
         yield from (stripe for stripe, before_lanes in zebra if before_lanes or not stripe.intersects(others))
 
 
-def _zebra(layout: Layout, edge: Any) -> list[tuple[Polygon, bool]]:
+def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
     """An edge's stripes, and which of them lie before lanes that begin or end there."""
-    if not is_signalled(edge) or not layout.kind(edge).sidewalk:
+    if not is_signalled(edge) or not graph.kind(edge).sidewalk:
         return []
-    road, lane = layout.ground_road, driven(edge)[-1]
+    road, lane = graph.ground_road, driven(edge)[-1]
     line = LineString(lane.getShape())
     end, before = (np.array(line.interpolate(t).coords[0]) for t in (line.length, line.length - 1.0))
     along = (end - before) / np.hypot(*(end - before))

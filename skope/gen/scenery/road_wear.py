@@ -7,14 +7,16 @@ import numpy as np
 from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import FAR, Layout, beside, driven, half_width, rectangle, right_of
+from skope.gen.towns.layout import FAR, Layout
+from skope.gen.towns.regions import rectangle
+from skope.gen.towns.road_graph import beside, driven, half_width, right_of
 from skope.types import Array
 
 
 def tracks(layout: Layout, width: float) -> Any:
     """Areas that wheels run over: two strips along each lane."""
     strips = []
-    for edge in layout.edges:
+    for edge in layout.graph.edges:
         for lane in driven(edge):
             line = LineString(lane.getShape())
             strips += [line.offset_curve(side).buffer(width / 2, cap_style="flat") for side in (-0.82, 0.82)]
@@ -24,7 +26,7 @@ def tracks(layout: Layout, width: float) -> Any:
 def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
     """Dark new patches, pale old ones, and bitumen: their sealed edges and sealed cracks."""
     new, old, cracks = [], [], []
-    for edge in layout.edges:
+    for edge in layout.graph.edges:
         half = half_width(edge)
         for s in np.arange(rng.uniform(4.0, 14.0), driven(edge)[0].getLength() - 6.0, 15.0):
             s += rng.uniform(-4.0, 4.0)
@@ -44,19 +46,19 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
                 old.append(rectangle(at, heading, rng.uniform(8.0, 16.0), 0.7))
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
-    for node in layout.net.getNodes():
+    for node in layout.graph.net.getNodes():
         if layout.camera_distance(np.array(node.getCoord())) > FAR or len(node.getShape()) < 4:
             continue
         if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
             for kept in (new, old):
-                at, heading = _within(area, rng), rng.uniform(0, np.pi)
+                at, heading = _random_place(area, rng), rng.uniform(0, np.pi)
                 kept.append(rectangle(at, heading, rng.uniform(1.2, 2.6), 1.1))
-            cracks += [_crack(_within(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
+            cracks += [_crack(_random_place(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
     seams = [shape.boundary.buffer(0.035, cap_style="flat") for shape in (*new, *old)]
     return unary_union(new), unary_union(old), unary_union([*seams, *cracks])
 
 
-def _within(region: Any, rng: np.random.Generator) -> Array:
+def _random_place(region: Any, rng: np.random.Generator) -> Array:
     """A random place (2,) inside a region."""
     x0, y0, x1, y1 = region.bounds
     while True:
@@ -75,8 +77,8 @@ def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:
 
 def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
     """Manhole covers in the lanes and drain grates in the gutters of roads with sidewalks."""
-    for edge in layout.edges:
-        if not layout.kind(edge).sidewalk:
+    for edge in layout.graph.edges:
+        if not layout.graph.kind(edge).sidewalk:
             continue
         lanes = driven(edge)
         length = lanes[0].getLength()
@@ -91,7 +93,7 @@ def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
 
 
 def sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
-    for edge in layout.edges:
+    for edge in layout.graph.edges:
         for s in np.arange(rng.uniform(3.0, 12.0), driven(edge)[0].getLength(), 13.0):
             at, heading = beside(edge, s + rng.uniform(-3.0, 3.0), rng.uniform(1.0, 1.9))
             if layout.camera_distance(at) > FAR:

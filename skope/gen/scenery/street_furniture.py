@@ -11,7 +11,8 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
-from skope.gen.towns.layout import FAR, Layout, beside, driven, is_minor, is_signalled, joins
+from skope.gen.towns.layout import FAR, Layout
+from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
 from skope.types import Array
 
 CLEARANCE: Final = 0.4
@@ -26,8 +27,8 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iter
     """Everything that stands on the sidewalks of a town but trees and signals."""
     blocked = unary_union([keep_clear, layout.sightlines(SIGHT)])
     spots = _Spots(layout, blocked)
-    for edge in layout.edges_of("ground"):
-        for offset, s, make in _wanted(layout, edge, rng):
+    for edge in layout.graph.edges_of("ground"):
+        for offset, s, make in _furniture_along(layout, edge, rng):
             place, heading = beside(edge, s, offset)
             if layout.camera_distance(place) > FAR:
                 continue
@@ -40,7 +41,7 @@ class _Spots:
     """Places beside the road where street furniture may still stand."""
 
     def __init__(self, layout: Layout, blocked: Any) -> None:
-        self._blocked, self._road = blocked, layout.road
+        self._blocked, self._road = blocked, layout.graph.road
         shapely.prepare(self._blocked)
         shapely.prepare(self._road)
         self._taken: list[tuple[Array, Any]] = []
@@ -59,9 +60,11 @@ class _Spots:
         return True
 
 
-def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
+def _furniture_along(
+    layout: Layout, edge: Any, rng: np.random.Generator
+) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
     """Furniture to place along an edge: distance from the kerb and along the edge, metres, and how to make it."""
-    length, kind, style = driven(edge)[0].getLength(), layout.kind(edge), layout.style
+    length, kind, style = driven(edge)[0].getLength(), layout.graph.kind(edge), layout.style
     first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
     if kind.lights:
         start = 0.25 * kind.lights if _number_of(edge.getID()) % 2 else 0.7 * kind.lights
@@ -88,7 +91,7 @@ def _wanted(layout: Layout, edge: Any, rng: np.random.Generator) -> Iterator[tup
         yield first, 50.5, lambda: sign("bus")
     for s in np.arange(rng.uniform(3.0, 9.0), length, 11.0 if kind.main else 26.0):
         at = float(s + rng.uniform(-3.0, 3.0))
-        offset, make = _small(style.furniture, back, rng)
+        offset, make = _draw_small_item(style.furniture, back, rng)
         yield offset, at, make
     for near_end in (True, False):
         if kind.main and is_signalled(edge) is near_end:
@@ -101,7 +104,9 @@ def _number_of(name: str) -> int:
     return sum(name.encode())
 
 
-def _small(shares: Mapping[str, float], back: float, rng: np.random.Generator) -> tuple[float, Callable[[], Mesh]]:
+def _draw_small_item(
+    shares: Mapping[str, float], back: float, rng: np.random.Generator
+) -> tuple[float, Callable[[], Mesh]]:
     """Something of what stands on sidewalks: distance from the kerb, how to make it."""
     names, weights = list(shares), np.array(list(shares.values()))
     name = names[rng.choice(len(names), p=weights / weights.sum())]
@@ -183,12 +188,12 @@ def sign(kind: str) -> Mesh:
     top = 2.35 if kind != "street" else 2.5
     post = lathe([(0.0, 0.032), (top + 0.3, 0.032), (top + 0.31, 0.0)], ["zinc", "zinc"], 7, "z")
     parts = {
-        "limit": [(_round(0.3), "sign_red", 0.05), (_round(0.22), "sign_white", 0.056), (_digits(), "iron", 0.06)],
-        "no_parking": [(_round(0.27), "sign_red", 0.05), (_round(0.21), "sign_blue", 0.056)],
+        "limit": [(_disc(0.3), "sign_red", 0.05), (_disc(0.22), "sign_white", 0.056), (_digits(), "iron", 0.06)],
+        "no_parking": [(_disc(0.27), "sign_red", 0.05), (_disc(0.21), "sign_blue", 0.056)],
         "warning": [(_triangle(0.36), "sign_red", 0.05), (_triangle(0.23), "sign_white", 0.056)],
         "give_way": [(-_triangle(0.38), "sign_red", 0.05), (-_triangle(0.25), "sign_white", 0.056)],
         "priority": [(_diamond(0.33), "sign_white", 0.05), (_diamond(0.24), "sign_yellow", 0.056)],
-        "bus": [(_rectangle(0.25, 0.25), "sign_yellow", 0.05), (_round(0.19), "door_green", 0.056)],
+        "bus": [(_rectangle(0.25, 0.25), "sign_yellow", 0.05), (_disc(0.19), "door_green", 0.056)],
         "street": [(_rectangle(0.45, 0.13), "sign_blue", 0.05), (_rectangle(0.36, 0.03), "sign_white", 0.056)],
     }[kind]
     plate = Solid()
@@ -206,7 +211,7 @@ def sign(kind: str) -> Mesh:
     return merged([post, faced.mesh()])
 
 
-def _round(radius: float) -> Array:
+def _disc(radius: float) -> Array:
     angle = np.arange(16) * np.pi / 8
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 

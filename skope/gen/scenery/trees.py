@@ -12,7 +12,9 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
-from skope.gen.towns.layout import FAR, Layout, along, free, polygons, rectangle
+from skope.gen.towns.layout import FAR, Layout
+from skope.gen.towns.regions import free, polygons, rectangle
+from skope.gen.towns.road_graph import along
 from skope.types import Array
 
 CLEARANCE: Final = 0.4
@@ -81,43 +83,44 @@ class Tree:
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     """The town's lines of trees, and trees in its medians."""
+    graph = layout.graph
     seen = [layout.sightlines(SIGHT), layout.around_cameras.buffer(CROWN)]
-    walls = layout.walled_road.buffer(2.0)
-    keep_clear = unary_union([layout.road.buffer(1.2), walls, built.buffer(2.2), *seen])
+    walls = graph.walled_road.buffer(2.0)
+    keep_clear = unary_union([graph.road.buffer(1.2), walls, built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
     style, out = layout.style, []
 
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
-        room = layout.road.distance(Point(at)) - CLEARANCE
+        room = graph.road.distance(Point(at)) - CLEARANCE
         detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < FAR else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:
-        edges = layout.edges_of("ground")
+        edges = graph.edges_of("ground")
         if line.roads:
-            edges = [edge for edge in layout.edges if edge.getType() in line.roads]
+            edges = [edge for edge in graph.edges if edge.getType() in line.roads]
         for edge, place, _ in along(edges, line.spacing, line.offset):
-            street = line.offset < layout.kind(edge).sidewalk
+            street = line.offset < graph.kind(edge).sidewalk
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
-            at, species, likely = place + wander, _any(style.species, rng), rng.random()
+            at, species, likely = place + wander, _draw_name(style.species, rng), rng.random()
             if likely < line.chance and free(keep_clear, at, 0.4):
                 grow(at, street, SPECIES[species])
     # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
     near_cameras = layout.around_cameras.buffer(CROWN)
     for island in polygons(layout.islands.buffer(-1.4)):
-        for at in _scattered(island, 11.0):
+        for at in _places_along(island, 11.0):
             if rng.random() < style.median_trees and not near_cameras.intersects(Point(at)):
-                grow(at, False, SPECIES[_any(style.species, rng)])
+                grow(at, False, SPECIES[_draw_name(style.species, rng)])
     return out
 
 
-def _any(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+def _draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
     names, weights = list(shares), np.array(list(shares.values()))
     return names[rng.choice(len(names), p=weights / weights.sum())]
 
 
-def _scattered(region: Polygon, spacing: float) -> Iterator[Array]:
+def _places_along(region: Polygon, spacing: float) -> Iterator[Array]:
     """Places along a region's long axis, and across it where it is wide."""
     ring = np.array(region.minimum_rotated_rectangle.exterior.coords)
     sides = np.diff(ring, axis=0)[:2]
@@ -149,7 +152,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     )
     parts = [stem]
     if species.form == "cone":
-        return merged([*parts, *_tiers(tree, bare, reach, rng)])
+        return merged([*parts, *_conifer_tiers(tree, bare, reach, rng)])
     if species.form == "column":
         count, size = (4, 5, 9, 14)[tree.detail], 0.85 * reach
         levels = np.linspace(bare + size, height - size, count)
@@ -161,7 +164,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
             clump = _clump(
                 center, size * grown * rng.uniform(0.9, 1.1), middle, 1 if tree.detail == 3 else 0, rng, stretch
             )
-            parts.append(_of(clump, species.leaves))
+            parts.append(_with_material(clump, species.leaves))
         return merged(parts)
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
@@ -169,20 +172,20 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     if tree.detail > 1 and reach > WIDE:  # more of them in wide crowns, or they would be lumps
         more = reach / WIDE
         clumps, share = round(clumps * more), share / more**0.5
-    centers = middle + spread * _spread(clumps, rng)
+    centers = middle + spread * _points_in_ball(clumps, rng)
     if tree.detail > 1 and species.form == "round":
         parts += [tube([(0.0, 0.0, bare), center], (0.06, 0.02), species.bark, 4) for center in centers[::5]]
     for center in centers:
         size = share * reach * rng.uniform(0.75, 1.25)
-        parts.append(_of(_clump(center, size, middle, 1 if tree.detail == 3 else 0, rng), species.leaves))
+        parts.append(_with_material(_clump(center, size, middle, 1 if tree.detail == 3 else 0, rng), species.leaves))
     return merged(parts)
 
 
-def _of(mesh: Mesh, material: str) -> Mesh:
+def _with_material(mesh: Mesh, material: str) -> Mesh:
     return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (material,), mesh.material)
 
 
-def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
+def _conifer_tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
     """A conifer's whorls of hanging branches: ragged cones, one above the other."""
     count, sides = (4, 5, 8, 11)[tree.detail], (6, 8, 11, 16)[tree.detail]
     levels = np.linspace(bare, 0.9 * tree.height, count)
@@ -202,7 +205,7 @@ def _tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> I
         yield grid(np.array(rows), [[tree.species.leaves] * sides] * 2)
 
 
-def _spread(count: int, rng: np.random.Generator) -> Array:
+def _points_in_ball(count: int, rng: np.random.Generator) -> Array:
     """(count, 3) points in the unit ball, more of them near its surface."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -218,7 +221,7 @@ def _clump(
     stretch: ArrayLike = (1.0, 1.0, 0.8),
 ) -> Mesh:
     """An uneven ball of leaves whose normals lean away from the crown's middle: the crown is lit as one."""
-    points, triangles = _ball(detail)
+    points, triangles = _icosphere(detail)
     uneven = 0.28 if detail else 0.16
     points = points * rng.uniform(1 - uneven, 1 + uneven, (len(points), 1)) * radius * np.asarray(stretch)
     part = from_triangles(center + points, triangles, "leaves")
@@ -229,7 +232,7 @@ def _clump(
 
 
 @cache
-def _ball(detail: int) -> tuple[Array, NDArray[np.int64]]:
+def _icosphere(detail: int) -> tuple[Array, NDArray[np.int64]]:
     """An icosahedron with its triangles divided into four `detail` times; radius 1."""
     g = (1 + 5**0.5) / 2
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0)]
@@ -264,7 +267,7 @@ def _ball(detail: int) -> tuple[Array, NDArray[np.int64]]:
 
 def bush(radius: float, rng: np.random.Generator) -> Mesh:
     middle = np.array([0.0, 0.0, 0.4 * radius])
-    centers = middle + radius * 0.6 * _spread(6, rng) * [1, 1, 0.6]
+    centers = middle + radius * 0.6 * _points_in_ball(6, rng) * [1, 1, 0.6]
     return merged(_clump(center, 0.7 * radius, middle, 0, rng) for center in centers)
 
 

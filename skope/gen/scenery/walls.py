@@ -10,7 +10,8 @@ from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, quads
-from skope.gen.towns.layout import GRID, Layout, polygons
+from skope.gen.towns.layout import Layout
+from skope.gen.towns.regions import GRID, polygons
 from skope.types import Array
 
 WALL: Final = 0.4
@@ -22,8 +23,8 @@ _STEP: Final = 2.0
 def kerbs(layout: Layout) -> Iterator[Mesh]:
     """Kerbs and retaining walls between the carriageway and the ground beside it, with parapets on high ones."""
     ground = layout.ground
-    decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.decks])
-    for ring in rings(shapely.set_precision(layout.ground_road, GRID)):
+    decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.graph.decks])
+    for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID)):
         line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), _STEP).coords)
         low, high = ground.road(line), ground.beside(line) + layout.style.kerb
         under = shapely.intersects(decks, shapely.linestrings(np.stack([line[:-1], line[1:]], axis=1)))
@@ -39,7 +40,7 @@ def kerbs(layout: Layout) -> Iterator[Mesh]:
                 top[covered] -= 0.5
             yield _strip(line, low, top, strip, material)
             if material == "concrete":
-                yield from _parapet(line, high, strip & ~under)
+                yield from _parapets_along(line, high, strip & ~under)
 
 
 def _strip(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
@@ -51,7 +52,7 @@ def _strip(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], mate
     return quads(corners[proper], material)
 
 
-def _parapet(line: Array, base: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
+def _parapets_along(line: Array, base: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
     """A low wall behind a line's left-hand side, with a rail on it."""
     for first, last in runs(chosen):
         path, z = LineString(line[first : last + 1]), base[first : last + 1]

@@ -9,8 +9,9 @@ import numpy as np
 from shapely import Polygon
 
 from skope.gen.simulation.smooth_paths import Driven
-from skope.gen.towns.layout import Layout, rectangle
+from skope.gen.towns.layout import Layout
 from skope.gen.towns.parking import BAY, Bay
+from skope.gen.towns.regions import rectangle
 from skope.gen.towns.town import Town
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
@@ -66,6 +67,6 @@ def parked(town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rn
 def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
     """A vehicle that stands on the ground beside the road, level across."""
     ahead = 1.3 * np.array([math.cos(yaw), math.sin(yaw)])
-    front, rear = (layout.height(layout.world(at)) for at in (place + ahead, place - ahead))
+    front, rear = (layout.height(layout.graph.world(at)) for at in (place + ahead, place - ahead))
     position = (float(place[0]), float(place[1]), (front + rear) / 2)
     return Driven(position, yaw, math.atan2(front - rear, 2.6), 0.0, 0)

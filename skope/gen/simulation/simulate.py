@@ -12,7 +12,7 @@ from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import REACH, Recorder
 from skope.gen.simulation.smooth_paths import drivable, reach
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import Traffic, step_for
@@ -73,7 +73,7 @@ def simulate(plan: RecordingPlan) -> Recording:
             duration=duration,
             rng=rng,
             flows=site.flows,
-            passing=Layout.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
+            passing=RoadGraph.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
             step=step,
             watched=recorder.watches,
         ) as traffic,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.towns.layout import Layout, driven
+from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
@@ -24,17 +24,17 @@ _GREY: Final = 90
 
 def overlay(road: OwnRoad) -> Image:
     """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
-    camera, layout = road.camera, Layout.of(Town.of(road))
+    camera, graph = road.camera, RoadGraph.of(Town.of(road))
     size = (camera.width, camera.height)
     image = road.picture(size) if road.photograph else np.full((size[1], size[0], 3), _GREY, dtype=np.uint8)
-    for edge in layout.edges:
+    for edge in graph.edges:
         for lane in driven(edge):
             middle, across = _along(np.array(lane.getShape3D()))
             for side in (-0.5, 0.5):
-                _draw(image, road, layout, middle + side * lane.getWidth() * across, _EDGE)
+                _draw(image, road, graph, middle + side * lane.getWidth() * across, _EDGE)
             for k in range(3, len(middle), int(_ARROWS / _STEP)):
                 barbs = middle[[k - 3, k, k - 3]] + np.array([[0.5], [0.0], [-0.5]]) * across[k]
-                _draw(image, road, layout, barbs, _ARROW)
+                _draw(image, road, graph, barbs, _ARROW)
     outlines = [*((one.polygon, _OCCLUDER) for one in road.occluders), *((one, _SHADE) for one in road.shades)]
     for outline, color in outlines:
         corners = np.rint((np.array(outline) - 0.5) * 2**_SHIFT).astype(np.int32)
@@ -52,9 +52,9 @@ def _along(line: Array) -> tuple[Array, Array]:
     return middle, left / np.hypot(*ahead.T)[:, None].clip(1e-9)
 
 
-def _draw(image: Image, road: OwnRoad, layout: Layout, line: Array, color: tuple[int, int, int]) -> None:
-    """A line (N, 3) of the layout where it is before the camera."""
-    pixels, depth, valid = road.camera.project(layout.world(line))
+def _draw(image: Image, road: OwnRoad, graph: RoadGraph, line: Array, color: tuple[int, int, int]) -> None:
+    """A line (N, 3) of the graph where it is before the camera."""
+    pixels, depth, valid = road.camera.project(graph.world(line))
     near = valid & (depth < _REACH) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
     at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**_SHIFT).astype(int).tolist()
     for k in np.flatnonzero(near[:-1] & near[1:]):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 from xml.etree import ElementTree
 
 import cv2
@@ -22,8 +22,8 @@ from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.site_files.site_camera import read_camera
 from skope.gen.site_files.toml_table import TomlTable
-from skope.gen.towns.layout import REACH, Layout
 from skope.gen.towns.netconvert import from_map
+from skope.gen.towns.road_graph import REACH, RoadGraph
 from skope.gen.towns.sites import Site, site_of
 from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
@@ -62,16 +62,6 @@ class OwnSite:
         """The site with `count` recordings, the last one in the split `test`, unless its file names the splits."""
         return replace(self, splits=self.splits or ("train",) * max(1, count - 1) + ("test",))
 
-    def to_dict(self) -> dict[str, Any]:
-        """The site as JSON values for a dataset's card, without the folder that the file lies in."""
-        return {
-            "file": self.path.name,
-            "digests": dict(self.digests),
-            "town": self.road.name,
-            "photograph": bool(self.road.photograph),
-            "splits": list(self.splits),
-        }
-
 
 def read_site(path: Path) -> OwnSite:
     """Read and check a site file.
@@ -102,8 +92,8 @@ def read_site(path: Path) -> OwnSite:
         camera=camera,
         photograph=read_bytes(background) if background else b"",
     )
-    layout = _layout(table, road)
-    level = layout.road_level(camera.position[:2])
+    graph = _checked_graph(table, road)
+    level = graph.road_level(camera.position[:2])
     occluders = tuple(_occluder(row, camera, level) for row in table.tables("occluders"))
     shades = tuple(_shade(row, camera) for row in table.tables("shades"))
     if occluders or shades:
@@ -113,7 +103,7 @@ def read_site(path: Path) -> OwnSite:
     light = table.table("light")
     weather, hour, sun = _light(light)
     conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
-    vehicles, text = _traffic(table, road, layout)
+    vehicles, text = _traffic(table, road, graph)
     splits = _splits(table)
     table.done()
     site = site_of(
@@ -257,11 +247,11 @@ def _conditions(table: TomlTable) -> dict[str, Range]:
         raise table.wrong("", str(error).removeprefix("--set ")) from None
 
 
-def _traffic(table: TomlTable, road: OwnRoad, layout: Layout) -> tuple[float, str]:
+def _traffic(table: TomlTable, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]:
     """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
     path = table.file("flows")
     if path is None:
-        seen = layout.seen_by(road.camera, _SEEN)
+        seen = graph.seen_by(road.camera, _SEEN)
         if all(seen.isdisjoint(edges) for edges, _ in ways(Town.of(road).network)):
             raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
@@ -287,8 +277,8 @@ def _splits(table: TomlTable) -> tuple[str, ...]:
 # -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _layout(table: TomlTable, road: OwnRoad) -> Layout:
-    """The layout of the road. Raises UserError where style, camera and road do not make a picture."""
+def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
+    """The graph of the road. Raises UserError where style, camera and road do not make a picture."""
     camera = road.camera
     if camera.distortion.model != "none":
         try:
@@ -300,15 +290,15 @@ def _layout(table: TomlTable, road: OwnRoad) -> Layout:
     except (TypeError, KeyError, ValueError) as error:
         raise table.wrong("style", str(error)) from None
     try:
-        layout = Layout.of(Town.of(road))
+        graph = RoadGraph.of(Town.of(road))
     except Exception as error:  # whatever parsers say of a file that is no network
         raise table.wrong("network", f"not a SUMO network: {error}") from None
-    if not layout.edges:
+    if not graph.edges:
         x, y, _ = camera.position
         raise table.wrong(
-            "network", f"no lane for cars lies within {REACH:g} m of the camera at x {x:.0f}, y {y:.0f}{_span(layout)}"
+            "network", f"no lane for cars lies within {REACH:g} m of the camera at x {x:.0f}, y {y:.0f}{_span(graph)}"
         )
-    level = layout.road_level(camera.position[:2])
+    level = graph.road_level(camera.position[:2])
     if abs(level) > _LEVEL:
         raise table.wrong(
             "network",
@@ -317,13 +307,13 @@ def _layout(table: TomlTable, road: OwnRoad) -> Layout:
         )
     if camera.position[2] < level + 0.5:
         raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
-    if not layout.seen_by(camera, _SEEN):
+    if not graph.seen_by(camera, _SEEN):
         raise table.wrong("camera", f"no lane of the network nearer than {_SEEN:g} m is in its image")
-    return layout
+    return graph
 
 
-def _span(layout: Layout) -> str:
-    x0, y0, x1, y1 = layout.net.getBoundary()
-    if layout.mirrored:
+def _span(graph: RoadGraph) -> str:
+    x0, y0, x1, y1 = graph.net.getBoundary()
+    if graph.mirrored:
         y0, y1 = -y1, -y0
     return f"; the network spans x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f}"

@@ -1,7 +1,7 @@
 """Left-hand traffic: its scenery is grown in a mirror, where the network is one for right-hand traffic.
 
 The mirror takes y to -y. What stands beside the road, signals, markings and sidewalks then need to know of one side
-only; `Layout.mirrored` says that results have to be taken back.
+only; `RoadGraph.mirrored` says that results have to be taken back.
 """
 
 import re

@@ -8,7 +8,7 @@ import numpy as np
 from shapely import Polygon
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import polygons, rectangle
+from skope.gen.towns.regions import polygons, rectangle
 from skope.types import Array
 
 BAY: Final = (4.8, 2.6)

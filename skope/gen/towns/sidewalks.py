@@ -7,7 +7,8 @@ import shapely
 from shapely import LineString, Point
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import KERB_WIDTH, Layout, driven
+from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.road_graph import driven
 from skope.gen.towns.town import Town
 from skope.types import Array
 
@@ -20,21 +21,22 @@ _SPACING: Final = 5.0
 def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Array]:
     """Middles (N, 3) of the sidewalks within `reach` metres of a place."""
     layout = Layout.of(town)
-    around = Point(layout.world(center)).buffer(reach)
+    graph = layout.graph
+    around = Point(graph.world(center)).buffer(reach)
     out = []
-    widths = sorted({layout.kind(edge).sidewalk for edge in layout.edges} - {0.0})
+    widths = sorted({graph.kind(edge).sidewalk for edge in graph.edges} - {0.0})
     for width in widths:
-        edges = [edge for edge in layout.edges if layout.kind(edge).sidewalk == width]
+        edges = [edge for edge in graph.edges if graph.kind(edge).sidewalk == width]
         beyond = KERB_WIDTH + width / 2
         strips = [
             LineString(lane.getShape()).buffer(lane.getWidth() / 2 + KERB_WIDTH + width, cap_style="flat")
             for edge in edges
-            if layout.kind(edge).form == "ground"
+            if graph.kind(edge).form == "ground"
             for lane in driven(edge)
         ]
         own = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
-        middle = shapely.line_merge(layout.road.buffer(beyond).boundary.intersection(own))
-        out += [layout.world(_path(layout, line)) for line in _lines(middle) if line.length > _SHORTEST]
+        middle = shapely.line_merge(graph.road.buffer(beyond).boundary.intersection(own))
+        out += [graph.world(_path(layout, line)) for line in _lines(middle) if line.length > _SHORTEST]
     return out
 
 

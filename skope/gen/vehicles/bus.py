@@ -27,8 +27,8 @@ class BusBody:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2
-        self._right = self._half(doors=True)
-        self._left = self._half(doors=False)
+        self._right = self._build_half(doors=True)
+        self._left = self._build_half(doors=False)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -50,7 +50,7 @@ class BusBody:
             ground=(self.end + 0.3, s.width / 2 - 0.09, s.clearance + 0.14),
         )
 
-    def _half(self, *, doors: bool) -> Mesh:
+    def _build_half(self, *, doors: bool) -> Mesh:
         s = self.shape
         plan = Plan(s.width / 2, self.nose, self.end, s.nose_round, s.tail_round, 0.26, 0.2, 0.03, 0.02)
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
@@ -67,24 +67,24 @@ class BusBody:
         for axle in (s.front_axle_x, s.rear_axle_x):
             lining, rim = shell.carve_well(arch(axle, s), well)
             out += [lining, parts.arch_lip(rim, (axle, s.wheel_radius), "trim", shell.side)]
-        out += self._draw(shell, w, doors)
+        out += self._draw_details(shell, w, doors)
         root = (self.nose - 0.3, s.width / 2 - 0.03, 2.0)
         mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
         return merged([shell.half, mirror, *out])
 
-    def _draw(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
+    def _draw_details(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
         """Livery, windows, doors, signs and lamps; returns what stands out."""
         s, end = self.shape, float(w[-1])
-        self._livery(shell, end)
+        self._draw_livery(shell, end)
         shell.draw(rectangle(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
-        self._windscreen(shell, corner_w(w))
-        self._side_windows(shell)
+        self._draw_windscreen(shell, corner_w(w))
+        self._draw_side_windows(shell)
         if doors:
             middle = (s.front_axle_x + s.rear_axle_x) / 2
             first = s.front_axle_x + s.wheel_radius * 1.15 + 0.85
             for at in (first, middle, *([s.rear_axle_x - 1.6] if s.length > 11 else [])):
-                self._door(shell, at, 1.15)
-        self._rear_window(shell, corner_w(w, rear=True), end)
+                self._draw_door(shell, at, 1.15)
+        self._draw_rear_window(shell, corner_w(w, rear=True), end)
         out = front.draw_front(shell, w, s, self.style, self.points)
         out += rear.draw_rear(shell, w, s, self.style, self.points)
         screen = corner_w(w)
@@ -96,7 +96,7 @@ class BusBody:
         }
         return out
 
-    def _livery(self, shell: Surface, end: float) -> None:
+    def _draw_livery(self, shell: Surface, end: float) -> None:
         """Two tones: below the windows, or from the middle to the rear."""
         s = self.shape
         if self.style.soft:
@@ -106,7 +106,7 @@ class BusBody:
         sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
         shell.paint(sweep, SIDE, "livery")
 
-    def _windscreen(self, shell: Surface, screen: float) -> None:
+    def _draw_windscreen(self, shell: Surface, screen: float) -> None:
         s = self.shape
         low, high, band = s.belt_height, s.height - 0.5, s.height - 0.3
         screen -= 0.02
@@ -122,7 +122,7 @@ class BusBody:
             "windscreen_base": shell.place((screen, low - 0.08), WRAP)[0],
         }
 
-    def _side_windows(self, shell: Surface) -> None:
+    def _draw_side_windows(self, shell: Surface) -> None:
         s = self.shape
         low, high = s.belt_height, s.height - 0.5
         start, stop = self.nose - 0.62, self.end + 0.5
@@ -134,7 +134,7 @@ class BusBody:
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
         self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
 
-    def _rear_window(self, shell: Surface, corner: float, end: float) -> None:
+    def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
         s = self.shape
         low, high = s.belt_height + 0.5, s.height - 0.5
         glass = end - corner - 0.12
@@ -150,7 +150,7 @@ class BusBody:
             "rear_window_base": shell.place((end - glass, low), WRAP)[0],
         }
 
-    def _door(self, shell: Surface, x: float, width: float) -> None:
+    def _draw_door(self, shell: Surface, x: float, width: float) -> None:
         """A double-leaf glass door."""
         low, high = self.shape.clearance + 0.1, self.shape.height - 0.45
         half = width / 2

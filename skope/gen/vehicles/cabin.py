@@ -40,8 +40,8 @@ class Greenhouse:
         self.parts: list[Mesh] = []
         self.pillar_x = 0.0
         """x of the B-pillar at the belt."""
-        self.surface = self._shell(deck)
-        self._draw()
+        self.surface = self._build_shell(deck)
+        self._draw_panes()
         self._add_parts()
 
     def foot(self, inset: float) -> Array:
@@ -79,7 +79,7 @@ class Greenhouse:
         droop = s.roof_droop * min((front - rear) / 1.6, 1.0)
         return np.asarray(s.height - _EDGE_ROWS[-1][2] - _CROWN - droop * np.minimum(np.abs(away), 1.1) ** 2)
 
-    def _shell(self, deck: Callable[[Array, Array], Array]) -> Surface:
+    def _build_shell(self, deck: Callable[[Array, Array], Array]) -> Surface:
         stations = np.linspace(0, 1, 8)
         base, roof = (self._plan(t).outline(stations) for t in (0.0, 1.0))
         low, high = deck(base[:, 0], base[:, 1]) - _SUNK, self.roof_edge(roof[:, 0])
@@ -102,7 +102,7 @@ class Greenhouse:
         self._w = along(self._plan(0.5).outline(stations))
         return Surface(rows, levels, self._w, "paint")
 
-    def _draw(self) -> None:
+    def _draw_panes(self) -> None:
         """Windscreen, side panes and rear window, each in its dark surround."""
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last, total = len(w) - 1, float(w[-1])
@@ -110,25 +110,25 @@ class Greenhouse:
         # Under a high roof the panes end where they would end under a low one.
         room = s.height - s.belt_height
         side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
-        self._pane(-0.2, screen, _GLASS_LOW, screen_high, "glass")
-        self._side_panes(side_high)
+        self._draw_screen(-0.2, screen, _GLASS_LOW, screen_high, "glass")
+        self._draw_side_panes(side_high)
         rear = total - float(w[last - FRONT_END - 1]) - (0.0 if not self.hatch else 0.02)
         low = _GLASS_LOW if not self.hatch or style.bed else 0.14
         high = 0.95 if not self.hatch else 0.9
         if style.glazed < 1:
             low, high, rear = 0.3, 0.84, rear - 0.08
-        self._pane(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
+        self._draw_screen(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
         self.points |= {
             "roof_front": glass.place((screen, screen_high), ROWS)[0],
             "windscreen_base": glass.place((screen, _GLASS_LOW), ROWS)[0],
             "roof_rear": glass.place((total - rear, high), ROWS)[0],
             "rear_window_base": glass.place((total - rear, low), ROWS)[0],
         }
-        self._wipers(screen, total - rear, low, high)
+        self._draw_wipers(screen, total - rear, low, high)
         if style.glazed < 1:
             glass.line([(total - 0.004, -0.1), (total - 0.004, high)], ROWS, width=0.014)
 
-    def _side_panes(self, high: float) -> None:
+    def _draw_side_panes(self, high: float) -> None:
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last = len(w) - 1
         ends = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
@@ -160,13 +160,13 @@ class Greenhouse:
             glass.line([post(style.glazed, 0.0, -0.03), post(style.glazed, 1.0, -0.03)], (X, T), width=0.014)
         self.pillar_x = post(s.pillar, low)[0]
 
-    def _pane(self, start: float, end: float, low: float, high: float, material: str) -> None:
+    def _draw_screen(self, start: float, end: float, low: float, high: float, material: str) -> None:
         """A screen with its dark surround."""
         a, b = (start, end + _EDGE) if start < 0 else (start - _EDGE, end)
         self.surface.paint(rectangle(a, b, low - _EDGE, min(high + _EDGE, 1.0)), ROWS, "trim")
         self.surface.paint(rectangle(start, end, low, high), ROWS, material)
 
-    def _wipers(self, screen: float, rear: float, low: float, high: float) -> None:
+    def _draw_wipers(self, screen: float, rear: float, low: float, high: float) -> None:
         """Wipers, and the brake light behind the rear window."""
         glass, total = self.surface, float(self._w[-1])
         base = _GLASS_LOW - 0.035

@@ -113,9 +113,9 @@ class CarBody:
         """Height of hood, belt and deck at places x, y."""
         edge = self._deck_edge
         half, z = (np.interp(-x, -edge[:, 0], edge[:, k]) for k in (1, 2))
-        return np.asarray(z + self._swell(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))
+        return np.asarray(z + self._deck_rise(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))
 
-    def _swell(self, x: Array, half: Array, share: Array) -> Array:
+    def _deck_rise(self, x: Array, half: Array, share: Array) -> Array:
         """How much higher the deck is than at its edges, at a share of its half width: its crown, the hood's dome."""
         s = self.shape
         crown = _CROWN * (1 - share**2) * (half / self._deck_edge[:, 1].max()) ** 1.5
@@ -215,7 +215,7 @@ class CarBody:
         rows = []
         for level, inset, share in levels:
             y = np.maximum(deck[:, 1] - inset, 0) * share
-            z = deck[:, 2] + self._swell(deck[:, 0], deck[:, 1], y / np.maximum(deck[:, 1], 1e-9))
+            z = deck[:, 2] + self._deck_rise(deck[:, 0], deck[:, 1], y / np.maximum(deck[:, 1], 1e-9))
             rows.append(np.column_stack([deck[:, 0], y, np.where((inside > 0) & (level >= _PIT), floor, z)]))
         return rows
 
@@ -233,7 +233,7 @@ class CarBody:
         s, lower, style = self.shape, self._lower, self.style
         # Wells first: cut through panels, their rims would have many more edges.
         for axle in (s.front_axle_x, s.rear_axle_x):
-            self._carve(axle)
+            self._carve_wheel_well(axle)
         lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP, "under", levels=(FLOOR, BOTTOM))
         trim = 0.25 if style.cladding else 0.07
         lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
@@ -260,7 +260,7 @@ class CarBody:
             "beltline": lower.place((self.w_of(self._greenhouse.pillar_x), SHOULDER), ROWS)[0],
         }
 
-    def _carve(self, axle: float) -> None:
+    def _carve_wheel_well(self, axle: float) -> None:
         s = self.shape
         radius = ARCH * s.wheel_radius
         angle = np.linspace(0, np.pi, 12)

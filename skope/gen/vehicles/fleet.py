@@ -45,16 +45,16 @@ class ParametricVehicle(Derived):
         return s.length, s.width, s.height + (SIGN_HEIGHT if self.style.sign else 0.0)
 
     @cached_property
-    def _body(self) -> Arrays:
+    def _body_arrays(self) -> Arrays:
         """Surfaces and the left keypoints, by stem."""
 
         def build() -> Arrays:
             body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
             return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
 
-        return self._kept("vehicle", build)
+        return self._cached_arrays("vehicle", build)
 
-    def _kept(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
+    def _cached_arrays(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
         """Arrays that `build` makes of a model, from the cache; jittered shapes, which occur once, are not cached."""
         entry = fleet().get(self.model)
         if entry is None or entry.vehicle.shape != self.shape:
@@ -64,7 +64,7 @@ class ParametricVehicle(Derived):
     @cached_property
     def mesh(self) -> Mesh:
         """The body without wheels, closed, with its glass opaque."""
-        mesh = Mesh.from_arrays(self._body, "mesh")
+        mesh = Mesh.from_arrays(self._body_arrays, "mesh")
         # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
         name = "indicator_left"
         if name not in mesh.materials:
@@ -77,7 +77,7 @@ class ParametricVehicle(Derived):
     @cached_property
     def interior(self) -> Mesh:
         """Seats, dashboard and driver, which are seen through the windows; they lie inside `mesh`."""
-        return Mesh.from_arrays(self._body, "interior")
+        return Mesh.from_arrays(self._body_arrays, "interior")
 
     @cached_property
     def coarse(self) -> tuple[Mesh, ...]:
@@ -88,7 +88,7 @@ class ParametricVehicle(Derived):
             parts = zip(names, simplified_parts(self.parts), strict=True)
             return {key: array for name, part in parts for key, array in part.to_arrays(name).items()}
 
-        arrays = self._kept("coarse", build)
+        arrays = self._cached_arrays("coarse", build)
         return tuple(Mesh.from_arrays(arrays, name) for name in names)
 
     @cached_property
@@ -102,7 +102,7 @@ class ParametricVehicle(Derived):
     @cached_property
     def points(self) -> Array:
         """(33, 3) keypoints at rest, metres."""
-        left = self._body
+        left = self._body_arrays
         wheels = self.shape.wheel_centers()
         out = np.empty((keypoints.K, 3))
         for i, name in enumerate(keypoints.NAMES):
@@ -123,25 +123,27 @@ class FleetEntry:
     """Whether the model is kept for testing, and so never in a split `train`."""
 
 
-def _table(name: str) -> dict[str, Any]:
+def _read_table(name: str) -> dict[str, Any]:
     return tomllib.loads(resources.files("skope.gen.vehicles").joinpath(name).read_text(encoding="utf-8"))
 
 
 @cache
 def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
     """Least and greatest value of each dimension of a vehicle type, metres; empty for a type without a class."""
-    ranges = _table("classes.toml").get(vehicle_type, {}).get("range", {})
+    ranges = _read_table("classes.toml").get(vehicle_type, {}).get("range", {})
     return {name: (low, high) for name, (low, high) in ranges.items()}
 
 
 @cache
 def fleet() -> Mapping[str, FleetEntry]:
     """All models of the package, by name; none is built yet."""
-    classes = _table("classes.toml")
-    return {name: _entry(name, row, classes[row["vehicle_type"]]) for name, row in _table("fleet.toml").items()}
+    classes = _read_table("classes.toml")
+    return {
+        name: _fleet_entry(name, row, classes[row["vehicle_type"]]) for name, row in _read_table("fleet.toml").items()
+    }
 
 
-def _entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
+def _fleet_entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
     shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
     choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
     style = VehicleStyle(**choices)
@@ -157,7 +159,7 @@ def parametric(model: str) -> ParametricVehicle:
 
 
 @lru_cache(maxsize=256)
-def _build(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
+def _build_parametric(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
     base = parametric(model)
     try:
         return replace(base, shape=Shape(**dict(shape)))
@@ -177,7 +179,7 @@ def build(model: str, shape: Mapping[str, float]) -> Vehicle:
     """
     if model not in fleet():
         return load(model)
-    return _build(model, tuple(sorted(shape.items())))
+    return _build_parametric(model, tuple(sorted(shape.items())))
 
 
 assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())

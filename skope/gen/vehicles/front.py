@@ -36,26 +36,26 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     room = low - s.clearance - 0.09
     intake = (s.clearance + 0.09, s.clearance + 0.09 + 0.56 * room)
     plate = plate_height(intake[0] + 0.03 if style.intake in ("wide", "triple", "deep") else intake[1] + 0.02)
-    hung = parts.plate(*_against(shell, plate), 1.0)
+    hung = parts.plate(*_plate_place(shell, plate), 1.0)
     logo = shell.place((0.0, (low + high) / 2), WRAP)[0] * [1, 0, 1]
-    _grille(shell, s, style, intake[1])
-    _intake(shell, s, style, intake, wide)
+    _draw_grille(shell, s, style, intake[1])
+    _draw_intake(shell, s, style, intake, wide)
     if style.headlight == "round":
-        _round_headlight(shell, inner, outer, low, high, points)
+        _draw_round_headlight(shell, inner, outer, low, high, points)
     else:
-        _headlight(shell, style.headlight, (inner, outer), (low, high), points)
+        _draw_headlight(shell, style.headlight, (inner, outer), (low, high), points)
     points["front_logo"] = np.add(logo, [0.009, 0, 0])
     return [parts.badge(logo, _LOGO, 1.0), hung]
 
 
-def _against(shell: Surface, plate: float) -> tuple[float, float, float]:
+def _plate_place(shell: Surface, plate: float) -> tuple[float, float, float]:
     """Place of a number plate at a front: x of its lower edge, height, how far it leans back."""
     _, high = parts.PLATE
     (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP)[0] for z in (0.0, high))
     return max(float(low_x), float(high_x)) + 0.002, plate, float(np.clip(low_x - high_x, 0.0, 0.03))
 
 
-def _grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> None:
+def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> None:
     """The upper grille between the headlights, sunk behind its frame."""
     bottom, top, edge = s.headlight_low, s.headlight_high, s.headlight_inner - 0.03
     tall = top - bottom
@@ -94,13 +94,13 @@ def _grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> Non
         shell.draw(rectangle(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
 
 
-def _intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
+def _draw_intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
     """Draw the air intakes of the front bumper, the fog lamps, and the lip below."""
     low, high = z
     if style.intake == "wide":
         shell.sink(mirrored([(wide - 0.16, low), (wide - 0.1, high - 0.03)]), WRAP, 0.04, "grille_slats", wall="trim")
         pocket = quad(wide - 0.04, wide + 0.15, (low + 0.02, low + 0.05), (high - 0.02, high - 0.01))
-        _fog(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2))
+        _draw_fog_lamp(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2))
     elif style.intake == "triple":
         shell.sink(mirrored([(0.3, low), (0.36, high - 0.04)]), WRAP, 0.04, "grille_mesh", wall="trim")
         pocket = quad(wide - 0.16, wide + 0.14, (low, low + 0.03), (high - 0.06, high + 0.05))
@@ -118,19 +118,23 @@ def _intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float
         shell.sink(mirrored([(wide - 0.2, low + 0.07), (wide - 0.12, high)]), WRAP, 0.04, "grille_mesh", wall="trim")
         shell.draw(mirrored([(0.3, low - 0.03), (0.36, low + 0.06)]), WRAP, "rail", layer=2)
         pocket = quad(wide - 0.02, wide + 0.14, (low + 0.06, low + 0.08), (high + 0.02, high))
-        _fog(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2 + 0.04))
+        _draw_fog_lamp(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2 + 0.04))
     else:
         shell.draw(rectangle(-0.1, wide - 0.1, low, high - 0.04), WRAP, "gap")
-        _fog(shell, rectangle(wide - 0.02, wide + 0.12, low, high - 0.04), (wide + 0.05, (low + high) / 2 - 0.02))
+        _draw_fog_lamp(
+            shell, rectangle(wide - 0.02, wide + 0.12, low, high - 0.04), (wide + 0.05, (low + high) / 2 - 0.02)
+        )
 
 
-def _fog(shell: Surface, pocket: Array, lamp: tuple[float, float]) -> None:
+def _draw_fog_lamp(shell: Surface, pocket: Array, lamp: tuple[float, float]) -> None:
     shell.sink(pocket, WRAP, 0.025, "trim")
     shell.draw(disc(lamp, 0.042, 8), WRAP, "chrome", layer=2)
     shell.draw(disc(lamp, 0.032, 8), WRAP, "lamp_clear", layer=3)
 
 
-def _headlight(shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], points: Points) -> None:
+def _draw_headlight(
+    shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], points: Points
+) -> None:
     """A lamp behind clear glass: lenses, a strip of daytime light, an indicator."""
     (inner, outer), (low, high) = along, up
     rise = {"swept": 0.055, "hook": 0.04, "slim": 0.03, "drop": 0.09}.get(kind, 0.0)
@@ -160,7 +164,7 @@ def _headlight(shell: Surface, kind: str, along: tuple[float, float], up: tuple[
     shell.draw(within(lamp, *amber.get(kind, (0.78, 0.96, 0.12, 0.8))), WRAP, "indicator_left", layer=2)
 
 
-def _round_headlight(shell: Surface, inner: float, outer: float, low: float, high: float, points: Points) -> None:
+def _draw_round_headlight(shell: Surface, inner: float, outer: float, low: float, high: float, points: Points) -> None:
     radius = (high - low) * 0.62
     center, reach = np.array([(inner + outer) / 2, (low + high) / 2]), np.array([radius, 0])
     points["headlight_inner"] = shell.place(center - reach, WRAP)[0]

@@ -66,14 +66,14 @@ def read_marked(
     say "wheel"; `up` and `forward` are axes such as "+y" that the markers are held against; `scale` is metres per unit.
     Raises UserError, one line that names the file and what is wrong with it.
     """
-    objects = _load(path)
-    marks = _marks(path, objects)
-    solid = [o for o in objects if _marker(path, o.name) is None]
+    objects = _load_objects(path)
+    marks = _read_marks(path, objects)
+    solid = [o for o in objects if _marked_keypoint(path, o.name) is None]
     chosen = _wheel_objects(path, solid, wheels)
-    centers = {name: _middle(o.vertices) for name, o in chosen.items()}
+    centers = {name: _box_center(o.vertices) for name, o in chosen.items()}
     T = _to_vehicle(path, marks, np.array(list(centers.values())), up, forward) * scale
     at = {name: T @ center for name, center in centers.items()}
-    corners = _corners(path, at)
+    corners = _wheel_corners(path, at)
     turned = [_Object(o.name, o.vertices @ T.T, o.triangles, o.colors) for o in solid]
     body = [o for o in turned if o.name not in corners.values()]
     if not body:
@@ -87,12 +87,12 @@ def read_marked(
     )
     points = np.stack([marks[k] @ T.T if k in marks else np.zeros(3) for k in range(keypoints.K)]) - origin
     points[list(keypoints.WHEELS)] = np.array([at[corners[corner]] for corner in CORNERS]) - origin
-    mesh = merged([_mesh(o, origin) for o in body])
+    mesh = merged([_colored_mesh(o, origin) for o in body])
     width = float(np.ptp(mesh.vertices[:, 1]))
     own = wheel.vertices - at[wheel.name]
     return Marked(
         mesh=mesh,
-        wheel=_mesh(wheel, at[wheel.name]),
+        wheel=_colored_mesh(wheel, at[wheel.name]),
         points=points,
         wheel_radius=float(np.ptp(own[:, 2]) / 2),
         wheel_width=float(np.ptp(own[:, 1])),
@@ -108,14 +108,14 @@ def _highest(parts: Any) -> Array:
     return np.asarray(np.max([part.max(axis=0) for part in parts], axis=0))
 
 
-def _middle(vertices: Array) -> Array:
+def _box_center(vertices: Array) -> Array:
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
 
 
 # --------------------------------------------------------------------------------------------------------------- files
 
 
-def _load(path: Path) -> list[_Object]:
+def _load_objects(path: Path) -> list[_Object]:
     try:
         import trimesh
     except ImportError:
@@ -170,7 +170,7 @@ def _face_colors(geometry: Any) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.rint(colors / step) * step), dtype=np.uint8)
 
 
-def _mesh(o: _Object, origin: Array) -> Mesh:
+def _colored_mesh(o: _Object, origin: Array) -> Mesh:
     """A mesh about `origin` with a material for each colour."""
     names, number = np.unique(o.colors, axis=0, return_inverse=True)
     smooth = from_triangles(o.vertices - origin, o.triangles, "")
@@ -181,7 +181,7 @@ def _mesh(o: _Object, origin: Array) -> Mesh:
 # ------------------------------------------------------------------------------------------------------------- markers
 
 
-def _marker(path: Path, name: str) -> int | None:
+def _marked_keypoint(path: Path, name: str) -> int | None:
     """The keypoint that an object of that name marks, if any; Blender's ".001" of a copy counts as the same."""
     match = re.fullmatch(r"kp_(\w+?)(?:\.\d+)?", name)
     if not match:
@@ -193,16 +193,16 @@ def _marker(path: Path, name: str) -> int | None:
     raise UserError(f"{path}: marker {name}: expected kp_00 to kp_{keypoints.K - 1} or kp_ and a keypoint's name")
 
 
-def _marks(path: Path, objects: list[_Object]) -> dict[int, Array]:
+def _read_marks(path: Path, objects: list[_Object]) -> dict[int, Array]:
     marks: dict[int, Array] = {}
     names: dict[int, str] = {}
     for o in sorted(objects, key=lambda o: o.name):
-        k = _marker(path, o.name)
+        k = _marked_keypoint(path, o.name)
         if k is None:
             continue
         if k in marks:
             raise UserError(f"{path}: markers {names[k]} and {o.name} both mark {keypoints.NAMES[k]}")
-        marks[k], names[k] = _middle(o.vertices), o.name
+        marks[k], names[k] = _box_center(o.vertices), o.name
     missing = [keypoints.NAMES[k] for k in range(keypoints.K) if k not in marks and k not in keypoints.WHEELS]
     if missing:
         raise UserError(f"{path}: no marker for {', '.join(missing)}")
@@ -230,8 +230,8 @@ def _to_vehicle(path: Path, marks: dict[int, Array], wheels: Array, up: str | No
             raise UserError(f"{path}: the markers' {name} lies along none of the file's axes: turn the model straight")
         axes[name] = np.sign(direction[axis]) * np.eye(3)[axis]
     for name, said in (("up", up), ("forward", forward)):
-        if said is not None and not np.array_equal(_axis(f"--{name}", said), axes[name]):
-            raise UserError(f"{path}: --{name} {said}: the markers say {_name_of(axes[name])}")
+        if said is not None and not np.array_equal(_parse_axis(f"--{name}", said), axes[name]):
+            raise UserError(f"{path}: --{name} {said}: the markers say {_axis_name(axes[name])}")
     if not np.allclose(np.cross(axes["up"], axes["forward"]), axes["left"]):
         raise UserError(
             f"{path}: markers of left and right are swapped: seen from above, left is on the right of forward"
@@ -239,14 +239,14 @@ def _to_vehicle(path: Path, marks: dict[int, Array], wheels: Array, up: str | No
     return np.stack([axes["forward"], axes["left"], axes["up"]])
 
 
-def _axis(flag: str, text: str) -> Array:
+def _parse_axis(flag: str, text: str) -> Array:
     match = re.fullmatch(r"([+-]?)([xyz])", text.lower())
     if not match:
         raise UserError(f"{flag}: expected an axis such as +y or -z, got {text!r}")
     return (-1 if match[1] == "-" else 1) * np.array(_AXES[match[2]])
 
 
-def _name_of(axis: Array) -> str:
+def _axis_name(axis: Array) -> str:
     return ("+" if axis.sum() > 0 else "-") + "xyz"[int(np.abs(axis).argmax())]
 
 
@@ -267,7 +267,7 @@ def _wheel_objects(path: Path, objects: list[_Object], wheels: Mapping[str, str]
     return found
 
 
-def _corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
+def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
     """The objects of the four corners: the foremost and rearmost wheel of each side."""
     middle = np.mean([p[1] for p in at.values()])
     out = {}

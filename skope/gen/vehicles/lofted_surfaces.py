@@ -61,17 +61,17 @@ class Plan:
 
     def outline(self, stations: Array) -> Array:
         """(columns, 2) x, y; `stations` are shares of the side from front to rear."""
-        front, rear = self._end(1.0), self._end(-1.0)[::-1]
+        front, rear = self._end_outline(1.0), self._end_outline(-1.0)[::-1]
         x = front[-1, 0] + (rear[0, 0] - front[-1, 0]) * stations[1:-1]
-        return np.concatenate([front, np.stack([x, self._side(x)], axis=-1), rear])
+        return np.concatenate([front, np.stack([x, self._side_half_width(x)], axis=-1), rear])
 
-    def _side(self, x: Array) -> Array:
+    def _side_half_width(self, x: Array) -> Array:
         middle, half = (self.front + self.rear) / 2, (self.front - self.rear) / 2
         share = (x - middle) / half
         taper = np.where(share > 0, self.front_taper, self.rear_taper)
         return np.asarray(self.half_width - taper * np.abs(share) ** 3)
 
-    def _end(self, sign: float) -> Array:
+    def _end_outline(self, sign: float) -> Array:
         """Points from the middle of one end to the side, around its corner."""
         ahead, back, radius = (
             (self.front, self.front_round, self.front_radius)
@@ -79,14 +79,14 @@ class Plan:
             else (-self.rear, self.rear_round, self.rear_radius)
         )
         corner = ahead - back
-        half = float(self._side(np.array([sign * (corner - radius)]))[0])
+        half = float(self._side_half_width(np.array([sign * (corner - radius)]))[0])
         y = np.linspace(0, half - radius, _FRONT + 1)
         x = ahead - back * (y / half) ** 2
         slope = 2 * back * y[-1] / half**2
         bend = np.array([x[-1] - slope * radius * 0.9, half])
         t = np.linspace(0, 1, _CORNER + 1)[1:, None]
         start, end = np.array([x[-1], y[-1]]), np.array([bend[0] - radius, half])
-        end[1] = float(self._side(np.array([sign * end[0]]))[0])
+        end[1] = float(self._side_half_width(np.array([sign * end[0]]))[0])
         # A little fuller than the parabola of three points, near a circle's arc.
         curve = (1 - t) ** 2 * start + 2 * t * (1 - t) * bend + t**2 * end
         both = np.concatenate([np.stack([x, y], axis=-1), curve])
@@ -173,11 +173,11 @@ class Surface:
 
         Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
         """
-        chosen = self._cut(polygon, projection, levels, facing)
-        self._material[chosen] = self._number(material)
+        chosen = self._cut_polygon(polygon, projection, levels, facing)
+        self._material[chosen] = self._material_number(material)
         return self._vertices[np.unique(self._triangles[chosen])]
 
-    def _cut(
+    def _cut_polygon(
         self,
         polygon: ArrayLike,
         projection: tuple[int, int],
@@ -212,7 +212,7 @@ class Surface:
             inside[inside] = (heights.max(axis=1) > _SNAP).all(axis=1)
             value = (self._vertices[:, projection] - start) @ normal
             value[np.abs(value) < _SNAP] = 0
-            triangles, parent = self._split(triangles, inside, value)
+            triangles, parent = self._split_edges(triangles, inside, value)
             value = (self._vertices[:, projection] - start) @ normal
             value[np.abs(value) < _SNAP] = 0
             material = material[parent]
@@ -224,7 +224,7 @@ class Surface:
         self._material = np.concatenate([self._material[~local], material])
         return kept + np.flatnonzero(inside)
 
-    def _split(self, triangles: Indices, inside: NDArray[np.bool_], value: Array) -> tuple[Indices, Indices]:
+    def _split_edges(self, triangles: Indices, inside: NDArray[np.bool_], value: Array) -> tuple[Indices, Indices]:
         """Split edges where `value` of the vertices changes sign: new triangles, and the old one of each."""
         ends = np.sort(triangles[:, _EDGES], axis=-1)
         crossing = inside[:, None] & (value[ends[..., 0]] * value[ends[..., 1]] < 0)
@@ -270,15 +270,15 @@ class Surface:
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> None:
         """Move what lies in a convex polygon `depth` metres inwards, level, and close its rim with walls."""
-        chosen = self._cut(polygon, projection, levels, None)
+        chosen = self._cut_polygon(polygon, projection, levels, None)
         if not len(chosen):
             return
-        start, end = self._rim(self._triangles[chosen])
+        start, end = self._rim_edges(self._triangles[chosen])
         inner = (self._vertices[start, Y] > 1e-9) | (self._vertices[end, Y] > 1e-9)
         start, end = start[inner], end[inner]
         used, index = np.unique(self._triangles[chosen], return_inverse=True)
         floor = self._vertices[used]
-        floor[:, :NX] -= depth * self._outward(used)
+        floor[:, :NX] -= depth * self._outward_directions(used)
         at = np.full(len(self._vertices), -1)
         at[used] = np.arange(len(used))
         corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
@@ -289,11 +289,11 @@ class Surface:
         first = base + len(floor) + 4 * np.arange(len(corners))[:, None]
         walls = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
         self._triangles[chosen] = base + index.reshape(-1, 3)
-        self._material[chosen] = self._number(material)
+        self._material[chosen] = self._material_number(material)
         self._triangles = np.concatenate([self._triangles, walls])
-        self._material = np.concatenate([self._material, np.full(len(walls), self._number(wall))])
+        self._material = np.concatenate([self._material, np.full(len(walls), self._material_number(wall))])
 
-    def _outward(self, used: Indices) -> Array:
+    def _outward_directions(self, used: Indices) -> Array:
         """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
         _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
         total = np.zeros((len(used), 3))
@@ -301,7 +301,7 @@ class Surface:
         normal = total[same.reshape(-1)] * [1, 1, 0]
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
-    def _rim(self, triangles: Indices) -> tuple[Indices, Indices]:
+    def _rim_edges(self, triangles: Indices) -> tuple[Indices, Indices]:
         """Starts and ends of the edges around triangles, counter-clockwise."""
         _, same = np.unique(np.round(self._vertices[:, :NX], 6), axis=0, return_inverse=True)
         edges = triangles[:, _EDGES].reshape(-1, 2)
@@ -310,7 +310,7 @@ class Surface:
         rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
         return edges[rim, 0], edges[rim, 1]
 
-    def _number(self, material: str) -> int:
+    def _material_number(self, material: str) -> int:
         if material not in self._names:
             self._names.append(material)
         return self._names.index(material)
@@ -327,7 +327,7 @@ class Surface:
     ) -> None:
         """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
         patch = copy(self)
-        inside = patch._cut(polygon, projection, levels, facing)
+        inside = patch._cut_polygon(polygon, projection, levels, facing)
         a, b, c = np.moveaxis(patch._vertices[:, projection][patch._triangles[inside]], 1, 0)
         # Walls around what is sunk have no area here, and nothing to show.
         inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
@@ -393,12 +393,12 @@ class Surface:
 
         Returns its lining and the (N, 2, 3) edges that it leaves in the wall, each counter-clockwise around the hole.
         """
-        gone = self._cut(polygon, SIDE, (INNER, SHOULDER), None)
+        gone = self._cut_polygon(polygon, SIDE, (INNER, SHOULDER), None)
         removed = self._triangles[gone]
         self._triangles = np.delete(self._triangles, gone, axis=0)
         self._material = np.delete(self._material, gone)
         position = self._vertices[:, :3]
-        start, end = self._rim(removed)
+        start, end = self._rim_edges(removed)
         a, b = position[start], position[end]
         a2, b2 = a.copy(), b.copy()
         a2[:, 1] = b2[:, 1] = inner

@@ -32,7 +32,7 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
     return grid(points, [[material] * 8] * 4)
 
 
-def _pod(center: Array, sections: Array, material: str) -> Mesh:
+def _mirror_shell(center: Array, sections: Array, material: str) -> Mesh:
     """A closed shell along y, flat behind: `sections` (N, 4) are y, half height, reach ahead and behind `center`."""
     turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
     # A squared-off ring: flatter above, below and behind than a circle.
@@ -60,20 +60,20 @@ def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint"
             np.full(len(shares), behind) * np.minimum(1, 2 * shares[:, 1]),
         ]
     )
-    shell = _pod(middle, sections, material)
+    shell = _mirror_shell(middle, sections, material)
     edge = np.array([(0.1, -0.62), (0.1, 0.72), (0.3, 0.84), (0.76, 0.8), (0.84, 0.5), (0.84, -0.5), (0.74, -0.8)])
     edge = np.vstack([edge, (0.2, -0.8)])
     ring = middle + np.column_stack(
         [np.full(len(edge), -behind - 0.0005), near + (reach - near) * edge[:, 0], high * edge[:, 1]]
     )
     glass = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "glass_mirror")
-    foot = _foot((x, y, z), near + 0.035, middle[2])
+    foot = _mirror_foot((x, y, z), near + 0.035, middle[2])
     tip = middle + np.array([0.04 * ahead, reach, 0.0])
     tip[0] = middle[0]
-    return merged([shell, _facing(glass, (-1.0, 0.0, 0.0)), foot]), tip
+    return merged([shell, _turned_to_face(glass, (-1.0, 0.0, 0.0)), foot]), tip
 
 
-def _foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
+def _mirror_foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
     """A flat arm from the body to a mirror, wider at its root."""
     x, y, z = root
     low = np.array([(x + 0.045, y - 0.05), (x - 0.07, y - 0.05), (x - 0.05, y + reach), (x + 0.01, y + reach)])
@@ -88,12 +88,12 @@ def _foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
     return quads(np.where(wrong[:, None, None], faces[:, ::-1], faces), "trim")
 
 
-def _facing(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
+def _turned_to_face(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
     """A flat mesh, turned to face a direction."""
-    return mesh if (mesh.normals @ np.array(direction)).mean() > 0 else _turned(mesh)
+    return mesh if (mesh.normals @ np.array(direction)).mean() > 0 else _flipped(mesh)
 
 
-def _turned(mesh: Mesh) -> Mesh:
+def _flipped(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices, -mesh.normals, mesh.triangles[:, ::-1], mesh.materials, mesh.material)
 
 
@@ -136,10 +136,10 @@ def spoiler(rear: float, top: float, half_width: float) -> Mesh:
     loop = np.concatenate([points, points[:, :1]], axis=1)
     skin = grid(loop, [["paint"] * 4] * 2)
     end = from_triangles(points[-1], [[0, 1, 2], [0, 2, 3]], "paint")
-    return merged([_outward(skin, points.reshape(-1, 3).mean(axis=0)), _facing(end, (0.0, 1.0, 0.0))])
+    return merged([_turned_outward(skin, points.reshape(-1, 3).mean(axis=0)), _turned_to_face(end, (0.0, 1.0, 0.0))])
 
 
-def _outward(mesh: Mesh, center: Array) -> Mesh:
+def _turned_outward(mesh: Mesh, center: Array) -> Mesh:
     """The mesh with all its triangles turned away from `center`."""
     v = mesh.vertices[mesh.triangles]
     normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
@@ -158,7 +158,9 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
     cover = np.concatenate([top, low[None] - [0, 0, 0.04], side[1:]])
     rim = np.vstack([cover[:, -1], [rear, 0.0, z - 0.06]])
     back = from_triangles(rim, [[0, i, i + 1] for i in range(1, len(rim) - 1)], "trim")
-    return merged([_facing(grid(cover, [["paint"] * 2] * 3), (0.0, 0.0, 1.0)), _facing(back, (-1.0, 0.0, 0.0))])
+    return merged(
+        [_turned_to_face(grid(cover, [["paint"] * 2] * 3), (0.0, 0.0, 1.0)), _turned_to_face(back, (-1.0, 0.0, 0.0))]
+    )
 
 
 def roof_sign(x: float, z: float) -> Mesh:
@@ -179,7 +181,7 @@ def plate(x: float, z: float, tilt: float, sign: float) -> Mesh:
     back = rim - [sign * 0.03, 0, 0]
     sides = [[a[i], b[i], b[i + 1], a[i + 1]] for a, b in ((face, rim), (rim, back)) for i in range(3)]
     mesh = merged([quads(face, "plate"), quads(np.array(sides), "trim")])
-    return mesh if sign > 0 else _turned(mesh)
+    return mesh if sign > 0 else _flipped(mesh)
 
 
 def badge(at: Array, radius: float, sign: float) -> Mesh:
@@ -189,7 +191,7 @@ def badge(at: Array, radius: float, sign: float) -> Mesh:
     back = ring - [sign * 0.02, 0, 0]
     face = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "chrome")
     edge = grid(np.stack([back, ring]), [["rail"] * (len(ring) - 1)])
-    return merged([_facing(face, (sign, 0.0, 0.0)), edge if sign > 0 else _turned(edge)])
+    return merged([_turned_to_face(face, (sign, 0.0, 0.0)), edge if sign > 0 else _flipped(edge)])
 
 
 def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
@@ -214,7 +216,7 @@ def arch_lip(
     edges: Array, center: tuple[float, float], material: str, side: Callable[[Array], float], width: float = 0.034
 ) -> Mesh:
     """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z."""
-    chain = _chain(edges.reshape(-1, 3), center)
+    chain = _ordered_along_arch(edges.reshape(-1, 3), center)
     axle = np.array([center[0], 0.0, center[1]])
     outward = (chain - axle) * [1, 0, 1]
     outward[:, 2] = np.maximum(outward[:, 2], 0)
@@ -228,7 +230,7 @@ def arch_lip(
     return grid(np.stack([outer, crest, inner])[:, ::-1], [[material] * (len(chain) - 1)] * 2)
 
 
-def _chain(points: Array, center: tuple[float, float], count: int = 12) -> Array:
+def _ordered_along_arch(points: Array, center: tuple[float, float], count: int = 12) -> Array:
     """Some of the points of an arch, in order from ahead of the wheel to behind it."""
     x, z = points[:, 0] - center[0], points[:, 2] - center[1]
     radius = np.abs(x).max()

@@ -54,18 +54,18 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
     if style.family == "truck":
         out.append(parts.plate(-s.length / 2 - 0.002, plate_height(low), 0.0, -1.0))
     else:
-        _plate(shell, end, plate)
+        _draw_plate(shell, end, plate)
         out.append(parts.badge(shell.place((end, plate + 0.215), WRAP)[0] * [1, 0, 1], 0.04, -1.0))
-    _taillight(shell, style, lamp, end, (inner, outer))
+    _draw_taillight(shell, style, lamp, end, (inner, outer))
     if style.family != "car":
         return out
-    out += _bumper(shell, s, style, float(w[last - FRONT_END]), end)
+    out += _draw_bumper(shell, s, style, float(w[last - FRONT_END]), end)
     for a, b in ((0.34, 0.44), (0.45, 0.5)) if s.taillight_inner > 0.55 else ():
         shell.draw(rectangle(end - b, end - a, plate + 0.2, plate + 0.225), WRAP, "chrome")
     return out
 
 
-def _plate(shell: Surface, end: float, plate: float) -> None:
+def _draw_plate(shell: Surface, end: float, plate: float) -> None:
     half, high = parts.PLATE
     recess = quad(end - half - 0.07, end + 0.1, (plate - 0.03,) * 2, (plate + high + 0.04,) * 2)
     shell.sink(recess, WRAP, 0.022, "trim", wall="paint")
@@ -74,7 +74,7 @@ def _plate(shell: Surface, end: float, plate: float) -> None:
         shell.draw(rectangle(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03), WRAP, "lamp_clear")
 
 
-def _taillight(shell: Surface, style: VehicleStyle, lamp: Array, end: float, span: tuple[float, float]) -> None:
+def _draw_taillight(shell: Surface, style: VehicleStyle, lamp: Array, end: float, span: tuple[float, float]) -> None:
     inner, outer = span
     low, high = lamp[:, 1].min(), lamp[:, 1].max()
     shape = rounded(lamp, 0.022)
@@ -97,7 +97,7 @@ def _taillight(shell: Surface, style: VehicleStyle, lamp: Array, end: float, spa
         shell.draw(rectangle(inner, end + 0.1, high - 0.075, high - 0.03), WRAP, "taillight", layer=2)
 
 
-def _bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
+def _draw_bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
     """Reflectors, the trim between the pipes, and the pipes."""
     low = s.clearance
     shell.draw(rectangle(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP, "gap")

@@ -33,9 +33,9 @@ class TruckBody:
         if not high_body:
             self.cab_height = shape.height
         self._parts: list[Mesh] = []
-        self._cab()
-        self._frame()
-        self._cargo()
+        self._build_cab()
+        self._build_frame()
+        self._build_cargo()
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -56,7 +56,7 @@ class TruckBody:
             ground=(self.cab_rear + 0.08, s.width / 2 - 0.1, s.belt_height - 0.44),
         )
 
-    def _cab(self) -> None:
+    def _build_cab(self) -> None:
         s = self.shape
         plan = Plan(s.width / 2, self.nose, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
@@ -84,7 +84,7 @@ class TruckBody:
         cab.paint(grown(grille, 0.02), WRAP, "trim")
         cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
         self._parts.append(cab.half)
-        self._on_the_cab(screen, base, top)
+        self._add_cab_parts(screen, base, top)
         self.points |= {
             "roof_front": cab.place((screen, top), WRAP)[0],
             "windscreen_base": cab.place((screen, base), WRAP)[0],
@@ -115,7 +115,7 @@ class TruckBody:
                 cab.draw(tread, SIDE, "gap", facing=_LEFT)
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
 
-    def _on_the_cab(self, screen: float, base: float, top: float) -> None:
+    def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
         """Mirrors, a visor over the windscreen, a deflector before a high body."""
         s = self.shape
         root = (self.nose - 0.3, s.width / 2 - 0.03, base + 0.28)
@@ -131,7 +131,7 @@ class TruckBody:
                 parts.deflector(edge - 0.35, self.cab_rear + 0.1, s.width / 2 - 0.2, self.cab_height, over)
             )
 
-    def _frame(self) -> None:
+    def _build_frame(self) -> None:
         """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
         low, high = s.box_height - 0.3, s.box_height + 0.01
@@ -173,7 +173,7 @@ class TruckBody:
         corner = corner_w(w, rear=True)
         self.points["bumper_rear"] = shell.place((corner, BOTTOM), ROWS)[0]
 
-    def _cargo(self) -> None:
+    def _build_cargo(self) -> None:
         s, body = self.shape, self.style.body
         open_top = {"flatbed": s.box_height + 0.5, "tipper": s.box_height + 1.25}
         high = open_top.get(body, s.height)

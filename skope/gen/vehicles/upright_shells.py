@@ -44,7 +44,7 @@ class Tower:
         top = self.high - self.edge - (0 if self.hollow is not None else self.crown)
         shares = np.unique(np.r_[[row[0] for row in self.lean], np.linspace(0, 1, self.levels)])
         inset = [np.interp(shares, [r[0] for r in self.lean], [r[k] for r in self.lean]) for k in (1, 2, 3)]
-        walls = [self._at(*values) for values in zip(*inset, strict=True)]
+        walls = [self._inset_plan(*values) for values in zip(*inset, strict=True)]
         outlines = [plan.outline(stations) for plan in walls]
         bottom = outlines[0]
         rows = [
@@ -57,12 +57,12 @@ class Tower:
         ]
         levels = [FLOOR, INNER, *shares]
         for level, inward, up in _EDGE:
-            plan = _shrunk(walls[-1], inward * self.edge)
+            plan = _shrunk_plan(walls[-1], inward * self.edge)
             rows.append(np.column_stack([plan.outline(stations), np.full(len(bottom), top + up * self.edge)]))
             levels.append(level)
         edge = rows[-1]
         if self.hollow is not None:
-            inner = _shrunk(walls[-1], self.edge + self.wall).outline(stations)
+            inner = _shrunk_plan(walls[-1], self.edge + self.wall).outline(stations)
             for level, height, share in ((2.1, self.high, 1.0), (2.2, self.hollow, 1.0), (CENTER, self.hollow, 0.0)):
                 rows.append(np.column_stack([inner * [1, share], np.full(len(inner), height)]))
                 levels.append(level)
@@ -75,12 +75,12 @@ class Tower:
         w = along(middle)
         return Surface(rows, levels, w, material), w, middle
 
-    def _at(self, side: float, front: float, rear: float) -> Plan:
+    def _inset_plan(self, side: float, front: float, rear: float) -> Plan:
         p = self.plan
         return replace(p, half_width=p.half_width - side, front=p.front - front, rear=p.rear + rear)
 
 
-def _shrunk(plan: Plan, inset: float) -> Plan:
+def _shrunk_plan(plan: Plan, inset: float) -> Plan:
     return replace(
         plan,
         half_width=plan.half_width - inset,

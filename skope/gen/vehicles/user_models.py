@@ -127,11 +127,11 @@ def load(name: str) -> AddedVehicle:
     try:
         with np.load(path / "mesh.npz", allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
-        mesh, wheel = (_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
+        mesh, wheel = (_read_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
         vehicle = AddedVehicle(
             model=name,
             vehicle_type=one_of("vehicle_type", row["vehicle_type"], VEHICLE_TYPES),
-            shape=_dimensions(row["shape"]),
+            shape=_read_dimensions(row["shape"]),
             mass=check_mass("mass", row["mass"]),
             points=array("keypoints", row["keypoints"], keypoints.K, 3),
             digest=_digest(path),
@@ -152,7 +152,7 @@ def check_mass(field: str, kilograms: Any) -> float:
     return float(kilograms)
 
 
-def _dimensions(told: Mapping[str, Any]) -> Dimensions:
+def _read_dimensions(told: Mapping[str, Any]) -> Dimensions:
     shape = Dimensions(**told)
     for name, metres in shape.to_dict().items():
         if not float(array(f"shape.{name}", metres, 1)[0]) >= 0:
@@ -160,7 +160,7 @@ def _dimensions(told: Mapping[str, Any]) -> Dimensions:
     return shape
 
 
-def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
+def _read_mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
     """A mesh of a file; a UserError where its arrays do not belong together."""
     vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in _FIELDS)
     count = len(triangles)

@@ -42,7 +42,7 @@ def _spokes(rim: float, half: float, count: int) -> Mesh:
         middle = k * pitch
         start, end = pitch * wide, pitch * wide * 0.55
         ring = [(inner, -start), (outer, -end), (outer, end), (inner, start)]
-        front = [_at(r, middle + a, edge if r > inner else face) for r, a in ring]
+        front = [_point_at_angle(r, middle + a, edge if r > inner else face) for r, a in ring]
         behind = [p - [0, depth, 0] for p in front]
         corners.append([front[0], front[1], front[2], front[3]])
         corners.append(behind[::-1])
@@ -54,7 +54,7 @@ def _spokes(rim: float, half: float, count: int) -> Mesh:
     return merged([spokes, hub])
 
 
-def _at(radius: float, angle: float, y: float) -> Array:
+def _point_at_angle(radius: float, angle: float, y: float) -> Array:
     """A point at an angle from the z axis, turning as y demands for fronts that face left."""
     return np.array([radius * np.sin(angle), y, radius * np.cos(angle)])
 
@@ -93,15 +93,15 @@ def steel_wheel(radius: float, width: float) -> Mesh:
     holes = []
     for k in range(8):
         turn = np.linspace(0, 2 * np.pi, 7)[:-1]
-        center = _at(rim * 0.69, k * np.pi / 4, half * 0.575)
-        u, v = _at(1, k * np.pi / 4, 0), np.cross([0, 1.0, 0], _at(1, k * np.pi / 4, 0))
+        center = _point_at_angle(rim * 0.69, k * np.pi / 4, half * 0.575)
+        u, v = _point_at_angle(1, k * np.pi / 4, 0), np.cross([0, 1.0, 0], _point_at_angle(1, k * np.pi / 4, 0))
         ring = center + 0.075 * rim * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v) + [0, 0.02, 0]
         holes.append([ring[0], ring[1], ring[2], ring[3]])
         holes.append([ring[0], ring[3], ring[4], ring[5]])
-    return merged([tyre, dish, _facing(quads(np.array(holes), "under"))])
+    return merged([tyre, dish, _turned_to_face_left(quads(np.array(holes), "under"))])
 
 
-def _facing(mesh: Mesh) -> Mesh:
+def _turned_to_face_left(mesh: Mesh) -> Mesh:
     """The mesh with all its triangles turned to face left."""
     v = mesh.vertices[mesh.triangles]
     normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])

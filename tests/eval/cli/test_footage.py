@@ -6,6 +6,7 @@ import math
 import threading
 import time
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -182,12 +183,11 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
 ) -> None:
     from skope.eval.inference.predictor import Predictor
 
-    def brightness(self: Predictor, batch: Any) -> list[Result]:
+    def brightness(self: Predictor, batch: Any) -> Iterator[tuple[Any, list[Result]]]:
         """One result an image, by what its pixels are: a detector that takes no time."""
-        return [
-            Result(image_id=image.id, score=0.9, bbox=np.array([0, 0, pixels.mean(), 9]), keypoints=np.ones((33, 3)))
-            for image, pixels in batch
-        ]
+        for image, pixels in batch:
+            box = np.array([0, 0, pixels.mean(), 9])
+            yield image, [Result(image_id=image.id, score=0.9, bbox=box, keypoints=np.ones((33, 3)))]
 
     monkeypatch.setattr(Predictor, "_found", brightness)
     video = numbered_video(tmp_path / "v.mp4", 12)

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from skope import coco
-from skope.dataset import open_dataset
+from skope.dataset import open_dataset, read_manifest
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.output.licences import terms_of, united
+from skope.gen.output.writers import checksum
 from skope.keypoints import PUBLISHED
 from tests.samples import make_dataset
 
@@ -74,6 +75,27 @@ def test_everything_is_there_once(skope: Any) -> None:
     assert skope("gen", "merge", "out", "c", "more", "-q")[0] == 0
     assert {i.site for i in open_dataset(Path("more")).read("train").images} == {"bridge", "bridge_2", "bridge_2_2"}
     assert skope("gen", "convert", "more", "yolo", "--to", "coco", "-q")[0] == 0
+
+
+def test_damage_to_a_joined_dataset_is_found(skope: Any) -> None:
+    """The manifest holds the checksum of every image and annotation file; known ones come from the parts' manifests."""
+    a, b = dataset("a", CC0, {"train": "bridge"}), dataset("b", CC0, {"train": "mast"}, seed=1)
+    images = {str(path.relative_to(a)): checksum(path.read_bytes()) for path in a.glob("images/**/*.*")}
+    files = {"annotations/train.json": checksum((a / "annotations/train.json").read_bytes())}
+    write_json(a / "manifest.json", {"sha256": {**images, **files}, "tallies": {}})
+    assert skope("gen", "merge", str(a), str(b), "out", "-q")[0] == 0
+    out = Path("out")
+    sums = read_manifest(out)["sha256"]
+    made = [path for path in out.rglob("*") if path.is_file() and path.parent != out]
+    assert sums == {str(path.relative_to(out)): checksum(path.read_bytes()) for path in made}
+    assert list(check(open_dataset(out))) == []
+    image = next(path for path in made if path.parts[1] == "images")
+    content = bytearray(image.read_bytes())
+    content[len(content) // 2] ^= 1
+    image.unlink()  # a hard link to the part's
+    image.write_bytes(content)
+    found = {finding.where for finding in check(open_dataset(out)) if finding.text.startswith("sha256: ")}
+    assert found == {str(image.relative_to(out))}
 
 
 def test_names_given_in_a_merge_are_not_given_twice(skope: Any) -> None:

@@ -1,7 +1,6 @@
 """The card of a dataset: what README.md says in words, and croissant.json to programs."""
 
 import hashlib
-import json
 import shlex
 import struct
 from collections import Counter
@@ -20,12 +19,13 @@ from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, dataset_card, licences
 from skope.gen.output.card_counts import Counts, kind_of
 from skope.gen.output.croissant import croissant
-from skope.gen.pipeline.config import Parameters, from_preset
+from skope.gen.output.parameters import DatasetPlan, Parameters
+from skope.gen.pipeline.config import from_preset
 from tests.samples import make_dataset
 
 
 def parameters(**changes: Any) -> Parameters:
-    return from_preset("demo", seed=3, renderer="gl", driver="a driver", rules=Rules(), frames=2, **changes)
+    return from_preset("demo", seed=3, renderer="gl", driver="a driver", rules=Rules(), frames=2, **changes).parameters
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def content(**changes: Any) -> dict[str, Any]:
     counts.by["vehicle_type"] = {"sedan": Counter(ground_truth=1), "van": Counter(ground_truth=2)}
     counts.tally.update(vehicles=4, occluded_others=1, occluded_paper=2)
     counts.apart_m, counts.most_apart_m = [0.003, 0.001], 0.3
-    return dataset_card.card(json.loads(json.dumps(parameters(**changes).to_dict())), [], counts)
+    return dataset_card.card(DatasetPlan(parameters(**changes), ()), counts)
 
 
 def test_the_readme_says_what_a_user_must_know(root: Path) -> None:

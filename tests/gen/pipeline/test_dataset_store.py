@@ -28,7 +28,7 @@ def made(out: Path, sites: str, frames: int, *, before: str = "") -> subprocess.
 
 DIES_BEFORE_THE_MANIFEST = """import os
 from skope.gen.output import writers
-writers._Manifest.finish = lambda self: os._exit(9)"""
+writers.DatasetWriter.finish = lambda self: os._exit(9)"""
 
 
 def test_shards_that_were_begun_are_extended(tmp_path: Path) -> None:

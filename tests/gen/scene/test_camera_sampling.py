@@ -6,7 +6,7 @@ import pytest
 from skope.camera import Camera
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
-from skope.gen.pipeline.config import Parameters, from_preset
+from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.scene import camera_sampling
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import site
@@ -14,7 +14,7 @@ from skope.gen.towns.sites import site
 SIZE = (1920, 1080)
 
 
-def parameters(preset: str = "varied", **values: object) -> Parameters:
+def request(preset: str = "varied", **values: object) -> DatasetRequest:
     return from_preset(preset, seed=0, renderer="pybullet", driver="", rules=Rules(), **values)  # type: ignore[arg-type]
 
 
@@ -25,7 +25,7 @@ def test_angles_are_those_a_camera_was_hung_with(yaw: float, pitch: float, roll:
 
 
 def test_a_fisheye_shows_the_field_of_view_it_is_asked_for() -> None:
-    (plan, *_) = parameters("demo", settings={"fisheye": (1.0, 1.0), "k1": (-0.03, -0.03)}).plans()
+    (plan, *_) = request("demo", settings={"fisheye": (1.0, 1.0), "k1": (-0.03, -0.03)}).plans()
     lens = camera_sampling.drawn(
         plan.site, SIZE, 110.0, conditions_of(plan.settings).distortion, plan.cameras, np.random.default_rng(0)
     )
@@ -45,9 +45,9 @@ def conditions_of(settings: object):  # type: ignore[no-untyped-def]
 
 
 def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
-    spans = parameters().cameras
+    spans = request().parameters.cameras
     seen = {"fov_deg": [], "height_m": [], "pitch_deg": []}  # type: dict[str, list[float]]
-    for number, name in enumerate(parameters().sites):
+    for number, name in enumerate(request().parameters.sites):
         layout = Layout.of(site(name).town)
         for seed in range(3):
             camera = camera_sampling.drawn(site(name), SIZE, 110.0, None, spans, np.random.default_rng([number, seed]))
@@ -57,7 +57,7 @@ def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
             seen["pitch_deg"].append(math.degrees(pitch))
             assert abs(math.degrees(roll)) <= 3 + 1e-9
             assert camera.position[:2] == pytest.approx(site(name).position[:2])
-            points = np.concatenate(list(layout.lane_points.values()))
+            points = np.concatenate(list(layout.graph.lane_points.values()))
             pixels, _, valid = camera.project(points)
             assert (valid & camera.inside(pixels)).sum() >= 20
     for key, (low, high) in ((key, spans[key]) for key in seen):
@@ -67,7 +67,7 @@ def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
 
 
 def test_jitter_moves_each_recordings_camera_a_little() -> None:
-    spans = parameters("demo", camera_jitter=True).cameras
+    spans = request("demo", camera_jitter=True).parameters.cameras
     own = site("t01_mill_corner")
     first, second = (
         camera_sampling.drawn(own, SIZE, 80.0, None, spans, np.random.default_rng(seed)) for seed in (1, 2)
@@ -78,7 +78,7 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
         assert 1e-3 < math.degrees(math.acos(angle)) < 6
         assert abs(camera.position[2] - plain.position[2]) <= 0.5
     assert not np.allclose(first.T_camera_world, second.T_camera_world)
-    assert parameters("demo").cameras == {}
+    assert request("demo").parameters.cameras == {}
 
 
 def test_views_that_show_no_road_are_refused() -> None:
@@ -99,4 +99,4 @@ def test_views_that_show_no_road_are_refused() -> None:
 )
 def test_lenses_that_fold_are_refused(settings: dict[str, tuple[float, float]], message: str) -> None:
     with pytest.raises(UserError, match=message):
-        parameters(settings=settings)
+        request(settings=settings)

@@ -12,6 +12,7 @@ from skope.gen.scenery.build import scenery
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import CLEARANCE
 from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, towns
 from tests.gen.rays import cast
 
@@ -44,7 +45,7 @@ def ground(mesh: Mesh, height: float) -> np.ndarray:
 
 @pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
 def test_the_carriageway_is_flat_and_whole(town: Town) -> None:
-    road = Layout.of(town).road
+    road = RoadGraph.of(town).road
     triangles = ground(scenery(town).mesh, 0.0)
     assert area(triangles) == pytest.approx(road.area, rel=1e-4)
     assert unary_union(shapely.polygons(triangles[..., :2])).symmetric_difference(road).area < 1e-4 * road.area
@@ -52,7 +53,7 @@ def test_the_carriageway_is_flat_and_whole(town: Town) -> None:
 
 @pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
 def test_the_ground_beside_it_is_laid_once_everywhere(town: Town) -> None:
-    road = Layout.of(town).road
+    road = RoadGraph.of(town).road
     triangles = ground(scenery(town).mesh, KERB)
     points = triangles.reshape(-1, 3)
     everywhere = np.prod(points.max(axis=0)[:2] - points.min(axis=0)[:2])
@@ -68,7 +69,7 @@ def test_the_ground_beside_it_is_laid_once_everywhere(town: Town) -> None:
 
 @pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
 def test_nothing_stands_on_the_carriageway(town: Town) -> None:
-    road, mesh = Layout.of(town).road, scenery(town).mesh
+    road, mesh = RoadGraph.of(town).road, scenery(town).mesh
     is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
     standing = corners(mesh, ~is_ground)
     standing = standing[(standing[..., 2].max(axis=1) > KERB + 1e-6) & (standing[..., 2].min(axis=1) < 5.0)]
@@ -96,7 +97,7 @@ def test_cameras_see_the_road_before_them(town: Town) -> None:
         angle = np.radians(site.yaw_deg + rng.uniform(-50, 50, 400))
         reach = rng.uniform(0, 30, 400)
         places = site.position[:2] + reach[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        places = places[shapely.contains_xy(layout.ground_road, places)][:60]
+        places = places[shapely.contains_xy(layout.graph.ground_road, places)][:60]
         rays = np.column_stack([places, layout.ground.road(places)]) - site.position
         close = np.hypot(*(standing[..., :2] - site.position[:2]).min(axis=1).T) < 32
         distances, _ = cast(np.array(site.position), rays, standing[close])

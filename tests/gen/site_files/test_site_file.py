@@ -23,7 +23,7 @@ from skope.dataset import open_dataset
 from skope.errors import UserError
 from skope.gen.inspect.check import check
 from skope.gen.labels.annotate import Rules
-from skope.gen.pipeline.config import Parameters, from_preset
+from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.photograph import fitted
@@ -36,8 +36,8 @@ from skope.gen.scenery.markings import crossings, markings
 from skope.gen.simulation.simulate import simulate
 from skope.gen.site_files.site_file import OwnSite, read_site
 from skope.gen.towns import netconvert
-from skope.gen.towns.layout import Layout, driven
 from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
+from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.sites import site, site_of
 from skope.gen.towns.town import Town, folder
@@ -196,19 +196,19 @@ def test_the_fallback_renderer_shows_the_photograph(made: Recording) -> None:
     assert np.abs(view.rgb.astype(int) - small.photograph)[empty].mean() < 4
 
 
-def parameters(own: OwnSite, preset: str = "demo", **values: object) -> Parameters:
+def request(own: OwnSite, preset: str = "demo", **values: object) -> DatasetRequest:
     return from_preset(preset, seed=0, renderer="gl", driver="", rules=Rules(), own=own, **values)
 
 
 def test_recordings_of_a_site_are_for_training_but_one(own: OwnSite) -> None:
-    plans = parameters(own, "paper").plans()
+    plans = request(own, "paper").plans()
     assert [plan.site.split for plan in plans] == ["train"] * 9 + ["test"]
     assert {plan.site.time_of_day for plan in plans} == {"noon"}  # the photograph's
     assert plans[0].size == (1280, 720)
     with pytest.raises(UserError, match="--size"):
-        parameters(own, size="640x480")
+        request(own, size="640x480")
     with pytest.raises(UserError, match="k1"):
-        parameters(own, settings={"k1": (-0.1, 0.0)})
+        request(own, settings={"k1": (-0.1, 0.0)})
 
 
 @pytest.mark.parametrize("flags", [["--fov", "60"], ["--sites", "t01_mill_corner"]])
@@ -224,7 +224,7 @@ def test_lanes_are_drawn_over_the_photograph(tmp_path: Path, capsys: pytest.Capt
     assert run("gen", "sites", "--site", str(EXAMPLE / "site.toml"), "--out", str(tmp_path)) == 0
     assert "7.6 m over the road" in capsys.readouterr().out
     drawn = cv2.imread(str(tmp_path / "site.png"))[..., ::-1]
-    lane = Layout.of(own.site.town).net.getLane("-10#0_0")
+    lane = RoadGraph.of(own.site.town).net.getLane("-10#0_0")
     a, b = (np.array(point) for point in lane.getShape3D()[:2])
     across = np.array([a[1] - b[1], b[0] - a[0], 0]) / np.linalg.norm(b - a) * lane.getWidth() / 2
     for edge in (a + 0.3 * (b - a) + side * across for side in (-1, 1)):
@@ -243,11 +243,11 @@ NEEDS_NETCONVERT = pytest.mark.skipif(netconvert.program() is None, reason="netc
 @NEEDS_NETCONVERT
 def test_maps_are_converted_around_their_origin() -> None:
     drawn = read_site(EXAMPLE / "drawn.toml")
-    nodes = {node.getID(): node.getCoord() for node in Layout.of(drawn.site.town).net.getNodes()}
+    nodes = {node.getID(): node.getCoord() for node in RoadGraph.of(drawn.site.town).net.getNodes()}
     assert nodes["3"] == pytest.approx((0, 0), abs=0.02)
     assert nodes["1"] == pytest.approx((-170, -4), abs=0.02)
     assert drawn.road.network == (EXAMPLE / "junction.net.xml").read_bytes()
-    plans = parameters(drawn).plans()
+    plans = request(drawn).plans()
     assert [plan.site.split for plan in plans] == ["train", "train", "test"]
     assert len({plan.site.time_of_day for plan in plans}) > 1
     assert plans[0].site.conditions.keys() == {"sun_elevation_deg", "sun_azimuth_deg"}
@@ -461,10 +461,10 @@ def test_the_mirror_turns_round_and_back() -> None:
 
 
 def test_what_stands_beside_a_left_hand_road_is_on_the_other_side(both: tuple[OwnRoad, OwnRoad]) -> None:
-    right, left = (Layout.of(Town.of(one)) for one in both)
+    right, left = (RoadGraph.of(Town.of(one)) for one in both)
     assert left.mirrored
     assert right.ground_road.symmetric_difference(left.ground_road).area < 1e-3
-    painted = [unary_union([*markings(layout), *crossings(layout)]) for layout in (right, left)]
+    painted = [unary_union([*markings(graph), *crossings(graph)]) for graph in (right, left)]
     assert painted[0].symmetric_difference(painted[1]).area < 1e-3
     signals = [scenery(Town.of(one)).signals for one in both]
     assert len(signals[0]) == len(signals[1]) > 3
@@ -481,10 +481,10 @@ def test_left_hand_traffic_drives_on_the_left(both: tuple[OwnRoad, OwnRoad]) -> 
     left = both[1]
     own = site_of(left, split="train", vehicles_per_hour=2500, weather="clear", time_of_day="noon")
     recording = simulate(RecordingPlan(site=own, index=0, frames=12, interval=1.0, size=(640, 360), fov_deg=0, seed=2))
-    layout, seen = Layout.of(Town.of(left)), 0
-    lanes = [LineString(layout.world(lane.getShape())) for edge in layout.edges for lane in driven(edge)]
+    graph, seen = RoadGraph.of(Town.of(left)), 0
+    lanes = [LineString(graph.world(lane.getShape())) for edge in graph.edges for lane in driven(edge)]
     tree = shapely.STRtree(lanes)
-    ends = [[layout.world(node.getCoord()) for node in (e.getFromNode(), e.getToNode())] for e in layout.edges]
+    ends = [[graph.world(node.getCoord()) for node in (e.getFromNode(), e.getToNode())] for e in graph.edges]
     middle = unary_union([LineString(pair) for pair in ends])
     for frame in range(len(recording)):
         moment = recording.moment(frame).labelled()

@@ -15,7 +15,8 @@ from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.render.materials import GROUND
 from skope.gen.scenery.bridges_and_barriers import GANTRY_CLEARANCE
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.layout import Layout, driven
+from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sites import sites
 from skope.gen.towns.town import Town, folder, source_digest, towns
 from tests.gen.rays import cast
@@ -38,8 +39,8 @@ def sources(town: Town, kind: str, tag: str) -> list[dict[str, str]]:
 def lane_pieces(town: Town, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Pieces of all lanes that are not in junctions: (N,) polygons and (N, 2, 3) their ends."""
     shapes, ends = [], []
-    layout = Layout.of(town)
-    for edge in layout.edges:
+    graph = RoadGraph.of(town)
+    for edge in graph.edges:
         for lane in driven(edge):
             line = np.array(lane.getShape3D())
             along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
@@ -77,7 +78,7 @@ def test_compiled_networks_are_of_their_sources(town: Town) -> None:
 
 
 def test_every_way_in_leads_to_every_other_end(town: Town) -> None:
-    net = Layout.of(town).net
+    net = RoadGraph.of(town).net
     edges = net.getEdges(withInternal=False)
     ways_in = [edge for edge in edges if not edge.getIncoming()]
     ways_out = [edge for edge in edges if not edge.getOutgoing()]
@@ -166,12 +167,12 @@ def test_splits_and_presets() -> None:
     made = {}
     for name in presets():
         made[name] = from_preset(name, seed=0, renderer="gl", driver="", rules=Rules())
-    assert (len(made["demo"].sites), made["demo"].images) == (13, 156)
-    assert (len(made["paper"].sites), made["paper"].images) == (13, 13_500)
-    assert (len(made["full"].sites), made["full"].images) == (28, 25_004)
+    assert (len(made["demo"].parameters.sites), made["demo"].images) == (13, 156)
+    assert (len(made["paper"].parameters.sites), made["paper"].images) == (13, 13_500)
+    assert (len(made["full"].parameters.sites), made["full"].images) == (28, 25_004)
     assert sum(plan.frames for plan in made["paper"].plans()) == 13_500
     assert made["varied"].images == 13_500
-    assert made["varied"].cameras["height_m"] == (4, 20)
+    assert made["varied"].parameters.cameras["height_m"] == (4, 20)
 
 
 def test_a_plan_shows_roads_and_cameras() -> None:

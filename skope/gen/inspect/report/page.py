@@ -30,7 +30,7 @@ _HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, 
 def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
     """Write the page with at most `count` images to `path`, and return that; splits are read one at a time."""
     if count < 1:
-        raise UserError(f"--images: expected a whole number from 1, got {count}")
+        raise UserError(f"--max-images: expected a whole number from 1, got {count}")
     stats: dict[str, SplitStats] = {}
     spreads: dict[str, Spread] = {}
     candidates: list[Labelled] = []

@@ -85,9 +85,9 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
         light = cached(
-            "light", _digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {})
+            "light", _light_digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {})
         )
-        shown = _develop(stage, light, geometry.color_attachments[0], road)
+        shown = _develop_textures(stage, light, geometry.color_attachments[0], road)
     else:
         photograph.draw_shadows(stage, sun_map, clip, recording, stage.daylight)
         ambient, sunlit = photograph.shown(device, recording, stage.daylight)
@@ -96,7 +96,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
         **shown,
         "u_background": device.texture(np.where(hit, data[..., 0], 0)[..., None], "f4"),
         "u_scenery": fine.depth_attachment,
-        "u_mirror": _mirror(stage),
+        "u_mirror": _mirror_texture(stage),
         "u_scenery_sun_map": sun_map.depth_attachment,
     }
     if stage.daylight.dark:
@@ -119,7 +119,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     )
 
 
-def _develop(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:
+def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:
     """Textures of the scenery's light from sky and sun, and of what wet ground mirrors, as the camera exposes it."""
     device = stage.device
     wet = "mirrored" in light
@@ -159,7 +159,7 @@ def _mirrored_depth(stage: Stage, road: Plane) -> Any:
     return target.depth_attachment
 
 
-def _mirror(stage: Stage) -> Any:
+def _mirror_texture(stage: Stage) -> Any:
     device = stage.device
     program = device.program("screen.vert.glsl", "mirror.frag.glsl")
     target = device.target((_MIRROR, _MIRROR), ["4f2"], depth=False)
@@ -173,7 +173,7 @@ def _mirror(stage: Stage) -> Any:
     return texture
 
 
-def _digest(device: Device, recording: Recording) -> str:
+def _light_digest(device: Device, recording: Recording) -> str:
     """Names everything that the scenery's light depends on."""
     mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
     camera = recording.camera

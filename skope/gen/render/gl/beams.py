@@ -46,11 +46,11 @@ class Beams:
         device.context.enable_only(device.gl.BLEND)
         device.context.blend_func = device.gl.ONE, device.gl.ONE
         program = device.program("contact.vert.glsl", "beam.frag.glsl")
-        corners = np.concatenate([self._corners(one) for one in lit])
+        corners = np.concatenate([self._beam_triangles(one) for one in lit])
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
         return [beam_hull_of(one.vehicle, one.T_world_chassis, camera, REACH) for one in lit]
 
-    def _corners(self, one: PlacedVehicle) -> NDArray[np.float32]:
+    def _beam_triangles(self, one: PlacedVehicle) -> NDArray[np.float32]:
         """(6, 7) corners of two triangles around the road that a vehicle lights: their place in the map, their place
         ahead of its bumper, how far its light reaches, half its width, its height."""
         length, width, height = one.vehicle.size_lwh

@@ -40,12 +40,12 @@ def shader_sources() -> str:
     return "".join(file.read_text(encoding="utf-8") for file in sorted(files, key=lambda file: file.name))
 
 
-def _source(name: str) -> str:
+def _shader_source(name: str) -> str:
     text = resources.files("skope.gen.render.gl").joinpath(f"shaders/{name}").read_text(encoding="utf-8")
-    return re.sub(r'#include "([\w.]+)"', lambda match: _source(match[1]), text)
+    return re.sub(r'#include "([\w.]+)"', lambda match: _shader_source(match[1]), text)
 
 
-def _number(material: str) -> int:
+def _material_number(material: str) -> int:
     """A material's number in shaders; colours such as "#a0b4c8" have numbers of their own, four bits a channel."""
     if not material.startswith("#"):
         return _NUMBERS[material]
@@ -53,7 +53,7 @@ def _number(material: str) -> int:
     return len(_NUMBERS) + (red << 8 | green << 4 | blue)
 
 
-def _defines() -> str:
+def _shader_defines() -> str:
     lines = [f"#define M_{name.upper()} {number}" for name, number in _NUMBERS.items()]
     lines += [f"#define LAMP_{name.upper()} {bit}" for name, bit in LAMPS.items()]
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
@@ -85,7 +85,7 @@ class DeviceMesh:
         self._arrays[program.glo].render()
 
 
-def _share(worker: str | None) -> int:
+def _gpu_number(worker: str | None) -> int:
     """Number of the GPU that a worker draws on: those of a machine with several take the workers in turns."""
     gpus = len(list(Path("/dev").glob("nvidia[0-9]*")))
     return int(worker or 0) % gpus if gpus else 0
@@ -103,7 +103,7 @@ class Device:
         self.gl: Any = moderngl
         try:
             self.context: Any = self.gl.create_context(
-                standalone=True, backend="egl", require=430, device_index=_share(os.environ.get(WORKER))
+                standalone=True, backend="egl", require=430, device_index=_gpu_number(os.environ.get(WORKER))
             )
         except Exception as error:  # EGL's loaders raise whatever they like
             raise UserError(
@@ -123,9 +123,10 @@ class Device:
         """The program of two shader files, compiled once for each set of options (llvmpipe skips no branches)."""
         key = vertex, fragment, *options
         if key not in self._programs:
-            head = "\n".join([_defines(), *(f"#define {option}" for option in options)])
+            head = "\n".join([_shader_defines(), *(f"#define {option}" for option in options)])
             sources = [
-                _source(name).replace("#version 430", f"#version 430\n{head}\n", 1) for name in (vertex, fragment)
+                _shader_source(name).replace("#version 430", f"#version 430\n{head}\n", 1)
+                for name in (vertex, fragment)
             ]
             self._programs[key] = self.context.program(vertex_shader=sources[0], fragment_shader=sources[1])
         return self._programs[key]
@@ -173,7 +174,7 @@ class Device:
             keys, index = np.unique(mesh.triangles * kinds + mesh.material[:, None], return_inverse=True)
             vertex, material = np.divmod(keys, kinds)
             positions = mesh.vertices[vertex] - (np.zeros(3) if origin is None else origin)
-            numbers = np.array([_number(name) for name in mesh.materials])[material]
+            numbers = np.array([_material_number(name) for name in mesh.materials])[material]
             rows.append(np.column_stack([positions, mesh.normals[vertex], numbers, np.full(len(keys), part)]))
             triangles.append(index.reshape(-1, 3) + count)
             count += len(keys)

@@ -67,7 +67,7 @@ class Stage:
         """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None."""
         self.device, self._camera, self._mesh = device, camera, mesh
         self._size = (camera.width, camera.height)
-        self.focus = _focus(camera)
+        self.focus = _view_focus(camera)
         """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
         self.view = np.eye(4)
         self.view[:3, :3] = camera.T_camera_world[:3, :3]
@@ -145,9 +145,9 @@ class Stage:
         The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
         under 0 where it stands.
         """
-        ambient, sunlit = self._mean(self._size, SAMPLES, np.eye(4), self._seen)
-        sunlit[..., 3] = _signed(sunlit[..., 3], SAMPLES)
-        return {"ambient": _halved(ambient), "sunlit": _halved(sunlit)}
+        ambient, sunlit = self._mean_light(self._size, SAMPLES, np.eye(4), self._seen)
+        sunlit[..., 3] = _signed_water(sunlit[..., 3], SAMPLES)
+        return {"ambient": _half_precision(ambient), "sunlit": _half_precision(sunlit)}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
         """What the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
@@ -155,12 +155,14 @@ class Stage:
         self.uniforms |= uniforms_of(plane)
         samples = max(2, SAMPLES // MIRRORED_SHARE)
         size = (-(-width // 2), -(-height // 2))
-        ambient, sunlit = self._mean(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
-        return {"mirrored": _halved(ambient + sunlit)}
+        ambient, sunlit = self._mean_light(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
+        return {"mirrored": _half_precision(ambient + sunlit)}
 
     def reflected_parts(self, plane: Plane) -> Parts:
         """What the mirrored view may show."""
-        return _parts(self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera)
+        return _upload_parts(
+            self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera
+        )
 
     def draw_mirrored_depth(self, target: Any, plane: Plane) -> None:
         """The depth buffer of what the road mirrors."""
@@ -169,7 +171,7 @@ class Stage:
         P = projection(self._camera.K, (0, 0, *self._size))
         self.draw_depth(target, P @ self.view @ plane.mirror, parts=parts)
 
-    def _mean(
+    def _mean_light(
         self,
         size: tuple[int, int],
         samples: int,
@@ -225,7 +227,7 @@ class Stage:
     def _draw_shadows(self, sun: Any, sky: Any, k: int, samples: int, middle: Array) -> dict[str, Any]:
         """Shadow maps of the k-th point of the sun's disc and direction of the sky; returns their uniforms."""
         direction = self.daylight.sun_direction
-        toward_sun = direction + SUN_RADIUS * _in_disc(k, samples) @ _across(direction)
+        toward_sun = direction + SUN_RADIUS * _in_disc(k, samples) @ _unit_vectors_across(direction)
         toward_sky = _on_hemisphere(k, samples)
         uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self.daylight.sky(toward_sky)}
         for unit, (name, target, toward) in enumerate((("sun", sun, toward_sun), ("sky", sky, toward_sky)), start=1):
@@ -270,11 +272,11 @@ class Stage:
         device.screen(sky)
 
 
-def _halved(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
+def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
     return np.clip(pixels, -6e4, 6e4).astype(np.float16)
 
 
-def _signed(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
+def _signed_water(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
     """Means of samples that have STANDING more where water stands -> means without, negative where most have it."""
     standing = np.floor(water * (samples / STANDING) + 1e-3)
     share = np.maximum(water - standing * (STANDING / samples), 0.0)
@@ -306,10 +308,10 @@ def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[Parts, Parts]
     """
     camera = eye.camera
     seen, casting = mesh.taken(_in_view(mesh, camera, np.eye(4))), mesh.taken(_within_reach(mesh, camera))
-    return _parts(device, seen, camera), _parts(device, casting, camera)
+    return _upload_parts(device, seen, camera), _upload_parts(device, casting, camera)
 
 
-def _focus(camera: Camera) -> Array:
+def _view_focus(camera: Camera) -> Array:
     forward = camera.T_camera_world[2, :3]
     level = np.array([forward[0], forward[1], 0.0]) / max(np.hypot(forward[0], forward[1]), 1e-6)
     return np.asarray(40.0 * level - [0, 0, camera.position[2]])
@@ -338,11 +340,11 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
 
 def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     """Triangles that may throw shadows into the view."""
-    corners = (mesh.vertices - camera.position - _focus(camera))[mesh.triangles]
+    corners = (mesh.vertices - camera.position - _view_focus(camera))[mesh.triangles]
     return np.asarray(np.linalg.norm(corners[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS)
 
 
-def _parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
+def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
     """A mesh by groups of materials, with the options of the programs that draw each.
 
     Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
@@ -364,7 +366,7 @@ def _in_disc(k: int, samples: int) -> Array:
     return np.array([radius * np.cos(angle), radius * np.sin(angle)])
 
 
-def _across(direction: Array) -> Array:
+def _unit_vectors_across(direction: Array) -> Array:
     """(2, 3) unit vectors across a direction."""
     side = np.cross(direction, [0.0, 0.0, 1.0])
     side /= max(float(np.linalg.norm(side)), 1e-9)

@@ -16,7 +16,7 @@ from skope.gen.render.gl.light import Stage
 from skope.gen.render.materials import MATERIALS
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.backdrop import plates
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
@@ -63,7 +63,7 @@ def shown(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any
     assert recording.town.road is not None
     light = light_of(device, recording.photograph)
     share = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
-    sun = share * (1 - _shaded(recording.town.road, recording.camera))[..., None]
+    sun = share * (1 - _shadow_mask(recording.town.road, recording.camera))[..., None]
     one = np.ones((*light.shape[:2], 1))
     parts = (np.concatenate([light * share, one], axis=-1) for share in (1 - sun, sun))
     ambient, sunlit = (device.texture(part, "f2") for part in parts)
@@ -80,7 +80,7 @@ def draw_shadows(stage: Stage, target: Any, clip: Array, recording: Recording, d
         Stage(stage.device, high, recording.camera, recording.conditions, daylight=daylight).draw_depth(target, clip)
 
 
-def _shaded(road: OwnRoad, camera: Camera) -> Array:
+def _shadow_mask(road: OwnRoad, camera: Camera) -> Array:
     """(H, W) share of each pixel of a camera at the place's own that lies in the photograph's shadows."""
     out = np.zeros((camera.height, camera.width), dtype=np.uint8)
     for outline in road.shades:
@@ -114,17 +114,17 @@ def _inverse_curve(device: Device) -> Array:
 
 def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of pixels, some in each direction, that show the carriageway."""
-    camera, layout = road.camera, Layout.of(Town.of(road))
+    camera, graph = road.camera, RoadGraph.of(Town.of(road))
     step = max(1, camera.width // 320)
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
     rays, valid = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
     directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
-    level = layout.road_level(eye[:2])
+    level = graph.road_level(eye[:2])
     down = valid & (directions[:, 2] < -1e-3)
     reach = (level - eye[2]) / np.where(down, directions[:, 2], -1.0)
     places = eye[:2] + reach[:, None] * directions[:, :2]
     near = down & (np.linalg.norm(places - eye[:2], axis=1) < _NEAR)
-    on_road = near & shapely.contains_xy(layout.ground_road, layout.world(places))
+    on_road = near & shapely.contains_xy(graph.ground_road, graph.world(places))
     outlines = [*(one.polygon for one in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
     sunny = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)

@@ -74,14 +74,17 @@ class Placer:
             from_camera = parts.copy()
             from_camera[:, :3, 3] -= camera.position
             paint = PAINTS[recorded.color]
-            look = {"u_paint": _linear(paint.rgb), "u_livery": _linear(paint.livery)}
+            look = {"u_paint": _linear_color(paint.rgb), "u_livery": _linear_color(paint.livery)}
             out.append(
                 PlacedVehicle(
                     index=i,
                     vehicle=vehicle,
                     T_world_chassis=chassis,
-                    **_uploaded(self._device, vehicle),
-                    matrices={"u_model": _bytes(camera.T_camera_world @ parts), "u_world": _bytes(from_camera)},
+                    **_upload_meshes(self._device, vehicle),
+                    matrices={
+                        "u_model": _uniform_bytes(camera.T_camera_world @ parts),
+                        "u_world": _uniform_bytes(from_camera),
+                    },
                     distance=float(away[i]),
                     look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
                     hull=hull,
@@ -92,7 +95,7 @@ class Placer:
 
 
 @lru_cache(maxsize=64)
-def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
+def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
     """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
     body, *wheels = vehicle.parts
     glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
@@ -106,10 +109,10 @@ def _uploaded(device: Device, vehicle: Body) -> dict[str, Any]:
     }
 
 
-def _linear(rgb: tuple[int, int, int]) -> Array:
+def _linear_color(rgb: tuple[int, int, int]) -> Array:
     return linear(np.array(rgb) / 255)
 
 
-def _bytes(matrices: Array) -> bytes:
+def _uniform_bytes(matrices: Array) -> bytes:
     """Matrices (P, 4, 4) as uniforms want them."""
     return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()

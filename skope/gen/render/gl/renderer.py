@@ -107,7 +107,7 @@ class GLRenderer:
                 self._device, camera, background.road, background.mirrored_depth, *self._options
             )
         self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
-        self._compose([self._image])
+        self._compose_picture([self._image])
         self._plain = self._read_display()
 
     # --------------------------------------------------------------------------------------------------------- frames
@@ -122,19 +122,19 @@ class GLRenderer:
         contrast = np.zeros(len(moment.vehicles))
         rgb = self._plain.copy()
         if placed:
-            drawn = self._draw(placed, moving(reversed(placed), moment.velocity, shutter_s, camera))
+            drawn = self._draw_frame(placed, moving(reversed(placed), moment.velocity, shutter_s, camera))
             x0, y0, x1, y1 = drawn.picture.window
             picture = cv2.cvtColor(drawn.picture.pixels, cv2.COLOR_RGBA2RGB)
             cv2.copyTo(picture, mask_of(drawn.changed, drawn.picture.window), rgb[y0:y1, x0:x1])
             for vehicle, layer in zip(placed, drawn.layers, strict=True):
-                own = _put(layer, vehicle.number, depth, slope, ids)
+                own = _put_vehicle(layer, vehicle.number, depth, slope, ids)
                 silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
                 contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
         rgb = self._glare.spread(rgb, depth, ids, moment)
         return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
-    def _draw(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> "_Drawn":
+    def _draw_frame(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> "_Drawn":
         """Draw all of a frame, and wait for it once."""
         camera, pixels = self._camera, self._pixels
         pixels.forget()
@@ -142,7 +142,7 @@ class GLRenderer:
         self._draw_geometry(placed, windows, whole=bool(blurred))
         for window in windows:
             pixels.ask(self._geometry, window, "f4")
-        crowd = [vehicle for vehicle in placed if _crossed(vehicle, placed)]
+        crowd = [vehicle for vehicle in placed if _crosses_another(vehicle, placed)]
         apart = [v for v, window in zip(placed, windows, strict=True) if v.window != window or v in crowd]
         for vehicle in apart:
             self._draw_silhouette(vehicle)
@@ -184,7 +184,7 @@ class GLRenderer:
         """A vehicle as if nothing stood before it, in its own window; ask for it."""
         device, window = self._device, placed.window
         size = (window[2] - window[0], window[3] - window[1])
-        target = _mask_target(device, _rounded(size))
+        target = _mask_target(device, _rounded_up(size))
         program = device.program("geometry.vert.glsl", "mask.frag.glsl", PARTS)
         target.viewport = (0, 0, *size)
         target.use()
@@ -212,15 +212,15 @@ class GLRenderer:
         mirrored = np.zeros_like(covered)
         if self._reflections:
             units = self._vehicle_textures()
-            uniforms = {**self._background.bind(), **self._uniforms, **self._bind(units)}
+            uniforms = {**self._background.bind(), **self._uniforms, **self._bind_textures(units)}
             mirrored = self._reflections.draw(placed, uniforms, {**self._background.textures, **units})
         for there, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
-            self._compose(runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
-            self._compose(runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
+            self._compose_picture(runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
+            self._compose_picture(runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
         more = ("REFLECTIONS",) if self._reflections else ()
         for one, places in zip(blurred, swept, strict=True):
             way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
-            self._compose(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
+            self._compose_picture(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
         return covered | shaded | mirrored
 
     def _draw_shadows(self, placed: Sequence[PlacedVehicle]) -> None:
@@ -265,7 +265,7 @@ class GLRenderer:
         device.prepare(target, places, uniforms, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
         units = {**self._vehicle_textures(), "u_front": self._geometry.color_attachments[0]}
-        uniforms |= {**self._bind(units), "u_project": self._project}
+        uniforms |= {**self._bind_textures(units), "u_project": self._project}
 
         def draw(option: str, meshes: Iterable[tuple[PlacedVehicle, DeviceMesh | None]]) -> None:
             program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._options)
@@ -289,7 +289,7 @@ class GLRenderer:
         device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(near)))
 
-    def _compose(
+    def _compose_picture(
         self, places: Sequence[Window], *options: str, uniforms: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
         """Put parts of the picture together."""
@@ -305,12 +305,12 @@ class GLRenderer:
             "u_open": self._open.color_attachments[0],
             "u_front": self._geometry.color_attachments[0],
         }
-        put(program, {**self._background.bind(), **self._uniforms, **self._bind(units), **uniforms})
+        put(program, {**self._background.bind(), **self._uniforms, **self._bind_textures(units), **uniforms})
         self._display.use()
         device.context.enable_only(device.gl.NOTHING)
         device.tiles(program, places)
 
-    def _bind(self, textures: dict[str, Any]) -> dict[str, int]:
+    def _bind_textures(self, textures: dict[str, Any]) -> dict[str, int]:
         """Put textures into places after the background's; returns the uniforms."""
         first = len(self._background.textures)
         for unit, texture in enumerate(textures.values(), start=first):
@@ -372,7 +372,7 @@ class _Drawn:
     """Vehicles whose windows cross others'."""
 
 
-def _put(
+def _put_vehicle(
     layer: _Layer, number: int, depth: NDArray[np.float32], slope: NDArray[np.float32], ids: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
     """Put a vehicle into the frame where it is nearer than the scenery; returns where, in its window."""
@@ -388,7 +388,7 @@ def _put(
     return np.asarray(own)
 
 
-def _crossed(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) -> bool:
+def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) -> bool:
     """Whether a vehicle's window crosses that of another."""
     return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
 
@@ -416,6 +416,6 @@ def _mask_target(device: Device, size: tuple[int, int]) -> Any:
     return device.target(size, ["1f1"], depth=False)
 
 
-def _rounded(size: tuple[int, int]) -> tuple[int, int]:
+def _rounded_up(size: tuple[int, int]) -> tuple[int, int]:
     """A size up to which targets are kept, so that few of them serve all silhouettes."""
     return tuple(1 << max(6, (side - 1).bit_length()) for side in size)  # type: ignore[return-value]

@@ -1,0 +1,230 @@
+"""What a dataset is made of, as its card keeps it: the parameters that decide every byte, and its recordings."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final, Self
+
+from skope.dataset import check_takes
+from skope.errors import UserError
+from skope.gen.labels.annotate import Rules
+from skope.gen.output import licences
+from skope.gen.output.frames import Encoding
+from skope.gen.scene.conditions import Range
+from skope.gen.scene.package_versions import versions
+from skope.gen.scene.recording import RecordingInfo
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnSiteRecord:
+    """What a card says of a user's own site: enough to tell it from another one, and no path of the user's disk."""
+
+    file: str
+    """Name of the site file."""
+    digests: Mapping[str, str]
+    """SHA-256 of the site file ("site") and of the files that it names, by their keys."""
+    town: str
+    photograph: bool
+    """Whether images show the user's photograph as background."""
+    splits: tuple[str, ...]
+    """Split of each recording."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record as JSON values."""
+        return {**asdict(self), "splits": list(self.splits)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Everything that decides a dataset's content; read and written by itself, saved in the dataset's card."""
+
+    preset: str
+    seed: int
+    sites: tuple[str, ...]
+    frames: Mapping[str, int]
+    """Frames per site, by the sites' split."""
+    recordings: int = 1
+    """Recordings per site, which share its frames."""
+    interval_s: float
+    size: str
+    """Width and height of the images, as in "1280x720"."""
+    fov_deg: float
+    renderer: str
+    """Empty while recordings are made that another machine renders; `driver` likewise."""
+    driver: str
+    """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
+    rules: Rules
+    settings: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
+    cameras: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
+    vehicles: Mapping[str, str] = field(default_factory=dict)
+    """Models of the user (`skope gen vehicles add`) that drive beside the fleet: name to SHA-256 of the files."""
+    shape_jitter: bool = False
+    """Whether each vehicle gets a shape of its own near its model's."""
+    own: OwnSiteRecord | None = None
+    """A user's own site (`--site`), in place of those of the package."""
+    encoding: Encoding = field(default_factory=Encoding)
+    format: str = "folder"
+    """How the dataset is stored, one of `skope.gen.output.writers.FORMATS`."""
+    licence: str = licences.DEFAULT
+    """What the images may be used under, as the card states it."""
+    versions: Mapping[str, str] = field(default_factory=versions)
+    """Versions of skope and of the libraries that decide bytes."""
+
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the images; a UserError where `size` says none of 16 to 8192 pixels."""
+        match = re.fullmatch(r"(\d+)x(\d+)", self.size)
+        if not match or not all(16 <= int(n) <= 8192 for n in match.groups()):
+            raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
+        return int(match[1]), int(match[2])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The parameters as JSON values."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            **values,
+            "sites": list(self.sites),
+            "rules": asdict(self.rules),
+            "settings": {name: list(pair) for name, pair in self.settings.items()},
+            "cameras": {name: list(pair) for name, pair in self.cameras.items()},
+            "own": self.own.to_dict() if self.own else None,
+            "encoding": asdict(self.encoding),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Any, where: str = "parameters") -> Self:
+        """The parameters of `to_dict`; what datasets of before did not have yet is as it was then.
+
+        Args:
+            values: The JSON values.
+            where: What a message begins with, for example the file.
+
+        Raises:
+            UserError: A field is missing, unknown or of another kind; it is named.
+        """
+        _check_fields(where, values, _KINDS, optional=_OPTIONAL)
+        made = dict(values)
+        for name, kind in (("rules", Rules), ("encoding", Encoding)):
+            made[name] = _made(f"{where}.{name}", kind, values[name])
+        if made.get("own") is not None:
+            _check_fields(f"{where}.own", made["own"], _OWN_KINDS)
+            made["own"] = OwnSiteRecord(**{**made["own"], "splits": tuple(made["own"]["splits"])})
+        for name in ("settings", "cameras"):
+            made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
+        return cls(**{**made, "sites": tuple(values["sites"])})
+
+
+@dataclass(frozen=True)
+class DatasetPlan:
+    """What a dataset folder holds or is to become."""
+
+    parameters: Parameters
+    recordings: tuple[RecordingInfo, ...]
+    """In the order in which ids of images count."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The plan as JSON values: "parameters", and "takes" with site, name, split and frames of each recording."""
+        takes = [[info.site, info.name, info.split, info.frames] for info in self.recordings]
+        return {"parameters": self.parameters.to_dict(), "takes": takes}
+
+    @classmethod
+    def from_dict(cls, values: Any, path: Path) -> Self:
+        """The plan of `to_dict`, or of a card; a UserError names the file at `path` and the field that is wrong."""
+        if not isinstance(values, dict):
+            raise UserError(f"{path}: expected an object with parameters and takes")
+        parameters = Parameters.from_dict(values.get("parameters"), f"{path}: parameters")
+        check_takes(path, values.get("takes"))
+        return cls(parameters, tuple(RecordingInfo(*row) for row in values["takes"]))
+
+
+# ----------------------------------------------------------------------------------------------- kinds of JSON values
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of JSON value: its name in messages, and whether a value is one."""
+
+    name: str
+    holds: Callable[[Any], bool]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_range(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+
+
+def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, dict) and all(map(holds, value.values()))
+
+
+_TEXT: Final = _Kind("text", _is_text)
+_WHOLE: Final = _Kind("a whole number", _is_whole)
+_NUMBER: Final = _Kind("a number", _is_number)
+_SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
+_OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
+_OBJECT_OR_NULL: Final = _Kind("an object or null", lambda value: isinstance(value, dict | None))
+_TEXTS: Final = _Kind("names", lambda value: isinstance(value, list) and all(map(_is_text, value)))
+_TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
+_COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
+_RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_range))
+
+_KINDS: Final[Mapping[str, _Kind]] = {
+    **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
+    **dict.fromkeys(("seed", "recordings"), _WHOLE),
+    **dict.fromkeys(("interval_s", "fov_deg"), _NUMBER),
+    **dict.fromkeys(("rules", "encoding"), _OBJECT),
+    **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
+    **dict.fromkeys(("vehicles", "versions"), _TEXT_BY_NAME),
+    "sites": _TEXTS,
+    "frames": _COUNT_BY_NAME,
+    "shape_jitter": _SWITCH,
+    "own": _OBJECT_OR_NULL,
+}
+_OPTIONAL: Final = frozenset(("licence", "own", "recordings"))
+"""Fields that folders of before may lack."""
+_OWN_KINDS: Final[Mapping[str, _Kind]] = {
+    "file": _TEXT,
+    "digests": _TEXT_BY_NAME,
+    "town": _TEXT,
+    "photograph": _SWITCH,
+    "splits": _TEXTS,
+}
+
+
+def _check_fields(where: str, values: Any, kinds: Mapping[str, _Kind], optional: frozenset[str] = frozenset()) -> None:
+    """Raise a UserError unless `values` is an object with fields of these kinds and no others."""
+    if not isinstance(values, dict):
+        raise UserError(f"{where}: expected an object, got {_shortened(values)}")
+    for name, kind in kinds.items():
+        if not (name in optional and name not in values) and not kind.holds(values.get(name)):
+            raise UserError(f"{where}.{name}: expected {kind.name}, got {_shortened(values.get(name))}")
+    for name in values.keys() - kinds.keys():
+        raise UserError(f"{where}.{name}: is a field that this version of skope does not know")
+
+
+def _made(where: str, kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """An instance of a dataclass of plain values; a UserError says which fields it has, or which value is wrong."""
+    names = [f.name for f in fields(kind)]
+    if values.keys() != set(names):
+        raise UserError(f"{where}: expected {', '.join(names)}, got {_shortened(values)}")
+    try:
+        return kind(**values)
+    except (UserError, TypeError) as error:
+        raise UserError(f"{where}: {error}") from None
+
+
+def _shortened(value: Any) -> str:
+    return "nothing" if value is None else f"{value!r:.60}"

@@ -1,0 +1,33 @@
+"""Regions of the plane: what polygons a shape consists of, rectangles, and whether a place is free."""
+
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Point, Polygon
+
+from skope.types import Array
+
+Region: TypeAlias = Polygon | MultiPolygon
+
+GRID: Final = 1e-4
+"""Grid that polygons' corners are rounded to, metres, so that parts cut out of each other keep common corners."""
+
+
+def polygons(shape: Any) -> list[Polygon]:
+    """The polygons of a shape, without slivers."""
+    parts = getattr(shape, "geoms", [shape])
+    return [part for part in parts if isinstance(part, Polygon) and part.area > 1e-4]
+
+
+def rectangle(center: Array, heading: float, length: float, depth: float) -> Polygon:
+    """A rectangle around a place (2,), `length` metres along a heading (radians) and `depth` metres across it."""
+    c, s = np.cos(heading), np.sin(heading)
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, depth / 2]
+    return Polygon(corners @ np.array([[c, s], [-s, c]]) + center)
+
+
+def free(region: Any, place: Array, distance: float = 0.0) -> bool:
+    """Whether a place (2,) is outside a prepared region and at least `distance` metres from it."""
+    point = Point(place)
+    return not shapely.intersects(region, point) and (distance <= 0 or shapely.distance(region, point) >= distance)

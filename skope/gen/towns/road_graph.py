@@ -1,0 +1,249 @@
+"""The roads of a town as its SUMO network has them: edges, junctions, lanes, and the carriageway that they make."""
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+import sumolib
+from numpy.typing import ArrayLike
+from shapely import LineString, Point, Polygon
+from shapely.ops import unary_union
+
+from skope.camera import Camera
+from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
+from skope.gen.towns.regions import Region, polygons
+from skope.gen.towns.style import Road, style
+from skope.gen.towns.terrain import Lanes
+from skope.gen.towns.town import Town
+from skope.types import Array
+
+REACH: Final = 600.0
+"""Roads of a user's own network count if they are nearer to the camera than this, metres."""
+BARRIER: Final = 1.5
+"""Half the width, metres, below which a median between retaining walls holds a barrier only."""
+_AROUND: Final = 42.0
+"""The road's height at a place is that of the lanes nearer to it than this, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoadGraph:
+    """The roads of a town: edges and junctions of its SUMO network, their lanes, and the carriageway that these make.
+
+    In a town with left-hand traffic they are those of its mirror image (see `left_hand_traffic`).
+    """
+
+    net: Any
+    """The network, as sumolib reads it."""
+    edges: tuple[Any, ...]
+    """The edges that vehicles drive on; in a user's own network, those near the camera (`REACH`)."""
+    kinds: Mapping[str, Road]
+    """Features of the roads of each SUMO edge type in the network."""
+    mirrored: bool
+    """Whether places are those of the mirror image; `world` takes them back."""
+
+    @classmethod
+    def of(cls, town: Town) -> "RoadGraph":
+        """Read a town's network."""
+        network = town.network
+        if is_mirrored := is_lefthand(network.read_bytes()):
+            with tempfile.TemporaryDirectory() as folder:
+                image = Path(folder) / network.name
+                image.write_bytes(mirrored(network.read_bytes()))
+                net = _read_net(image)
+        else:
+            net = _read_net(network)
+        look = style(town)
+        kinds = {name: look.roads.get(name, look.road) for name in {edge.getType() for edge in net.getEdges()}}
+        edges = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
+        if town.road:
+            near = Point(_reflect(town.road.camera.position[:2], is_mirrored)).buffer(REACH)
+            edges = [e for e in edges if any(LineString(lane.getShape()).intersects(near) for lane in driven(e))]
+        return cls(net, tuple(edges), kinds, is_mirrored)
+
+    def world(self, places: ArrayLike) -> Array:
+        """Places or directions (..., 2 or 3) of the graph in the world, or those of the world in the graph."""
+        return _reflect(places, self.mirrored)
+
+    # --------------------------------------------------------------------------------------------- edges and junctions
+
+    def kind(self, edge: Any) -> Road:
+        """The features of an edge's road, by its SUMO type."""
+        return self.kinds[edge.getType()]
+
+    def edges_of(self, form: str) -> list[Any]:
+        """The edges whose roads have a form: they lie on the "ground", are "walled", or lead over a "bridge"."""
+        return [edge for edge in self.edges if self.kind(edge).form == form]
+
+    @cached_property
+    def _ground_nodes(self) -> list[Any]:
+        """Nodes that are not on a deck."""
+        near = set(self.edges)
+        return [
+            node
+            for node in self.net.getNodes()
+            if any(self.kind(edge).form != "bridge" and edge in near for edge in legs(node))
+        ]
+
+    def signal_distance(self, place: Array) -> float:
+        """How far a place (2,) is from the nearest signalled junction, metres."""
+        nodes = [node.getCoord() for node in self.net.getNodes() if node.getType() == "traffic_light"]
+        return min((float(np.hypot(*(place - node))) for node in nodes), default=np.inf)
+
+    # ----------------------------------------------------------------------------------------------------- carriageway
+
+    @cached_property
+    def ground_road(self) -> Region:
+        """The carriageway that lies on the ground."""
+        edges = [edge for edge in self.edges if self.kind(edge).form != "bridge"]
+        whole = _carriageway(edges, self._ground_nodes)
+        # Between retaining walls the median belongs to the carriageway.
+        walled = _carriageway(self.edges_of("walled"), [])
+        return unary_union([whole, walled.buffer(BARRIER).buffer(-BARRIER)]) if not walled.is_empty else whole
+
+    @cached_property
+    def walled_road(self) -> Region:
+        """The part of the carriageway on the ground that lies between retaining walls."""
+        return _carriageway(self.edges_of("walled"), []).buffer(BARRIER).buffer(-BARRIER).intersection(self.ground_road)
+
+    @cached_property
+    def decks(self) -> list[Region]:
+        """Carriageways of bridges."""
+        return polygons(_carriageway(self.edges_of("bridge"), []))
+
+    @cached_property
+    def road(self) -> Region:
+        """Everything that is driven on, from above."""
+        return unary_union([self.ground_road, *self.decks])
+
+    # ----------------------------------------------------------------------------------------------------------- lanes
+
+    def ground_lanes(self, *forms: str) -> Iterator[tuple[Any, float]]:
+        """Lanes of all roads of some forms, and of all junctions on the ground, as `Lanes` takes them.
+
+        Yields:
+            A lane of sumolib, and the width of what runs beside it at its height, metres.
+        """
+        for edge in self.edges:
+            if self.kind(edge).form in forms:
+                yield from ((lane, self.kind(edge).verge) for lane in driven(edge))
+        for node in self._ground_nodes:
+            verge = max((self.kind(edge).verge for edge in legs(node)), default=0.0)
+            inner = (self.net.getLane(name) for name in node.getInternal() if name)
+            yield from ((lane, verge) for lane in inner if lane.allows("passenger"))
+
+    @cached_property
+    def deck_lanes(self) -> Lanes:
+        """Lanes on bridges."""
+        return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
+
+    def road_level(self, center: ArrayLike) -> float:
+        """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
+        points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
+        away = np.hypot(*(points[:, :2] - self.world(center)).T)
+        return float(np.median(points[away <= max(_AROUND, away.min()), 2]))
+
+    @cached_property
+    def lane_points(self) -> Mapping[str, Array]:
+        """(N, 3) places of the world on the lanes of each edge, one at about every metre, by the edge's name."""
+        out = {}
+        for edge in self.edges:
+            lines = [LineString(lane.getShape3D()) for lane in driven(edge)]
+            points = np.concatenate([shapely.segmentize(line, 1.0).coords for line in lines])
+            out[str(edge.getID())] = self.world(points)
+        return out
+
+    def seen_by(self, camera: Camera, reach: float) -> frozenset[str]:
+        """Names of the edges whose lanes a camera has in its image, nearer than `reach` metres."""
+        out = set()
+        for name, points in self.lane_points.items():
+            pixels, depth, valid = camera.project(points)
+            if (valid & camera.inside(pixels) & (depth < reach)).any():
+                out.add(name)
+        return frozenset(out)
+
+
+def _read_net(path: Path) -> Any:
+    return sumolib.net.readNet(str(path), withInternal=True)
+
+
+def _reflect(places: ArrayLike, mirrored: bool) -> Array:
+    """Places or directions (..., 2 or 3) with y turned round if they are seen in the mirror."""
+    out = np.array(places, dtype=np.float64)
+    if mirrored:
+        out[..., 1] *= -1
+    return out
+
+
+def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
+    """What the lanes of edges and the junctions at nodes cover."""
+    parts = [Polygon(node.getShape()) for node in nodes if len(node.getShape()) > 2]
+    for edge in edges:
+        parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in driven(edge)]
+    # Growing and shrinking by some centimetres closes the slits between lanes and junctions.
+    return unary_union(parts).buffer(0.2).buffer(-0.2).simplify(0.02)
+
+
+# --------------------------------------------------------------------------------------------------- edges of sumolib
+
+
+def driven(edge: Any) -> list[Any]:
+    """An edge's lanes that cars may drive on, from right to left."""
+    return [lane for lane in edge.getLanes() if lane.allows("passenger")]
+
+
+def legs(node: Any) -> list[Any]:
+    """The edges that begin or end at a node."""
+    return [e for e in (*node.getIncoming(), *node.getOutgoing()) if not e.isSpecial() and driven(e)]
+
+
+def joins(edge: Any) -> int:
+    """How many edges end where this one does."""
+    return sum(leg.getToNode() is edge.getToNode() for leg in legs(edge.getToNode()))
+
+
+def is_minor(edge: Any) -> bool:
+    """Whether an edge's traffic gives way where it ends."""
+    connections = driven(edge)[0].getOutgoing()
+    # Vehicles that turn left from a main road give way too.
+    return bool(connections) and all(connection.getState() in ("m", "s", "w") for connection in connections)
+
+
+def is_signalled(edge: Any) -> bool:
+    """Whether an edge ends at a junction with traffic lights."""
+    return bool(edge.getToNode().getType() == "traffic_light")
+
+
+def half_width(edge: Any) -> float:
+    """Half of the width of an edge's lanes together, metres."""
+    return float(sum(lane.getWidth() for lane in driven(edge)) / 2)
+
+
+def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
+    """The place (2,) `s` metres along an edge and `offset` metres right of its kerb; the heading there (radians)."""
+    lane = driven(edge)[0]
+    line = LineString(lane.getShape())
+    s = float(np.clip(s, 0.0, line.length - 0.5))
+    a, b = (np.array(line.interpolate(t).coords[0]) for t in (s, s + 0.5))
+    heading = float(np.arctan2(*(b - a)[::-1]))
+    return a + right_of(heading) * (lane.getWidth() / 2 + offset), heading
+
+
+def along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
+    """Places beside edges, every `spacing` metres along each and `offset` metres to the right of its kerb.
+
+    Yields:
+        The edge, the place (2,), and the heading there (radians).
+    """
+    for edge in edges:
+        for s in np.arange(spacing / 2, driven(edge)[0].getLength(), spacing):
+            yield edge, *beside(edge, float(s), offset)
+
+
+def right_of(heading: float) -> Array:
+    """The unit vector (2,) to the right of a heading (radians)."""
+    return np.array([np.sin(heading), -np.cos(heading)])

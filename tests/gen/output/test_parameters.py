@@ -1,0 +1,80 @@
+"""Parameters of a dataset: written and read by themselves, and whatever is wrong in a file is named."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skope.errors import UserError
+from skope.gen.labels.annotate import Rules
+from skope.gen.output.frames import Encoding
+from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
+from skope.gen.scene.recording import RecordingInfo
+
+OWN = OwnSiteRecord(file="site.toml", digests={"site": "ab"}, town="cd", photograph=True, splits=("train", "test"))
+PARAMETERS = Parameters(
+    preset="varied",
+    seed=3,
+    sites=("west", "east"),
+    frames={"train": 3, "easy": 2},
+    recordings=2,
+    interval_s=0.5,
+    size="320x180",
+    fov_deg=60,
+    renderer="gl",
+    driver="a driver",
+    rules=Rules(occlusion="paper", min_box=10),
+    settings={"rain_mm_h": (2.0, 6)},
+    cameras={"zoom_by": (0.9, 1.1)},
+    vehicles={"mine": "ef"},
+    shape_jitter=True,
+    own=OWN,
+    encoding=Encoding(image="png", depth=False),
+    format="shards",
+    licence="CC0 1.0",
+    versions={"skope": "0.1.0"},
+)
+PLAN = DatasetPlan(PARAMETERS, (RecordingInfo("west", "00", "train", 2), RecordingInfo("east", "01", "easy", 1)))
+
+
+def through_json(value: Any) -> Any:
+    return json.loads(json.dumps(value))
+
+
+def test_what_is_written_is_read_again() -> None:
+    assert DatasetPlan.from_dict(through_json(PLAN.to_dict()), Path("card")) == PLAN
+    assert through_json(PLAN.to_dict()) == PLAN.to_dict()  # nothing but JSON values
+
+
+def test_folders_of_before_lack_what_there_was_not() -> None:
+    values = through_json(PARAMETERS.to_dict())
+    for name in ("licence", "own", "recordings"):
+        del values[name]
+    made = Parameters.from_dict(values)
+    assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"fov_deg": "wide"}, "parameters.fov_deg: expected a number, got 'wide'"),
+        ({"seed": True}, "parameters.seed: expected a whole number, got True"),
+        ({"seed": 1.0}, "parameters.seed: expected a whole number, got 1.0"),
+        ({"settings": {"rain_mm_h": [1]}}, "parameters.settings: expected an object of pairs of numbers"),
+        ({"frames": {"train": "3"}}, "parameters.frames: expected an object of whole numbers"),
+        ({"sites": "west"}, "parameters.sites: expected names, got 'west'"),
+        ({"own": {"file": "site.toml"}}, "parameters.own.digests: expected an object of texts, got nothing"),
+        ({"rules": {"occlusion": "paper"}}, "parameters.rules: expected occlusion, "),
+        ({"encoding": {"image": "gif", "quality": 95, "depth": True}}, "parameters.encoding: --image-format: "),
+        ({"encoding": {"image": "jpeg", "quality": "95", "depth": True}}, "parameters.encoding: "),
+        ({"haze": 3}, "parameters.haze: is a field that this version of skope does not know"),
+    ],
+)
+def test_what_is_wrong_is_named(change: Mapping[str, Any], said: str) -> None:
+    plan = through_json(PLAN.to_dict())
+    plan["parameters"] |= change
+    with pytest.raises(UserError) as raised:
+        DatasetPlan.from_dict(plan, Path("card"))
+    assert str(raised.value).startswith(f"card: {said}")
