@@ -74,7 +74,9 @@ def town_map(town: Town) -> Image:
         at = (x - width - 12 if left else x + 12, y - 8)
         cv2.rectangle(image, (at[0] - 3, at[1] - 15), (at[0] + width + 3, at[1] + 5), (255, 255, 255), -1)
         cv2.putText(image, label, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _TEXT, 1, cv2.LINE_AA)
-    cv2.putText(image, f"{town}: {layout.style.title}", (16, 38), cv2.FONT_HERSHEY_SIMPLEX, 0.9, _TEXT, 2, cv2.LINE_AA)
+    cv2.putText(
+        image, f"{town.name}: {layout.style.title}", (16, 38), cv2.FONT_HERSHEY_SIMPLEX, 0.9, _TEXT, 2, cv2.LINE_AA
+    )
     bar = round(100 * scale)
     cv2.line(image, (16, image.shape[0] - 20), (16 + bar, image.shape[0] - 20), _TEXT, 3)
     cv2.putText(image, "100 m", (22 + bar, image.shape[0] - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _TEXT, 1, cv2.LINE_AA)

@@ -15,6 +15,7 @@ from skope.gen.scenery.trees import bush, hedge
 from skope.gen.towns.layout import KERB_WIDTH, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along, right_of
+from skope.gen.towns.style import drawn_name
 
 SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""
@@ -44,7 +45,7 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
     if house.terraced or house.setback == 0.0 or not house.kind.garden:
         return
     x, y = house.size[0] / 2, house.size[1] / 2
-    front, kind = y + house.setback - 0.25, _draw_fence_kind(layout, rng)
+    front, kind = y + house.setback - 0.25, drawn_name(layout.style.fences, rng)
     for a, b in ((-x - 1.3, -0.95), (0.95, x + 0.15)):
         if _fits(taken, house, (a, front), (b, front)):
             middle = house.to_world(np.array([(a + b) / 2, front]))
@@ -64,7 +65,7 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
     """Enclosures and shrubs where no house stands at the street; all lower than 1 m or so."""
     shapely.prepare(taken)
     edges = [edge for edge in layout.graph.edges_of("ground") if not layout.graph.kind(edge).guard_rails]
-    kinds = {edge.getID(): _draw_fence_kind(layout, rng) for edge in edges}
+    kinds = {edge.getID(): drawn_name(layout.style.fences, rng) for edge in edges}
     length = 5.6
     for edge, place, heading in along(edges, length + 0.15, 0.0):
         place = place + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
@@ -104,11 +105,6 @@ def _enclosure_offset(layout: Layout, edge: Any, beyond: float) -> float:
     kind = layout.graph.kind(edge)
     sidewalk = kind.sidewalk + layout.style.plaza
     return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
-
-
-def _draw_fence_kind(layout: Layout, rng: np.random.Generator) -> str:
-    names, shares = list(layout.style.fences), np.array(list(layout.style.fences.values()))
-    return names[rng.choice(len(names), p=shares / shares.sum())]
 
 
 def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:

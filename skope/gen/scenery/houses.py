@@ -1,6 +1,6 @@
 """Buildings in rows along the roads and behind them, as the town's style has them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.regions import polygons, rectangle
 from skope.gen.towns.road_graph import beside, driven
-from skope.gen.towns.style import Kind, Row
+from skope.gen.towns.style import Kind, Row, drawn_name
 from skope.types import Array
 
 SIGHT: Final = 38.0
@@ -104,7 +104,7 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     kinds = layout.style.behind
     for edge in fronts if kinds else []:
         for s in np.arange(10.0, driven(edge)[0].getLength(), 23.0):
-            kind = layout.style.kinds[_draw_name(kinds, rng)]
+            kind = layout.style.kinds[drawn_name(kinds, rng)]
             size = (rng.uniform(*kind.length), rng.uniform(*kind.depth))
             place, heading = beside(edge, float(s), rng.uniform(26.0, 52.0) + max(size) / 2)
             turned = heading + rng.choice([0.0, np.pi / 2, np.pi])
@@ -112,11 +112,6 @@ def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
             if taken.has_room_for(behind):
                 out.append(behind)
     return out
-
-
-def _draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    names, weights = list(shares), np.array(list(shares.values()))
-    return names[rng.choice(len(names), p=weights / weights.sum())]
 
 
 class Taken:
@@ -164,7 +159,7 @@ def _row_at(layout: Layout, edge: Any, s: float) -> Row | None:
 
 
 def _next_house(layout: Layout, row: Row, edge: Any, s: float, rng: np.random.Generator) -> House:
-    kind = layout.style.kinds[_draw_name(row.kinds, rng)]
+    kind = layout.style.kinds[drawn_name(row.kinds, rng)]
     length, depth = rng.uniform(*kind.length), rng.uniform(*kind.depth)
     setback = rng.uniform(*row.setback) + kind.parking
     road = layout.graph.kind(edge)

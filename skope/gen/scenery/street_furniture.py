@@ -13,6 +13,7 @@ from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
 from skope.gen.towns.layout import FAR, Layout
 from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
+from skope.gen.towns.style import drawn_name
 from skope.types import Array
 
 CLEARANCE: Final = 0.4
@@ -108,8 +109,7 @@ def _draw_small_item(
     shares: Mapping[str, float], back: float, rng: np.random.Generator
 ) -> tuple[float, Callable[[], Mesh]]:
     """Something of what stands on sidewalks: distance from the kerb, how to make it."""
-    names, weights = list(shares), np.array(list(shares.values()))
-    name = names[rng.choice(len(names), p=weights / weights.sum())]
+    name = drawn_name(shares, rng)
     make, at_kerb = _SMALL[name]
     return 0.8 if at_kerb else back, make
 

@@ -1,6 +1,6 @@
 """Trees of several species, bushes and hedges."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final, Literal
@@ -15,6 +15,7 @@ from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
 from skope.gen.towns.layout import FAR, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along
+from skope.gen.towns.style import drawn_name
 from skope.types import Array
 
 CLEARANCE: Final = 0.4
@@ -103,7 +104,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
         for edge, place, _ in along(edges, line.spacing, line.offset):
             street = line.offset < graph.kind(edge).sidewalk
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
-            at, species, likely = place + wander, _draw_name(style.species, rng), rng.random()
+            at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
             if likely < line.chance and free(keep_clear, at, 0.4):
                 grow(at, street, SPECIES[species])
     # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
@@ -111,13 +112,8 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     for island in polygons(layout.islands.buffer(-1.4)):
         for at in _places_along(island, 11.0):
             if rng.random() < style.median_trees and not near_cameras.intersects(Point(at)):
-                grow(at, False, SPECIES[_draw_name(style.species, rng)])
+                grow(at, False, SPECIES[drawn_name(style.species, rng)])
     return out
-
-
-def _draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    names, weights = list(shares), np.array(list(shares.values()))
-    return names[rng.choice(len(names), p=weights / weights.sum())]
 
 
 def _places_along(region: Polygon, spacing: float) -> Iterator[Array]:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
 
+import numpy as np
+
 from skope.gen.towns.town import Town, folder
 
 Range = tuple[float, float]
@@ -201,3 +203,9 @@ def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:
         return tuple(fix(item) for item in value) if isinstance(value, list) else value
 
     return {name: fix(value) for name, value in values.items()}
+
+
+def drawn_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+    """A name, drawn with a probability in proportion to its share."""
+    names, weights = list(shares), np.array(list(shares.values()))
+    return names[rng.choice(len(names), p=weights / weights.sum())]
