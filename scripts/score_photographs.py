@@ -145,7 +145,7 @@ def check_places(records: str, rows: Sequence[Annotation] | Sequence[Result]) ->
 def score_photographs(
     photographs: Photographs, results: Sequence[Result], given: Sequence[Result] | None, score: float
 ) -> Figures:
-    """All figures: of all photographs, of each scene, and (keypoints only) of each band of heights.
+    """All figures: of all photographs, of each scene, and (keypoints only) of each band of heights and each vehicle.
 
     `given` are results in the ground-truth boxes, None where there are none. A ratio without a denominator is None.
     """
@@ -171,6 +171,9 @@ def score_photographs(
         "keypoints_of_all_interval_90": scene_interval(vehicles, np.random.default_rng(0)),
         "scenes": {scene: figures([scene]) for scene in scenes},
         "heights_px": {band: keypoint_figures(own, in_given=given is not None) for band, own in bands.items()},
+        "vehicles": {
+            str(v.id): {"labelled": v.labelled, "found": v.found, "found_in_given_boxes": v.in_given} for v in vehicles
+        },
     }
 
 

@@ -247,7 +247,7 @@ def generate(
 
     Args:
         out: The dataset's folder; a new one, or one that the same call began.
-        preset: What kind of dataset: "demo", "paper", "full", "extra" or "varied".
+        preset: What kind of dataset: "demo", "paper", "full", "extra", "varied" or "world".
         sites: Names of camera sites in place of the preset's (`skope gen sites` lists them).
         site: A site file of your own road and camera in place of `sites`.
         frames: Images for each site.

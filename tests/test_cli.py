@@ -194,7 +194,7 @@ def test_long_help_stands_in_panels() -> None:
         if parameter.param_type_name == "option" and not parameter.hidden:
             panels.setdefault(name, defaultdict(list))[parameter.rich_help_panel].append(parameter.opts[0])
     titles = {name: {title for title in told if title} for name, told in panels.items()}
-    gen = {"Sites and traffic", "Camera and image", "Labels", "Output", "Machine"}
+    gen = {"Sites and traffic", "Variation", "Camera and image", "Labels", "Output", "Machine"}
     assert titles["skope gen"] == titles["skope gen simulate"] == gen
     assert titles["skope train"] == {"Data", "Training", "Output", "Machine"}
     assert titles["skope eval"] == {"Data", "What counts", "Output", "Machine"}

@@ -12,16 +12,27 @@ test splits of --data, `visible boxes` on its own kind of box too, and on those 
 On a machine with several GPUs start it several times, with other --variants or --seeds and CUDA_VISIBLE_DEVICES; the
 command with all of them does what is missing and prints the table. --fresh-heads takes only backbone and pyramid
 from --init, as from COCO weights, which know nothing of these keypoints either.
+
+What images are worth is asked with --images NAME=FOLDER, repeated: the same short training on as many images of each
+dataset, from --init (the detector of the package, say), measured on the test splits of --data and on hand-labelled
+--photographs (see scripts/score_photographs.py; each look is logged in their own folder under --out). Vehicles of the
+photographs are paired: paired.md gives differences from the first dataset with their standard error over vehicles.
+
+    python scripts/research/experiment_train.py --images varied=data/varied --images world=data/world --data data/tests
+        --init reference --set learning_rate=0.004 --max-images 1900 --epochs 3 --photographs real --out runs/worth
 """
 
 import argparse
 import shutil
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torchvision.models.detection import KeypointRCNN
 
@@ -54,6 +65,8 @@ class Variant:
     """Whether the test splits are looked at with `labels` too."""
     varied: bool = False
     """Whether it learns from --varied."""
+    images: Path | None = None
+    """Dataset that it learns from, in place of --data."""
 
 
 def visible_boxes(rows: Sequence[Row]) -> list[Row]:
@@ -65,7 +78,7 @@ def none_ignored(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if not row["iscrowd"]]
 
 
-VARIANTS: Mapping[str, Variant] = {
+VARIANTS: dict[str, Variant] = {
     "exact": Variant((*EXACT, SIGHT)),
     "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], SIGHT)),
     "bfloat16": Variant((FAST[0], *EXACT[1:], SIGHT)),
@@ -85,7 +98,9 @@ FIGURES = ("pck", "pck_given", "keypoint_recall", "box_recall")
 
 def main() -> None:
     options = parse()
-    names = options.variants or [name for name, one in VARIANTS.items() if options.varied or not one.varied]
+    VARIANTS.update({name: Variant((*FAST, SIGHT, *LIVELY), images=Path(at)) for name, at in options.images})
+    names = options.variants or [name for name, _ in options.images]
+    names = names or [name for name, one in VARIANTS.items() if options.varied or not one.varied]
     if options.fresh_heads:
         options.init = str(headless(options.init, options.out / "first_weights.safetensors"))
     rows = [measured(options, name, seed) for seed in options.seeds for name in names]
@@ -93,12 +108,19 @@ def main() -> None:
     text = table(rows)
     write_text(options.out / "results.md", text)
     print(text)
+    if options.photographs:
+        write_text(options.out / "paired.md", paired(rows, names))
+        print(paired(rows, names))
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--varied", type=Path, help="dataset of the preset `varied`")
+    parser.add_argument(
+        "--images", type=named_folder, action="append", default=[], metavar="NAME=FOLDER", help="learn from this one"
+    )
+    parser.add_argument("--photographs", type=Path, help="folder of hand-labelled photographs")
     parser.add_argument("--out", type=Path, default=Path("runs/experiment"))
     parser.add_argument("--recipe", default="paper", choices=tuple(RECIPES))
     parser.add_argument("--init", default="auto", help="as `skope train` takes it")
@@ -108,12 +130,17 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--max-images", type=int)
     parser.add_argument("--set", action="append", default=[], help="a value of the recipe, for every variant")
     parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1, 2])
-    parser.add_argument("--variants", nargs="*", choices=tuple(VARIANTS), help="default: all")
+    parser.add_argument("--variants", nargs="*", help=f"default: all of --images, or all of {', '.join(VARIANTS)}")
     parser.add_argument("--splits", nargs="*", default=["easy", "medium", "hard"])
     parser.add_argument("--test-images", type=int, default=300, help="of each split, with vehicles, evenly spread")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--workers", type=int, default=8)
     return parser.parse_args()
+
+
+def named_folder(text: str) -> tuple[str, Path]:
+    name, _, folder = text.partition("=")
+    return name, Path(folder)
 
 
 def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
@@ -142,7 +169,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
         return dict(read_json(done))
     device = detector.choose_device(options.device)
     recipe, variant = recipe_of(options, name), VARIANTS[name]
-    data = options.varied if variant.varied else options.data
+    data = variant.images or (options.varied if variant.varied else options.data)
     own = relabelled(data, variant.labels, folder / "data") if variant.labels else data
     config = RunConfig(recipe=recipe, seed=seed, data=(str(own),), mix=None, max_images=options.max_images)
     console = Console()
@@ -163,10 +190,54 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
     if options.varied:
         found |= {f"{split}, varied": row for split, row in figures(options, model, options.varied, device).items()}
     row = {"variant": name, "seed": seed, "splits": found, "recipe": recipe.to_dict()}
+    if options.photographs:
+        row["photographs"] = on_photographs(options.photographs, checkpoint, folder / "photographs", device)
     write_json(done, row)
     for heavy in (folder / "run", folder / "data"):
         shutil.rmtree(heavy, ignore_errors=True)
     return row
+
+
+def on_photographs(photographs: Path, checkpoint: Path, out: Path, device: torch.device) -> Row:
+    """What scripts/score_photographs.py finds, of all photographs and of each vehicle."""
+    script = Path(__file__).parents[1] / "score_photographs.py"
+    command = [sys.executable, str(script), str(photographs), "--checkpoint", str(checkpoint), "--out", str(out)]
+    subprocess.run([*command, "--device", str(device)], check=True, stdout=subprocess.DEVNULL)
+    found = read_json(out / "metrics.json")
+    scenes = {name: scene["keypoints"]["share_of_all"] for name, scene in found["scenes"].items()}
+    return {"all": found["all"], "scenes": scenes, "vehicles": found["vehicles"]}
+
+
+def paired(rows: Sequence[Row], names: Sequence[str]) -> str:
+    """Markdown: figures on the photographs, and differences from the first variant over vehicles, mean of the seeds."""
+    head = ["images", "found, %", "in given boxes, %", "difference", "difference in given boxes"]
+    head += ["AP50", "recall at precision .90", "phantoms a frame"]
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    first: dict[str, np.ndarray] = {}
+    for name in names:
+        own = [row["photographs"] for row in rows if row["variant"] == name]
+        points, boxes = ([one["all"][part] for one in own] for part in ("keypoints", "boxes"))
+        cells = [name]
+        shown = ("share_of_all", "share_in_given_boxes")
+        cells += [spread([100 * of[figure] for of in points]) for figure in shown]
+        for figure in ("found", "found_in_given_boxes"):
+            shares = np.array(
+                [[v[figure], v["labelled"]] for one in own for v in one["vehicles"].values()], dtype=float
+            )
+            mine = shares.reshape(len(own), -1, 2).mean(axis=0)
+            gap = 100 * (mine[:, 0] - first.setdefault(figure, mine)[:, 0]) / mine[:, 1].mean()
+            cells.append(f"{gap.mean():+.1f} ± {gap.std(ddof=1) / len(gap) ** 0.5:.1f}")
+        cells.append(spread([of["ap50"] for of in boxes], 3))
+        cells.append(spread([of["recall_at_precision"]["0.90"]["recall"] for of in boxes], 3))
+        cells.append(spread([of["phantoms_a_frame"] for of in boxes], 1))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def spread(values: Sequence[float], digits: int = 1) -> str:
+    """Mean, and standard deviation where there are several."""
+    beside = f" ± {statistics.stdev(values):.{digits}f}" if len(values) > 1 else ""
+    return f"{statistics.mean(values):.{digits}f}{beside}"
 
 
 def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Path) -> Path:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from skope.gen.pipeline.workers import WorkerPool
 
 traffic = panel("Sites and traffic")
+variation = panel("Variation")
 camera = panel("Camera and image")
 labels = panel("Labels")
 output = panel("Output")
@@ -31,7 +32,10 @@ class DatasetOptions:
 
     preset: Annotated[
         str,
-        traffic(choices=("demo", "paper", "extra", "full", "varied"), help="Which dataset to make (see the README)."),
+        traffic(
+            choices=("demo", "paper", "extra", "full", "varied", "world"),
+            help="Which dataset to make (see the README).",
+        ),
     ] = "demo"
     seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0
     sites: Annotated[str | None, traffic(metavar=LIST, help="Sites of `skope gen sites` instead of the preset's.")] = (
@@ -45,7 +49,19 @@ class DatasetOptions:
     vehicles: Annotated[
         str | None, traffic(metavar=LIST, help="Models of `skope gen vehicles add` that drive by too.")
     ] = None
-    shape_jitter: Annotated[bool, traffic(help="Give every vehicle a shape of its own, near its model's.")] = False
+    views: Annotated[
+        int | None,
+        variation(help="Cameras at other corners of the town that share each traffic.", show_default="the preset's"),
+    ] = None
+    town_jitter: Annotated[
+        bool | None, variation(help="Draw what stands along the roads anew.", show_default="the preset's")
+    ] = None
+    shape_jitter: Annotated[
+        bool | None, variation(help="Give every vehicle a shape of its own.", show_default="the preset's")
+    ] = None
+    camera_jitter: Annotated[bool, variation(help="Hang and turn each recording's camera a little differently.")] = (
+        False
+    )
     size: Annotated[str | None, camera(metavar=SIZE, help="Image size.")] = None
     fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.")] = None
     settings: Annotated[
@@ -56,7 +72,6 @@ class DatasetOptions:
             help="A condition, as NAME=VALUE or NAME=LOW..HIGH (see docs/rendering.md); repeatable.",
         ),
     ] = None
-    camera_jitter: Annotated[bool, camera(help="Hang and turn each recording's camera a little differently.")] = False
     localizer: Annotated[
         str,
         labels(choices=("rigid", "trilateration"), help="Where keypoints come from; trilateration: as in the paper."),
@@ -118,6 +133,8 @@ class DatasetOptions:
             settings=parse_settings(self.settings or []),
             vehicles={name: load(name).digest for name in _models(self.vehicles)},
             shape_jitter=self.shape_jitter,
+            views=self.views,
+            town_jitter=self.town_jitter,
             format=self.format,
             licence=named(self.licence),
             own=read_site(self.site) if self.site else None,

@@ -19,6 +19,8 @@ from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
+_VARIED: Final = ("world",)
+"""Presets that have views and jitter unless they are told otherwise."""
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
@@ -79,10 +81,19 @@ def command(p: Parameters) -> str:
         parts += [] if p.encoding.depth else ["--no-depth"]
     parts += [f"--format {p.format}"] if p.format != "folder" else []
     parts += [f"--vehicles {','.join(p.vehicles)}"] if p.vehicles else []
-    parts += ["--shape-jitter"] if p.shape_jitter else []
+    if p.preset in _VARIED:
+        parts += [f"--views {p.views}", _switch("town-jitter", p.town_jitter), _switch("shape-jitter", p.shape_jitter)]
+    else:
+        parts += ["--shape-jitter"] if p.shape_jitter else []
+        parts += [f"--views {p.views}"] if p.views else []
+        parts += ["--town-jitter"] if p.town_jitter else []
     parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
     parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT else []
     return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
+
+
+def _switch(name: str, on: bool) -> str:
+    return f"--{name}" if on else f"--no-{name}"
 
 
 def label_rules(rules: Rules) -> list[str]:

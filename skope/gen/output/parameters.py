@@ -63,6 +63,13 @@ class Parameters:
     """Models of the user (`skope gen vehicles add`) that drive beside the fleet: name to SHA-256 of the files."""
     shape_jitter: bool = False
     """Whether each vehicle gets a shape of its own near its model's."""
+    views: int = 0
+    """Number of recordings of a site for training that share one simulated traffic, each with a camera at another
+    corner of the town; 0 where cameras hang at their sites and each recording has its own traffic."""
+    traffic: Range | None = None
+    """Range of a recording's traffic, times its site's; None for what `presets.toml` says of the split."""
+    town_jitter: bool = False
+    """Whether what stands along the roads is drawn anew for each simulated traffic."""
     own: OwnSiteRecord | None = None
     """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
@@ -89,6 +96,7 @@ class Parameters:
             "rules": asdict(self.rules),
             "settings": {name: list(pair) for name, pair in self.settings.items()},
             "cameras": {name: list(pair) for name, pair in self.cameras.items()},
+            "traffic": list(self.traffic) if self.traffic else None,
             "own": self.own.to_dict() if self.own else None,
             "encoding": asdict(self.encoding),
         }
@@ -111,6 +119,9 @@ class Parameters:
         if made.get("own") is not None:
             _check_fields(f"{where}.own", made["own"], _OWN_KINDS)
             made["own"] = OwnSiteRecord(**{**made["own"], "splits": tuple(made["own"]["splits"])})
+        if values.get("traffic"):
+            low, high = values["traffic"]
+            made["traffic"] = (low, high)
         for name in ("settings", "cameras"):
             made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
         return cls(**{**made, "sites": tuple(values["sites"])})
@@ -176,6 +187,7 @@ _NUMBER: Final = _Kind("a number", _is_number)
 _SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
 _OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
 _OBJECT_OR_NULL: Final = _Kind("an object or null", lambda value: isinstance(value, dict | None))
+_RANGE_OR_NULL: Final = _Kind("a pair of numbers or null", lambda value: value is None or _is_range(value))
 _TEXTS: Final = _Kind("names", lambda value: isinstance(value, list) and all(map(_is_text, value)))
 _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
 _COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
@@ -183,17 +195,18 @@ _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_ra
 
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
-    **dict.fromkeys(("seed", "recordings"), _WHOLE),
+    **dict.fromkeys(("seed", "recordings", "views"), _WHOLE),
     **dict.fromkeys(("interval_s", "fov_deg"), _NUMBER),
     **dict.fromkeys(("rules", "encoding"), _OBJECT),
     **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
     **dict.fromkeys(("vehicles", "versions"), _TEXT_BY_NAME),
     "sites": _TEXTS,
     "frames": _COUNT_BY_NAME,
-    "shape_jitter": _SWITCH,
+    **dict.fromkeys(("shape_jitter", "town_jitter"), _SWITCH),
     "own": _OBJECT_OR_NULL,
+    "traffic": _RANGE_OR_NULL,
 }
-_OPTIONAL: Final = frozenset(("licence", "own", "recordings"))
+_OPTIONAL: Final = frozenset(("licence", "own", "recordings", "town_jitter", "traffic", "views"))
 """Fields that folders of before may lack."""
 _OWN_KINDS: Final[Mapping[str, _Kind]] = {
     "file": _TEXT,

@@ -55,6 +55,8 @@ class DatasetRequest:
         check_settings(p.settings)
         camera_sampling.check_ranges(p.cameras)
         self._check_lens()
+        if not 0 <= p.views <= 16:
+            raise UserError(f"--views: expected a whole number from 0 to 16, got {p.views}")
         if self.own:
             self._check_own(self.own)
 
@@ -80,6 +82,9 @@ class DatasetRequest:
         lens = next((name for name in ("k1", "fisheye") if name in p.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
             raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
+        if p.views or p.town_jitter:
+            flag = "--views" if p.views else "--town-jitter"
+            raise UserError(f"{flag}: {own.path} is a road of your own; only the towns of the package can be changed")
         if p.cameras and photograph:
             raise UserError(f"{own.path}: a photograph shows the road from one camera only: no other can be drawn")
         if p.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
@@ -105,15 +110,24 @@ class DatasetRequest:
                 cameras=p.cameras,
                 vehicles=tuple(p.vehicles),
                 shape_jitter=p.shape_jitter,
+                views=p.views if self.site(name).split == "train" else 0,
+                town_jitter=p.town_jitter,
             )
             for name in p.sites
             for index, frames in enumerate(_share_out(self.frames_of(name), p.recordings))
         ]
 
+    def simulations(self) -> list[tuple[RecordingPlan, ...]]:
+        """The plans, those together that share their traffic."""
+        groups: dict[tuple[str, int], list[RecordingPlan]] = {}
+        for plan in self.plans():
+            groups.setdefault((plan.site.name, plan.leader), []).append(plan)
+        return [tuple(group) for group in groups.values()]
+
     def _in_its_light(self, name: str, index: int) -> Site:
         """The site with the weather, hour and traffic of its recording `index`."""
         if self.own is None:
-            return in_its_light(site(name), index, self.parameters.seed)
+            return in_its_light(site(name), index, self.parameters.seed, self.parameters.traffic)
         own = replace(self.own.site, split=self.own.splits[index])
         # A photograph shows one light, which all recordings share.
         return own if self.own.road.photograph else in_its_light(own, index, self.parameters.seed)
@@ -139,25 +153,25 @@ def _share_out(frames: int, recordings: int) -> list[int]:
     return [frames // count + (i < frames % count) for i in range(count)]
 
 
-def in_its_light(own: Site, index: int, seed: int) -> Site:
+def in_its_light(own: Site, index: int, seed: int, traffic: Range | None = None) -> Site:
     """A site with the weather, hour and traffic of its recording `index`.
 
     Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
-    and a share of the site's vehicles an hour that `seed` draws.
+    and a share of the site's vehicles an hour that `seed` draws: from `traffic`, or else from the same table.
     """
-    if index == 0:
-        return own
     splits = _tables()["splits"]
     split = splits.get(own.split, splits["train"])
+    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*(traffic or split["traffic"]))
+    busy = replace(own, vehicles_per_hour=round(own.vehicles_per_hour * share, 1))
+    if index == 0:
+        return busy if traffic else own
     lights = split["light"]
     if own.road:
         # The site file decides the first recording's light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     weather, time_of_day = lights[(index - 1) % len(lights)].split()
-    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*split["traffic"])
-    traffic = own.vehicles_per_hour * share
     fixed = {name: pair for name, pair in own.conditions.items() if name not in _SUN}
-    return replace(own, weather=weather, time_of_day=time_of_day, vehicles_per_hour=round(traffic, 1), conditions=fixed)
+    return replace(busy, weather=weather, time_of_day=time_of_day, conditions=fixed)
 
 
 def _range_pairs(table: Mapping[str, list[float]]) -> dict[str, Range]:
@@ -219,6 +233,10 @@ def from_preset(
             "fov_deg": round(math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])), 3),
         }
     values |= {name: value for name, value in overrides.items() if value is not None}
+    if "recording_frames" in row and overrides.get("recordings") is None:
+        longest = max(values["frames"].values()) if frames is None else frames
+        values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
+    values["traffic"] = tuple(row["traffic"]) if "traffic" in row else None
     values["settings"] = _range_pairs(row.get("settings", {})) | dict(settings or {})
     values["cameras"] = _range_pairs(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:

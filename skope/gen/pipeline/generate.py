@@ -138,12 +138,13 @@ def _fix_renderer(store: Store, renderer: str) -> None:
 
 
 def _simulate(store: Store, request: DatasetRequest, pool: WorkerPool, console: Console) -> None:
-    todo = [plan for plan in request.plans() if not store.recorded(plan.info)]
-    for path in (store.recording_path(plan.info) for plan in todo):
+    todo = [plans for plans in request.simulations() if not all(store.recorded(plan.info) for plan in plans)]
+    for path in (store.recording_path(plan.info) for plans in todo for plan in plans):
         if path.is_file() and not recording.sound(path):
             console.say(f"{path}: is broken, and is made again")
-    for _ in console.bar(pool.simulate(store, todo), total=len(todo), unit="recording", label="simulating"):
-        pass
+    with console.bar(total=sum(map(len, todo)), unit="recording", label="simulating") as bar:
+        for count in pool.simulate(store, todo):
+            bar.update(count)
 
 
 def _render(store: Store, pool: WorkerPool, console: Console) -> None:

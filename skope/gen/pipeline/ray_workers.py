@@ -1,7 +1,7 @@
 """Workers of a Ray cluster. They share no disk with this machine: recordings are sent to them, frames come back."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
-from skope.gen.simulation.simulate import simulate
+from skope.gen.simulation.simulate import simulate_together
 
 _LOST: Final = 20
 """How many workers may be lost before the run is given up."""
@@ -41,8 +41,8 @@ class Worker:
             if here.get(name) != version:
                 raise UserError(f"has {name} {here.get(name, 'not at all')}, this run is made with {version}")
 
-    def simulate(self, plan: RecordingPlan) -> bytes:
-        return recordings.packed(simulate(plan))
+    def simulate(self, plans: Sequence[RecordingPlan]) -> list[bytes]:
+        return [recordings.packed(recording) for recording in simulate_together(plans)]
 
     def render(self, data: bytes, spec: RenderJobSpec, job: RenderJob) -> list[FrameFiles]:
         if self._recording != job.recording or self._opened is None:
@@ -66,13 +66,15 @@ class RayPool:
     def _start_worker(self) -> Any:
         return self._actor.remote(versions())
 
-    def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
-        left = deque(plans)
-        for plan, data in self._keep_busy(
-            left, lambda _: left.popleft(), left.appendleft, lambda worker, plan: worker.simulate.remote(plan)
+    def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
+        left = deque(simulations)
+        for plans, made in self._keep_busy(
+            left, lambda _: left.popleft(), left.appendleft, lambda worker, plans: worker.simulate.remote(plans)
         ):
-            store.write_recording(plan.info, data)
-            yield 1
+            for plan, data in zip(plans, made, strict=True):
+                if not store.recorded(plan.info):
+                    store.write_recording(plan.info, data)
+            yield len(plans)
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
         queue, held, sent = JobQueue(missing), dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()

@@ -3,7 +3,7 @@
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.render.gl.context import WORKER
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
-from skope.gen.simulation.simulate import simulate
+from skope.gen.simulation.simulate import simulate_together
 
 CHUNK = 8
 """Frames per job: small enough that no worker idles long at the end."""
@@ -51,8 +51,8 @@ class RenderJob:
 class WorkerPool(Protocol):
     """One or more workers that simulate and render into a store. What they yield is already written."""
 
-    def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
-        """Yields 1 for each recording that is done."""
+    def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
+        """Make the recordings of each simulation; yields how many are done since the last time."""
         ...
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
@@ -118,10 +118,16 @@ class JobQueue:
 # --------------------------------------------------------------------------------------------------- what a worker does
 
 
-def simulate_one(root: Path, plan: RecordingPlan) -> int:
-    """Simulate a recording and write it to the dataset folder `root`; returns 1, the recordings that are done."""
-    Store(root).write_recording(plan.info, recordings.packed(simulate(plan)))
-    return 1
+def simulate_job(root: Path, plans: Sequence[RecordingPlan]) -> int:
+    """Simulate recordings that share their traffic, and write them to the dataset folder `root`.
+
+    Returns how many they are. Those that are there already stay.
+    """
+    store = Store(root)
+    for plan, recording in zip(plans, simulate_together(plans), strict=True):
+        if not store.recorded(plan.info):
+            store.write_recording(plan.info, recordings.packed(recording))
+    return len(plans)
 
 
 def render_job(root: Path, spec: RenderJobSpec, job: RenderJob) -> int:
@@ -147,8 +153,8 @@ def _open_recording(path: Path, _changed: int, renderer: str) -> tuple[Recording
 class InProcessPool:
     """A pool without worker processes: this process simulates and renders."""
 
-    def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
-        return (simulate_one(store.root, plan) for plan in plans)
+    def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
+        return (simulate_job(store.root, plans) for plans in simulations)
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
         queue, recording = JobQueue(missing), None
@@ -176,9 +182,9 @@ class ProcessPool:
             for number in range(count)
         ]
 
-    def simulate(self, store: Store, plans: Iterable[RecordingPlan]) -> Iterator[int]:
-        queue = deque(plans)
-        return self._keep_busy(queue, lambda worker: partial(simulate_one, store.root, queue.popleft()))
+    def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
+        queue = deque(simulations)
+        return self._keep_busy(queue, lambda worker: partial(simulate_job, store.root, queue.popleft()))
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
         queue = JobQueue(missing)

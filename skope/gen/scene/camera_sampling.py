@@ -35,7 +35,7 @@ _LARGE: Final = 24.0
 """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
 _BRIDGE: Final = 12.0
 """A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
-_ROAD: Final = 40.0
+ROAD: Final = 40.0
 """Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
 
 
@@ -74,16 +74,17 @@ def drawn(
     layout = Layout.of(site.town)
     lanes, level = np.concatenate(list(layout.graph.lane_points.values())), _level(layout, site)
     lowest = _lowest(layout.graph, site)
-    enough = min(_ROAD, _seen(own, lanes) / 2)
+    enough = min(ROAD, road_seen(own, lanes) / 2)
     for _ in range(_TRIES):
         values = {name: float(rng.uniform(*spans[name])) for name in LIMITS if name in spans}
-        camera = _moved(site.camera(size, values.get("fov_deg", fov_deg), distortion), values, level)
-        if camera.position[2] >= lowest and _seen(camera, lanes) >= enough:
+        camera = moved(site.camera(size, values.get("fov_deg", fov_deg), distortion), values, level)
+        if camera.position[2] >= lowest and road_seen(camera, lanes) >= enough:
             return camera
     raise UserError(f"{site.name}: of {_TRIES} cameras drawn none sees {enough:.0f} m of lanes")
 
 
-def _moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
+def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
+    """A camera with some of the values of `LIMITS`; `level` is the height of the road before it, metres."""
     x, y, z = camera.position.tolist()
     yaw, pitch_down, roll = camera.angles
     pitch = values.get("pitch_deg", math.degrees(pitch_down)) + values.get("pitch_by_deg", 0.0)
@@ -110,7 +111,7 @@ def _lowest(graph: RoadGraph, site: Site) -> float:
     return z if under else -math.inf
 
 
-def _seen(camera: Camera, lanes: Array) -> float:
+def road_seen(camera: Camera, lanes: Array) -> float:
     """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
     pixels, depth, valid = camera.project(lanes)
     high = camera.K[1, 1] * _CAR >= _LARGE * camera.height / 1080 * depth

@@ -22,6 +22,10 @@ class Stream(Enum):
     """Weather, light, lens and sensor."""
     CAMERA = auto()
     """Pose of the camera, where it is not the site's own."""
+    VARIANT = auto()
+    """Scenery of a simulation's town, where it is grown anew."""
+    PAINT = auto()
+    """The paint of a vehicle before a camera that shares its traffic with others; takes the CRC-32 of the name."""
     ROAD_USER = auto()
     """The shape of a vehicle or the look of a rider; takes the CRC-32 of the name."""
     RAIN = auto()
@@ -40,6 +44,8 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.PARKED_VEHICLES: (3,),
     Stream.CONDITIONS: (4,),
     Stream.CAMERA: (5,),
+    Stream.VARIANT: (6,),
+    Stream.PAINT: (7,),
     Stream.ROAD_USER: (),
     Stream.RAIN: (11,),
     Stream.RAIN_IN_FRAME: (12,),

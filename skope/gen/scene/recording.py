@@ -23,7 +23,7 @@ from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.towns.sites import Site
-from skope.gen.towns.town import Town, towns
+from skope.gen.towns.town import Mast, Town, Variant, towns
 from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
@@ -68,6 +68,16 @@ class RecordingPlan:
     """Models of the user (`skope gen vehicles add`) that drive beside the fleet."""
     shape_jitter: bool = False
     """Whether each vehicle gets a shape of its own near its model's."""
+    views: int = 0
+    """Number of recordings in a row that share one simulated traffic, each with a camera at another corner of the town;
+    0 where the camera hangs at its site and the traffic is its own."""
+    town_jitter: bool = False
+    """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
+
+    @property
+    def leader(self) -> int:
+        """Number of the first of the recordings that share this one's traffic."""
+        return self.index - self.index % self.views if self.views else self.index
 
     @property
     def info(self) -> RecordingInfo:
@@ -78,9 +88,13 @@ class RecordingPlan:
         """The generator of one of this recording's streams; `which` is what the stream takes."""
         return rng(self.seed, self.site.name, self.index, stream, *which)
 
+    def shared_rng(self, stream: Stream, *which: int) -> np.random.Generator:
+        """The generator of a stream that recordings with one traffic have in common."""
+        return rng(self.seed, self.site.name, self.leader, stream, *which)
+
     def rng_of(self, name: str) -> np.random.Generator:
         """The random generator of the vehicle or rider of that name."""
-        return self.rng(Stream.ROAD_USER, zlib.crc32(name.encode()))
+        return self.shared_rng(Stream.ROAD_USER, zlib.crc32(name.encode()))
 
 
 @dataclass(frozen=True)
@@ -228,6 +242,7 @@ def packed(recording: Recording) -> bytes:
     header = {
         "version": VERSION,
         "town": recording.town.name,
+        **({"variant": asdict(variant)} if (variant := recording.town.variant) else {}),
         **{name: getattr(recording, name) for name in _HEADER},
         "size": [recording.camera.width, recording.camera.height],
         "camera": recording.camera.to_dict(),
@@ -235,13 +250,19 @@ def packed(recording: Recording) -> bytes:
         "vehicles": [asdict(vehicle) for vehicle in recording.vehicles],
         "signals": [dict(states) for states in recording.signals],
     }
-    arrays = {name: getattr(recording, name) for name in _ARRAYS}
+    arrays = {name: _smallest(getattr(recording, name)) for name in _ARRAYS}
     if road := recording.town.road:
         header["place"] = road.header()
         arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILES}
     file = io.BytesIO()
     np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
     return file.getvalue()
+
+
+def _smallest(values: Any) -> Any:
+    """Poses of 24 bits in half of the bytes; others as they are."""
+    short = values.astype(np.float32) if values.dtype == np.float64 and values.ndim > 1 else values
+    return short if np.array_equal(short, values) else values
 
 
 def length(path: Path) -> int:
@@ -296,16 +317,30 @@ def unpacked(data: bytes, path: Path) -> Recording:
         raise UserError(f"{path}: not a readable recording: {error}") from None
 
 
+def _full(values: Any) -> Any:
+    return values.astype(np.float64) if values.dtype == np.float32 else values
+
+
+def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
+    if row is None:
+        return None
+    masts = []
+    for mast in row["masts"]:
+        x, y, z, yaw, pitch = map(float, (*mast["position"], mast["yaw_deg"], mast["pitch_deg"]))
+        masts.append(Mast((x, y, z), yaw, pitch))
+    return Variant(int(row["seed"]), tuple(masts))
+
+
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
     """Put a recording together from the header and the arrays of its file."""
     own = header.get("place")
     road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
     return Recording(
-        town=Town(header["town"], road),
+        town=Town(header["town"], road, _variant_of(header.get("variant"))),
         **{name: header[name] for name in _HEADER},
         camera=Camera.from_dict(header["camera"], *header["size"]),
         conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
-        **{name: file[name] for name in _ARRAYS},
+        **{name: _full(file[name]) for name in _ARRAYS},
     )

@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import lru_cache
 from typing import Any, Final, Self
 
 import numpy as np
@@ -91,7 +91,7 @@ class Scenery:
         )
 
 
-@cache
+@lru_cache(maxsize=10)
 def scenery(town: Town) -> Scenery:
     """Grow everything of a town that does not move, or load it from the cache.
 
@@ -107,13 +107,23 @@ def scenery(town: Town) -> Scenery:
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
     if town.road and town.road.photograph:
         return Scenery(backdrop(Layout.of(town), town.road), ())
-    return Scenery.from_arrays(cached("town", digest_of(town.name), lambda: _grow_scenery(town).to_arrays()))
+    parts = (town.name, *([repr(town.variant)] if town.variant else []))
+    return Scenery.from_arrays(cached("town", digest_of(*parts), lambda: _grow_scenery(town).to_arrays()))
+
+
+def bays_of(town: Town) -> tuple[Bay, ...]:
+    """The parking bays of a town's scenery, without growing the rest of a variant."""
+    if not town.variant:
+        return scenery(town).bays
+    layout = Layout.of(town)
+    houses = plots(layout, _generators(town)["plots"])
+    bays = (*lot_bays(car_parks(houses)[0]), *drive_bays(houses))
+    return tuple(map(_bay_out_of_mirror, bays)) if layout.graph.mirrored else bays
 
 
 def _grow_scenery(town: Town) -> Scenery:
     layout = Layout.of(town)
-    # A generator of its own for each part, so that a change of one leaves the others as they are.
-    rng = dict(zip(_PARTS, np.random.default_rng(zlib.crc32(town.name.encode())).spawn(len(_PARTS)), strict=True))
+    rng = _generators(town)
     houses = plots(layout, rng["plots"])
     built = covered(houses)
     walks, drives = paths(houses)
@@ -142,6 +152,17 @@ def _grow_scenery(town: Town) -> Scenery:
     return _out_of_mirror(grown) if layout.graph.mirrored else grown
 
 
+def _generators(town: Town) -> dict[str, np.random.Generator]:
+    """A generator of its own for each part of the scenery, so that a change of one leaves the others as they are."""
+    own = zlib.crc32(town.name.encode())
+    seed = [own, town.variant.seed] if town.variant and town.variant.seed else own
+    return dict(zip(_PARTS, np.random.default_rng(seed).spawn(len(_PARTS)), strict=True))
+
+
+def _bay_out_of_mirror(bay: Bay) -> Bay:
+    return Bay((bay.place[0], -bay.place[1]), -bay.heading)
+
+
 def _out_of_mirror(seen: Scenery) -> Scenery:
     """Mirror scenery that was grown for the mirror image of a town with left-hand traffic."""
     flip = np.array([1.0, -1.0, 1.0])
@@ -150,7 +171,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple(replace(signal, lamps=signal.lamps * flip, facing=signal.facing * flip) for signal in seen.signals),
         tuple(shapely.affinity.scale(footprint, 1.0, -1.0, origin=(0, 0)) for footprint in seen.buildings),
         tuple((x, -y, reach) for x, y, reach in seen.trees),
-        tuple(Bay((bay.place[0], -bay.place[1]), -bay.heading) for bay in seen.bays),
+        tuple(map(_bay_out_of_mirror, seen.bays)),
         seen.lamps * flip,
     )
 

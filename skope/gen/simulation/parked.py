@@ -38,7 +38,9 @@ class Parked:
         return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
 
-def parked(town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator) -> list[Parked]:
+def parked(
+    town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator, *, most: int = MOST
+) -> list[Parked]:
     """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
 
     Args:
@@ -46,13 +48,14 @@ def parked(town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rn
         bays: Bays in view.
         models: Models that drive in the town, by name.
         rng: Draws bays, models, paints and places.
+        most: Mean number of vehicles at most.
     """
     if not bays:
         return []
     layout = Layout.of(town)
     fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.size_lwh[0] < BAY[0] + 0.2}
     names, shares = list(fitting), np.array(list(fitting.values()))
-    share, out = min(OCCUPIED, MOST / len(bays)), []
+    share, out = min(OCCUPIED, most / len(bays)), []
     for i, bay in enumerate(bays):
         if rng.random() > share:
             continue

@@ -3,13 +3,14 @@
 import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from skope.camera import Camera
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.package_versions import versions
+from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulation.parked import Parked
 from skope.gen.simulation.pedestrians import PlacedBystander
@@ -19,7 +20,9 @@ from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
 from skope.gen.vehicles.fleet import FleetEntry, build, fleet
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.paints import draw_paint
 from skope.gen.vehicles.shape_jitter import jittered
+from skope.types import Array
 
 REACH: Final = 150.0
 """Vehicles nearer to the camera than this are simulated physically, metres."""
@@ -34,6 +37,10 @@ BEHIND: Final = 40.0
 """Vehicles behind the camera are recorded up to this distance, metres: they may throw shadows into the view."""
 PARKED_REACH: Final = 120.0
 """Parked vehicles nearer to the camera than this are recorded, metres."""
+AROUND: Final = 25.0
+"""Road users that are this near to what a camera shows may throw shadows into it, metres."""
+AROUND_AT_NIGHT: Final = 45.0
+"""The same with lamps on, which light the road before them, metres."""
 FLASH: Final = 0.667
 """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
 TRACKS_PER_RECORDING: Final = 100_000
@@ -53,6 +60,19 @@ def flashed(lamps: int, time: float, name: str) -> int:
     return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
 
 
+def _half_view(camera: Camera) -> float:
+    """The largest angle between a camera's axis and what its image shows, radians."""
+    columns, rows = np.meshgrid(np.linspace(0, camera.width, 5), np.linspace(0, camera.height, 5))
+    rays, valid = camera.rays(np.stack([columns, rows], axis=-1).reshape(-1, 2))
+    if not valid.all():
+        return math.pi
+    return float(np.arccos(1 / np.linalg.norm(rays, axis=1).max()))
+
+
+def _rounded(values: Sequence[Array], number: type[np.floating[Any]]) -> Array:
+    return np.array(values, dtype=number).astype(np.float64)
+
+
 class Recorder:
     """Collects the frames of a recording; road users are numbered in the order in which they are first recorded."""
 
@@ -61,10 +81,13 @@ class Recorder:
     ) -> None:
         self._plan, self._models = plan, models
         self._vehicles: dict[str, Vehicle] = {}
+        self._paints: dict[str, str] = {}
         self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
         self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
         self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
         self._always = LAMPS["low_beam"] if lamps_on else 0
+        self._eye_3d, self._axis = camera.position, camera.T_camera_world[2, :3]
+        self._half_view, self._around = _half_view(camera), AROUND_AT_NIGHT if lamps_on else AROUND
         self._parked: dict[str, tuple[Parked, Pose]] = {}
         self._index: dict[str, int] = {}
         self._entries: list[RecordedVehicle] = []
@@ -111,6 +134,14 @@ class Recorder:
             self._vehicles[name] = vehicle
         return self._vehicles[name]
 
+    def _paint(self, name: str, vehicle: Vehicle, color: str) -> str:
+        """The paint of a vehicle: its own, or, where cameras share the traffic, one that is drawn for this camera."""
+        if not self._plan.views:
+            return color
+        if name not in self._paints:
+            self._paints[name] = draw_paint(vehicle, self._plan.rng(Stream.PAINT, zlib.crc32(name.encode())))
+        return self._paints[name]
+
     def add(
         self,
         time: float,
@@ -124,12 +155,12 @@ class Recorder:
         self._signals.append(dict(snapshot.signals))
         for name, (vehicle, driven) in near.items():
             lamps = flashed(driven.lamps, time, name) | self._always
-            self._note(
-                frame, name, vehicle.model, vehicle.shape.to_dict(), traffic.trips[name].color, poses[name], lamps
-            )
+            color = self._paint(name, vehicle, traffic.trips[name].color)
+            self._note(frame, name, vehicle.model, vehicle.shape.to_dict(), color, poses[name], lamps)
         for name, (one, pose) in self._parked.items():
             shape = self._vehicles[name].shape.to_dict()
-            self._note(frame, name, one.model, shape, one.color, pose, 0, parked=True)
+            color = self._paint(name, self._vehicles[name], one.color)
+            self._note(frame, name, one.model, shape, color, pose, 0, parked=True)
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
         """The bays near enough that vehicles parked in them are recorded."""
@@ -163,14 +194,27 @@ class Recorder:
         labelled: bool = True,
         parked: bool = False,
     ) -> None:
+        if self._plan.views and not self._shows(pose.T_world_chassis[:3, 3]):
+            return
         if name not in self._index:
             self._index[name] = len(self._entries)
             track = self._first_track + len(self._entries)
             self._entries.append(RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled))
         self._rows.append((frame, self._index[name], pose, lamps))
 
+    def _shows(self, place: Array) -> bool:
+        """Whether a road user at a place (3,) may be seen, or its shadow, or the light of its lamps."""
+        away = place - self._eye_3d
+        distance = float(np.linalg.norm(away))
+        if distance <= self._around:
+            return True
+        aside = math.acos(min(1.0, max(-1.0, float(away @ self._axis) / distance)))
+        return aside < self._half_view + math.asin(self._around / distance)
+
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
+        # Many views must travel: their poses are kept to 24 bits, a hundredth of a millimetre.
+        number = np.float32 if plan.views else np.float64
         return Recording(
             town=site.town,
             site=site.name,
@@ -187,8 +231,8 @@ class Recorder:
             signals=tuple(self._signals),
             frame=np.array([row[0] for row in self._rows], dtype=np.int32),
             vehicle=np.array([row[1] for row in self._rows], dtype=np.int32),
-            T_world_chassis=np.array([pose.T_world_chassis for pose in poses]).reshape(-1, 4, 4),
-            T_world_wheels=np.array([pose.T_world_wheels for pose in poses]).reshape(-1, 4, 4, 4),
-            velocity=np.array([pose.velocity for pose in poses]).reshape(-1, 3),
+            T_world_chassis=_rounded([pose.T_world_chassis for pose in poses], number).reshape(-1, 4, 4),
+            T_world_wheels=_rounded([pose.T_world_wheels for pose in poses], number).reshape(-1, 4, 4, 4),
+            velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
         )

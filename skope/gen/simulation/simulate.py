@@ -1,23 +1,31 @@
-"""Simulate a recording: drive a site's traffic past its camera."""
+"""Simulate recordings: drive a site's traffic past its camera, or past several cameras of its town."""
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
+from skope.camera import Camera
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scenery.build import scenery
-from skope.gen.simulation.parked import parked
+from skope.gen.scene.view_sampling import ViewSampler
+from skope.gen.scenery.build import bays_of
+from skope.gen.simulation.parked import MOST, parked
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import REACH, Recorder
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
+from skope.gen.towns.town import Variant
 from skope.gen.traffic.demand import in_town
-from skope.gen.traffic.sumo import Traffic, step_for
+from skope.gen.traffic.sumo import Snapshot, Traffic, step_for
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import FleetEntry, fleet
+from skope.types import Array
 
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""
@@ -34,64 +42,165 @@ LAMPS_ON_VISIBILITY: Final = 1000.0
 
 
 def simulate(plan: RecordingPlan) -> Recording:
-    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before a site's camera.
+    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before a site's camera; see `simulate_together`."""
+    (recording,) = simulate_together([plan])
+    return recording
+
+
+def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
+    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before one camera, or before several at once.
 
     Args:
-        plan: Everything that decides the recording; equal plans give equal recordings.
+        plans: Everything that decides the recordings: one plan, or all plans with the same `leader`, in order, whose
+            cameras then hang at other corners of the town. Their frames are at times between those of each other.
+            Equal plans give equal recordings.
 
     Returns:
-        The recording, with all frames of the plan.
+        A recording for each plan, with all its frames.
 
     Raises:
         UserError: The interval is no multiple of 5 ms, no camera that is drawn sees enough road, or the site's flows
             do not fit its network.
     """
-    site = plan.site
-    step = step_for(plan.interval)
-    rng = plan.rng(Stream.TRAFFIC)
+    first = plans[0]
+    site, step = first.site, step_for(first.interval)
+    rng = first.shared_rng(Stream.TRAFFIC)
     warm_up = round(rng.uniform(*WARM_UP) / step)
-    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
-    conditions = Conditions.drawn(spans, plan.rng(Stream.CONDITIONS))
-    camera = camera_sampling.drawn(
-        site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, plan.rng(Stream.CAMERA)
-    )
-    stride, settle, ahead = round(plan.interval / step), round(SETTLE / step), reach(step)
-    models = _models(plan)
-    recorder = Recorder(camera, plan, models, lamps_on=lamps_on(conditions))
-    paths = sidewalks(site.town, site.position[:2], CROWD_REACH)
-    standing = parked(site.town, recorder.in_view(scenery(site.town).bays), models, plan.rng(Stream.PARKED_VEHICLES))
-    recorder.park(standing)
-    footprints = [one.footprint(models[one.model].vehicle) for one in standing]
-    walkers = Walkers(paths, plan.rng(Stream.PEDESTRIANS), footprints)
-    steps = settle + (plan.frames - 1) * stride + 1
-    duration = (warm_up + steps + ahead) * step
+    stride, settle, ahead = round(first.interval / step), round(SETTLE / step), reach(step)
+    starts = [settle + stride * k // len(plans) for k in range(len(plans))]
+    steps = max(start + (plan.frames - 1) * stride for plan, start in zip(plans, starts, strict=True)) + 1
+    models, conditions = _models(first), [_conditions(plan) for plan in plans]
+    cameras = _Cameras(plans, conditions, models, starts, stride)
     with (
         Traffic(
             site.town.network,
             models,
             vehicles_per_hour=site.vehicles_per_hour,
-            duration=duration,
+            duration=(warm_up + steps + ahead) * step,
             rng=rng,
             flows=site.flows,
             passing=RoadGraph.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
             step=step,
-            watched=recorder.watches,
+            watched=cameras.watch,
         ) as traffic,
         World(step) as world,
     ):
-        riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, plan.rng_of)
+        riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, first.rng_of)
         traffic.warm_up(warm_up - ahead)
-        for k, (snapshot, driven) in enumerate(drivable(traffic.steps(steps + 2 * ahead), step)):
-            near = recorder.near(driven, traffic)
-            world.advance(near)
+        snapshots: Iterable[Snapshot] = traffic.steps(steps + 2 * ahead)
+        if first.views:
+            snapshots = list(snapshots)
+            cameras.choose(snapshots[ahead:])
+        cameras.set_up()
+        for k, (snapshot, driven) in enumerate(drivable(snapshots, step)):
+            near = [recorder.near(driven, traffic) for recorder in cameras.recorders]
+            world.advance({name: one for of_camera in near for name, one in of_camera.items()})
             riding = riders.follow(snapshot.riders, step)
-            if k >= settle and (k - settle) % stride == 0:
-                time = (k - settle) * step
-                far = recorder.far(driven, traffic)
-                poses = world.poses() | {name: at_rest(*placed) for name, placed in far.items()}
-                recorder.add(time, near | far, poses, snapshot, traffic)
-                recorder.add_others({**riding, **walkers.at(time)})
-    return recorder.recording(plan, camera, conditions)
+            for recorder, own, walkers, start, plan in zip(
+                cameras.recorders, near, cameras.walkers, starts, plans, strict=True
+            ):
+                frame, between = divmod(k - start, stride)
+                if not between and 0 <= frame < plan.frames:
+                    time = frame * stride * step
+                    far = recorder.far(driven, traffic)
+                    poses = {name: at_rest(*placed) for name, placed in far.items()} | world.poses()
+                    recorder.add(time, own | far, poses, snapshot, traffic)
+                    recorder.add_others({**riding, **walkers.at(time)})
+    return cameras.recordings()
+
+
+class _Cameras:
+    """The cameras of plans that share their traffic, with what each records."""
+
+    def __init__(
+        self,
+        plans: Sequence[RecordingPlan],
+        conditions: Sequence[Conditions],
+        models: Mapping[str, FleetEntry],
+        starts: Sequence[int],
+        stride: int,
+    ) -> None:
+        self.recorders: list[Recorder] = []
+        self.walkers: list[Walkers] = []
+        self._plans, self._conditions, self._models = list(plans), conditions, models
+        self._starts, self._stride = starts, stride
+        self._cameras = [] if plans[0].views else [self._own_camera(plans[0], conditions[0])]
+        if plans[0].town_jitter and not plans[0].views:
+            self._move_to(Variant(_variant_seed(plans[0])))
+        if self._cameras:
+            self._add_recorders()
+
+    def _own_camera(self, plan: RecordingPlan, conditions: Conditions) -> Camera:
+        rng = plan.rng(Stream.CAMERA)
+        return camera_sampling.drawn(plan.site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, rng)
+
+    def watch(self, x: float, y: float) -> bool:
+        """Whether a vehicle at a place (world, metres) may be recorded; anywhere while cameras are not chosen."""
+        return not self.recorders or any(recorder.watches(x, y) for recorder in self.recorders)
+
+    def choose(self, snapshots: Sequence[Snapshot]) -> None:
+        """Hang cameras where they see the traffic of `snapshots`, the first of which is that of step 0."""
+        sampler = ViewSampler(self._plans[0].site.town)
+        masts = []
+        for plan, conditions, start in zip(self._plans, self._conditions, self._starts, strict=True):
+            times = [start + k * self._stride for k in range(plan.frames)]
+            traffic = _places([snapshots[k] for k in times])
+            rng = plan.rng(Stream.CAMERA)
+            view = sampler.draw(traffic, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, rng)
+            self._cameras.append(view.camera)
+            masts.append(view.mast)
+        jitter = self._plans[0].town_jitter
+        self._move_to(Variant(_variant_seed(self._plans[0]) if jitter else 0, tuple(masts)))
+        self._add_recorders()
+
+    def _move_to(self, variant: Variant) -> None:
+        """Let the plans be of a variant of their town."""
+        self._plans = [
+            replace(plan, site=replace(plan.site, town=replace(plan.site.town, variant=variant)))
+            for plan in self._plans
+        ]
+
+    def _add_recorders(self) -> None:
+        for plan, camera, conditions in zip(self._plans, self._cameras, self._conditions, strict=True):
+            self.recorders.append(Recorder(camera, plan, self._models, lamps_on=lamps_on(conditions)))
+
+    def set_up(self) -> None:
+        """Put parked vehicles and pedestrians before the cameras."""
+        town, first = self._plans[0].site.town, self._plans[0]
+        in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
+        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), MOST * len(self._plans)
+        standing = parked(town, list(in_view), self._models, rng, most=most)
+        footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
+        masts = town.variant.masts if town.variant else ()
+        places = [mast.position for mast in masts] or [first.site.position]
+        for plan, (x, y, _), recorder in zip(self._plans, places, self.recorders, strict=True):
+            recorder.park(standing)
+            paths = sidewalks(town, (x, y), CROWD_REACH)
+            self.walkers.append(Walkers(paths, plan.rng(Stream.PEDESTRIANS), footprints))
+
+    def recordings(self) -> list[Recording]:
+        """What was recorded, camera by camera."""
+        each = zip(self.recorders, self._plans, self._cameras, self._conditions, strict=True)
+        return [recorder.recording(plan, camera, conditions) for recorder, plan, camera, conditions in each]
+
+
+def _conditions(plan: RecordingPlan) -> Conditions:
+    site = plan.site
+    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
+    return Conditions.drawn(spans, plan.rng(Stream.CONDITIONS))
+
+
+def _variant_seed(plan: RecordingPlan) -> int:
+    return int(plan.shared_rng(Stream.VARIANT).integers(1, 2**31))
+
+
+def _places(snapshots: Sequence[Snapshot]) -> Array:
+    """(F, V, 3) places of vehicles on the road in snapshots, world; NaN where there are fewer than in others."""
+    out = np.full((len(snapshots), max((len(s.vehicles) for s in snapshots), default=0), 3), np.nan)
+    for row, snapshot in zip(out, snapshots, strict=True):
+        for place, vehicle in zip(row, snapshot.vehicles.values(), strict=False):
+            place[:] = (*vehicle.lane_point, vehicle.height)
+    return out
 
 
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:

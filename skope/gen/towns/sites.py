@@ -11,7 +11,7 @@ import numpy as np
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.towns.town import Town, folder
+from skope.gen.towns.town import Mast, Town, folder
 from skope.gen.towns.user_road import OwnRoad
 
 
@@ -92,9 +92,28 @@ def site(name: str) -> Site:
 
 def sites_of(town: Town) -> tuple[Site, ...]:
     """The camera sites of a town, whose views its scenery keeps clear."""
+    if town.variant and town.variant.masts:
+        return tuple(site_at(mast, town, f"view{i}") for i, mast in enumerate(town.variant.masts))
     if town.road is None:
-        return tuple(site for site in sites().values() if site.town == town)
+        return tuple(site for site in sites().values() if site.town.name == town.name)
     return (site_of(town.road, split="", vehicles_per_hour=0.0, weather="", time_of_day=""),)
+
+
+def site_at(mast: Mast, town: Town, name: str) -> Site:
+    """A camera that hangs on a mast in a town, without traffic and weather of its own."""
+    return Site(
+        name=name,
+        town=town,
+        split="",
+        mounting="",
+        sees="",
+        position=mast.position,
+        yaw_deg=mast.yaw_deg,
+        pitch_deg=mast.pitch_deg,
+        vehicles_per_hour=0.0,
+        weather="",
+        time_of_day="",
+    )
 
 
 def site_of(own: OwnRoad, **values: Any) -> Site:

@@ -1,14 +1,15 @@
 """A town's character as its `town.toml` states it, on top of the building kinds that all towns share."""
 
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
-from skope.gen.towns.town import Town, folder
+from skope.gen.towns.town import Town, folder, towns
 
 Range = tuple[float, float]
 
@@ -171,9 +172,12 @@ class TownStyle:
     """Height of the hills around the town, as a multiple of 22 m."""
 
 
-@cache
+@lru_cache(maxsize=64)
 def style(town: Town) -> TownStyle:
-    """The style of a town."""
+    """The style of a town, or of its variant."""
+    if town.variant and town.variant.seed:
+        rng = np.random.default_rng([zlib.crc32(town.name.encode()), town.variant.seed])
+        return varied_style(style(Town(town.name)), [style(other) for other in towns()], rng)
     row = _read(town)
     own = row.pop("kinds", {})
     shared = tomllib.loads(folder("buildings.toml").read_text(encoding="utf-8"))
@@ -187,6 +191,75 @@ def style(town: Town) -> TownStyle:
         planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting", [])),
         gantries=tuple(Gantry(**_fixed(values)) for values in row.pop("gantries", [])),
         **_fixed(row),
+    )
+
+
+def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Generator) -> TownStyle:
+    """The style of another place of the same kind: what stands along the roads is drawn anew, the roads stay.
+
+    Args:
+        own: Style of the town.
+        others: Styles of all towns, from which trees, fences, street lights and open ground are taken.
+        rng: Draws.
+    """
+
+    def from_others(name: str) -> Any:
+        """A town's value; its own where it has none, for then its roads have no place for such things."""
+        there = [getattr(other, name) for other in others if getattr(other, name)]
+        return getattr(own, name) and there[int(rng.integers(len(there)))]
+
+    def scaled(pair: Range, factor: float) -> Range:
+        return pair[0] * factor, pair[1] * factor
+
+    def some(names: tuple[str, ...], most: int) -> tuple[str, ...]:
+        count = int(rng.integers(1, min(most, len(names)) + 1))
+        return tuple(names[i] for i in sorted(rng.choice(len(names), count, replace=False)))
+
+    def shares(of: Mapping[str, float]) -> Mapping[str, float]:
+        return {name: share * float(rng.lognormal(0.0, 0.8)) for name, share in of.items()}
+
+    kinds = {
+        name: replace(
+            kind,
+            walls=some(kind.walls, 3),
+            roofs=some(kind.roofs, 2),
+            frames=some(kind.frames, 2),
+            storeys=(max(1, kind.storeys[0] - int(rng.integers(0, 2))), kind.storeys[1] + int(rng.integers(0, 2)))
+            if kind.form in ("house", "tower")
+            else kind.storeys,
+            bay=scaled(kind.bay, float(rng.uniform(0.9, 1.2))),
+        )
+        for name, kind in own.kinds.items()
+    }
+    rows = tuple(
+        replace(
+            row,
+            kinds=shares(row.kinds),
+            setback=scaled(row.setback, float(rng.uniform(1.0, 1.8))),
+            gap=scaled(row.gap, float(rng.uniform(0.7, 2.2))),
+            empty=min(0.85, row.empty + max(0.0, float(rng.uniform(-0.3, 0.5)))),
+        )
+        for row in own.rows
+    )
+    planting = tuple(
+        replace(
+            line, spacing=line.spacing * float(rng.uniform(0.8, 1.6)), chance=line.chance * float(rng.uniform(0, 1.2))
+        )
+        for line in own.planting
+    )
+    return replace(
+        own,
+        kinds=kinds,
+        rows=rows,
+        planting=planting,
+        species=shares(from_others("species")),
+        fences=shares(from_others("fences")),
+        furniture=shares(from_others("furniture")),
+        light=from_others("light"),
+        open_ground=from_others("open_ground"),
+        horizon=from_others("horizon"),
+        hill_height=own.hill_height * float(rng.uniform(0.3, 1.8)),
+        median_trees=own.median_trees * float(rng.uniform(0.0, 1.5)),
     )
 
 

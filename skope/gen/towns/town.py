@@ -11,12 +11,36 @@ from skope.gen.towns.user_road import OwnRoad
 
 
 @dataclass(frozen=True)
+class Mast:
+    """Where a camera hangs in a town, and where it looks."""
+
+    position: tuple[float, float, float]
+    """World x, y and z, metres."""
+    yaw_deg: float
+    """Viewing direction, degrees counter-clockwise from east."""
+    pitch_deg: float
+    """Viewing direction, degrees down from the horizon."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Scenery grown anew along the roads of a town of the package: another place with the same network."""
+
+    seed: int
+    """What houses, trees, furniture and colours are drawn by; 0 for a town's own style."""
+    masts: tuple[Mast, ...] = ()
+    """Cameras whose views are kept clear, in place of those of the town's sites."""
+
+
+@dataclass(frozen=True)
 class Town:
-    """A town of the package, or a user's own road. Towns of one name are equal."""
+    """A town of the package, or a user's own road. Towns of one name and variant are equal."""
 
     name: str
     road: OwnRoad | None = field(default=None, compare=False, repr=False)
     """The user's own road; None for the towns of the package."""
+    variant: Variant | None = None
+    """How its scenery differs from that of the package; None where it does not."""
 
     @classmethod
     def of(cls, road: OwnRoad) -> "Town":

@@ -19,8 +19,10 @@ from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, dataset_card, licences
 from skope.gen.output.card_counts import Counts, kind_of
 from skope.gen.output.croissant import croissant
+from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.pipeline.config import from_preset
+from skope.gen.render.choose_renderer import choose_renderer
 from tests.samples import make_dataset
 
 
@@ -113,6 +115,33 @@ def test_the_command_in_the_card_repeats_the_licence() -> None:
     assert "--licence" not in content()["command"]
     words = shlex.split(content(licence="our terms; see LICENCE")["command"])
     assert words[words.index("--licence") + 1] == "our terms; see LICENCE"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"preset": "demo"},
+        {"preset": "demo", "views": 2, "town_jitter": True, "shape_jitter": True, "camera_jitter": True},
+        {"preset": "varied", "format": "shards", "settings": {"noise": (1.0, 2.0)}},
+        {"preset": "world"},
+        {"preset": "world", "views": 0, "town_jitter": False, "shape_jitter": False},
+        {"preset": "world", "views": 2, "encoding": Encoding(image="png", depth=False)},
+    ],
+    ids=str,
+)
+def test_the_command_in_the_card_asks_for_the_same(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(
+        "skope.gen.pipeline.generate.generate_dataset", lambda request, *_: asked.append(request.parameters)
+    )
+    _, driver, _ = choose_renderer("pybullet")
+    made = from_preset(
+        **{"seed": 3, "renderer": "pybullet", "driver": driver, "rules": Rules(), "frames": 24, **changes}
+    )
+    words = shlex.split(dataset_card.command(made.parameters))
+    result = CliRunner().invoke(app, [*words[1:], "--quiet"], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert asked == [made.parameters]
 
 
 # ------------------------------------------------------------------------------------------------------------ croissant

@@ -1,0 +1,137 @@
+"""Recordings that share one simulated traffic: other corners and times, other paint and light, the same on any way."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skope.gen.labels.annotate import Rules
+from skope.gen.pipeline.config import DatasetRequest, from_preset
+from skope.gen.pipeline.dataset_store import Store
+from skope.gen.pipeline.workers import simulate_job
+from skope.gen.scene import recording as recordings
+from skope.gen.scene.recording import Recording, RecordingPlan
+from skope.gen.scenery.build import bays_of, scenery
+from skope.gen.simulation.simulate import simulate, simulate_together
+from skope.gen.towns.style import style
+from skope.gen.towns.town import Town, Variant
+
+
+def request(**changes: object) -> DatasetRequest:
+    made = from_preset(
+        "world",
+        seed=2,
+        renderer="pybullet",
+        driver="",
+        rules=Rules(),
+        frames=8,
+        sites=("t01_mill_corner",),
+        size="320x180",
+    )
+    return replace(made, parameters=replace(made.parameters, **{"recordings": 4, **changes}))
+
+
+@pytest.fixture(scope="module")
+def plans() -> Sequence[RecordingPlan]:
+    (plans,) = request().simulations()
+    assert [(plan.index, plan.leader, plan.frames) for plan in plans] == [(0, 0, 2), (1, 0, 2), (2, 0, 2), (3, 0, 2)]
+    return plans
+
+
+@pytest.fixture(scope="module")
+def filmed(plans: Sequence[RecordingPlan]) -> list[Recording]:
+    return simulate_together(plans)
+
+
+def test_cameras_hang_at_corners_of_one_town(filmed: list[Recording]) -> None:
+    variants = {recording.town.variant for recording in filmed}
+    (variant,) = variants
+    assert variant
+    assert variant.seed
+    assert len(set(variant.masts)) == 4
+    for mast, recording in zip(variant.masts, filmed, strict=True):
+        assert recording.camera.position == pytest.approx(mast.position, abs=1e-6)
+    assert len({recording.conditions for recording in filmed}) == 4
+
+
+def test_equal_plans_make_equal_recordings(plans: Sequence[RecordingPlan], filmed: list[Recording]) -> None:
+    assert list(map(recordings.packed, simulate_together(plans))) == list(map(recordings.packed, filmed))
+
+
+def test_a_missing_recording_is_made_as_it_was(
+    plans: Sequence[RecordingPlan], filmed: list[Recording], tmp_path: Path
+) -> None:
+    store = Store(tmp_path)
+    for plan, recording in zip(plans, filmed, strict=True):
+        store.write_recording(plan.info, recordings.packed(recording))
+    lost = store.recording_path(plans[2].info)
+    whole = lost.read_bytes()
+    lost.unlink()
+    others = {path: path.stat().st_mtime_ns for path in lost.parent.iterdir()}
+    assert simulate_job(tmp_path, plans) == 4
+    assert lost.read_bytes() == whole
+    assert {path: path.stat().st_mtime_ns for path in others} == others
+
+
+def test_a_recording_keeps_its_town(filmed: list[Recording], tmp_path: Path) -> None:
+    for recording in filmed:
+        recordings.save(tmp_path / "r.npz", recording)
+        assert recordings.load(tmp_path / "r.npz").town == recording.town
+
+
+def test_frames_are_at_other_times(plans: Sequence[RecordingPlan]) -> None:
+    """Two cameras side by side record the same vehicles, but not at the same places, and in other paint."""
+    (busy,) = request(traffic=(2.0, 2.0), sites=("t05_market_first",)).simulations()
+    one, other, *_ = simulate_together(busy)
+    where = [
+        {tuple(place.round(3)) for place in recording.T_world_chassis[:, :2, 3] if np.isfinite(place).all()}
+        for recording in (
+            replace_parked(one),
+            replace_parked(other),
+        )
+    ]
+    assert where[0]
+    assert not where[0] & where[1]
+
+
+def replace_parked(recording: Recording) -> Recording:
+    """The recording without what stands still."""
+    moving = np.hypot(*recording.velocity[:, :2].T) > 0.5
+    rows = {name: getattr(recording, name)[moving] for name in recordings._ROWS}
+    return replace(recording, **rows)
+
+
+def test_a_town_is_grown_anew_by_its_seed() -> None:
+    own, first, again, second = (
+        scenery(Town("town01", variant=variant)) for variant in (None, Variant(1), Variant(1), Variant(2))
+    )
+    assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
+    assert len({len(one.mesh.vertices) for one in (own, first, second)}) == 3
+
+
+def test_only_a_seed_changes_the_style() -> None:
+    own, moved, anew = (style(Town("town02", variant=variant)) for variant in (None, Variant(0), Variant(9)))
+    assert own == moved
+    assert (own.roads, own.terrain) == (anew.roads, anew.terrain)
+    assert own.rows != anew.rows
+
+
+@pytest.mark.parametrize("town", [Town("town01", variant=Variant(5)), Town("town07", variant=Variant(5))])
+def test_bays_are_those_of_the_scenery(town: Town) -> None:
+    assert bays_of(town) == scenery(town).bays
+
+
+def test_town_jitter_without_views_keeps_the_sites_camera() -> None:
+    made = request(views=0, town_jitter=True, cameras={}, recordings=1)
+    (plan,) = made.plans()
+    recording = simulate(plan)
+    assert recording.camera.position == pytest.approx(plan.site.position)
+    assert recording.town.variant
+    assert not recording.town.variant.masts
+
+
+def test_sites_that_are_tested_on_keep_their_cameras() -> None:
+    made = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=24, sites=("t01_school_lane",))
+    assert [plan.views for plan in made.plans()] == [0]
