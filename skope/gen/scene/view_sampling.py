@@ -19,6 +19,7 @@ from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.camera_sampling import ROAD, moved, road_seen
 from skope.gen.scene.conditions import Range
+from skope.gen.scenery.houses import SIGHT
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.sites import site_at, sites_of
@@ -43,6 +44,10 @@ _SEEN_PX: Final = 16.0
 """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
 _NEAR_SHARE: Final = 0.15
 """A vehicle is near where a car is higher than this share of the image."""
+_EVERY: Final = 3
+"""Of as many frames, one is looked at to count vehicles."""
+_FRONTS: Final = 3.0
+"""No house stands nearer to the carriageway than this, metres."""
 _TESTED_M, _TESTED_DEG = 80.0, 75.0
 """Road belongs to a test site's camera up to this distance, and this angle to either side of where it looks."""
 _ABOVE_GROUND: Final = 2.5
@@ -67,7 +72,10 @@ class ViewSampler:
         """(N, 3) points of all lanes, one at every metre, world."""
         self._tested = tested_road(town, self._lanes)
         self._starts, self._headings = self._roadside()
-        shapely.prepare(graph.road)
+        self._open = graph.road.buffer(_FRONTS)
+        """Where no house stands."""
+        for region in (graph.road, self._open):
+            shapely.prepare(region)
 
     def _roadside(self) -> tuple[Array, Array]:
         """Points (M, 3) of lanes on the ground that masts may stand beside, world, and headings (M,) there."""
@@ -110,7 +118,7 @@ class ViewSampler:
             view = self._candidate(vehicles, size, fov_deg, distortion, spans, rng)
             if view is None or road_seen(view.camera, self._lanes) < ROAD or self.shows_tested_road(view.camera):
                 continue
-            seen, near = _vehicles_seen(view.camera, traffic)
+            seen, near = self.vehicles_seen(view.camera, traffic)
             weight = float(seen < 0.1) if empty else (min(seen, ENOUGH) + NEAR_WEIGHT * near) ** 1.5 * (seen >= 1)
             found.append((view, weight))
         if not found:
@@ -119,6 +127,32 @@ class ViewSampler:
         if not weights.any():
             weights = np.ones(len(found))
         return found[int(rng.choice(len(found), p=weights / weights.sum()))][0]
+
+    def vehicles_seen(self, camera: Camera, traffic: Array) -> tuple[float, float]:
+        """Mean number of vehicles that a camera sees in a frame, and of near ones among them.
+
+        Args:
+            camera: The camera.
+            traffic: (F, V, 3) as `draw` takes it.
+        """
+        frames = traffic[::_EVERY]
+        places = frames[np.isfinite(frames[..., 0])] + [0.0, 0.0, _CAR / 2]
+        if not len(places):
+            return 0.0, 0.0
+        pixels, depth, valid = camera.project(places)
+        rows = camera.K[1, 1] * _CAR / np.maximum(depth, 0.1)
+        seen = valid & camera.inside(pixels) & (rows > _SEEN_PX * camera.height / 1080)
+        seen[seen] = self._in_the_open(camera.position, places[seen])
+        near = seen & (rows > _NEAR_SHARE * camera.height)
+        return float(seen.sum() / len(frames)), float(near.sum() / len(frames))
+
+    def _in_the_open(self, eye: Array, places: Array) -> NDArray[np.bool_]:
+        """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
+        along = np.linspace(0.1, 0.9, 9)[:, None, None]
+        points = eye[:2] + along * (places[:, :2] - eye[:2])
+        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < SIGHT
+        x, y = np.moveaxis(self._layout.graph.world(points), -1, 0)
+        return np.asarray((near | shapely.contains_xy(self._open, x, y)).all(axis=0))
 
     def shows_tested_road(self, camera: Camera) -> bool:
         """Whether a camera has road in its image that a test site's camera looks at."""
@@ -183,14 +217,3 @@ def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:
             away = np.hypot(east, north)
             out |= (away < _TESTED_M) & ((aside < _TESTED_DEG) | (away < 5.0))
     return out
-
-
-def _vehicles_seen(camera: Camera, traffic: Array) -> tuple[float, float]:
-    """Mean number of vehicles that a camera sees in a frame, and of near ones among them."""
-    places = traffic[np.isfinite(traffic[..., 0])] + [0.0, 0.0, _CAR / 2]
-    if not len(places):
-        return 0.0, 0.0
-    pixels, depth, valid = camera.project(places)
-    rows = camera.K[1, 1] * _CAR / np.maximum(depth, 0.1)
-    seen = valid & camera.inside(pixels) & (rows > _SEEN_PX * camera.height / 1080)
-    return float(seen.sum() / len(traffic)), float((seen & (rows > _NEAR_SHARE * camera.height)).sum() / len(traffic))
