@@ -26,6 +26,8 @@ class Stream(Enum):
     """Scenery of a simulation's town, where it is grown anew."""
     PAINT = auto()
     """The paint of a vehicle before a camera that shares its traffic with others; takes the CRC-32 of the name."""
+    SHAPE = auto()
+    """One of the shapes that a dataset with views has of a model; in place of the site stands the model's name."""
     ROAD_USER = auto()
     """The shape of a vehicle or the look of a rider; takes the CRC-32 of the name."""
     RAIN = auto()
@@ -46,6 +48,7 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.CAMERA: (5,),
     Stream.VARIANT: (6,),
     Stream.PAINT: (7,),
+    Stream.SHAPE: (8,),
     Stream.ROAD_USER: (),
     Stream.RAIN: (11,),
     Stream.RAIN_IN_FRAME: (12,),

@@ -27,6 +27,8 @@ from skope.gen.towns.town import Mast, Town, Variant, towns
 from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
+SHAPES: Final = 24
+"""Shapes that a dataset with views has of each model: building them must not take longer than drawing them."""
 VERSION: Final = 3
 """Version of the file format of recordings."""
 
@@ -91,6 +93,12 @@ class RecordingPlan:
     def shared_rng(self, stream: Stream, *which: int) -> np.random.Generator:
         """The generator of a stream that recordings with one traffic have in common."""
         return rng(self.seed, self.site.name, self.leader, stream, *which)
+
+    def shape_rng(self, name: str, model: str) -> np.random.Generator:
+        """The generator of a vehicle's shape: its own, or, with views, that of one of the model's `SHAPES`."""
+        if not self.views:
+            return self.rng_of(name)
+        return rng(self.seed, model, zlib.crc32(name.encode()) % SHAPES, Stream.SHAPE)
 
     def rng_of(self, name: str) -> np.random.Generator:
         """The random generator of the vehicle or rider of that name."""

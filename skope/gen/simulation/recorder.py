@@ -130,7 +130,7 @@ class Recorder:
         if name not in self._vehicles:
             vehicle = self._models[model].vehicle
             if self._plan.shape_jitter and model in fleet():
-                vehicle = build(model, jittered(model, self._plan.rng_of(name)))
+                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)))
             self._vehicles[name] = vehicle
         return self._vehicles[name]
 
