@@ -2,12 +2,13 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
+
+from tests.few_directions import sitecustomize
 
 WORKER: Final = "PYTEST_XDIST_WORKER" in os.environ
 if WORKER:
@@ -22,28 +23,35 @@ with suppress(ImportError):  # metrics and formats are worked on without it
 LONGEST: Final = (
     "train/test_learns.py",
     "gen/pipeline/test_generate.py",
-    "test_scripts.py",
-    "test_examples.py",
     "gen/towns/test_networks.py",
-    "gen/pipeline/test_store.py",
-    "train/test_distributed.py",
-    "gen/traffic/test_sumo.py",
-    "train/test_loop.py",
-    "test_reference.py",
+    "test_examples.py",
+    "gen/pipeline/test_dataset_store.py",
+    "test_scripts.py",
     "eval/cli/test_footage.py",
-    "test_score_photographs.py",
-    "train/test_run_folder.py",
-    "gen/inspect/test_check.py",
-    "test_detector.py",
+    "gen/render/test_lens.py",
+    "train/test_distributed.py",
     "gen/labels/test_annotate.py",
+    "gen/render/test_render.py",
+    "test_writers.py",
+    "train/test_loop.py",
+    "test_safe_names.py",
+    "gen/vehicles/test_fleet.py",
+    "gen/render/test_weather.py",
+    "test_reference.py",
+    "eval/inference/test_predictor.py",
+    "gen/inspect/test_check.py",
+    "gen/site_files/test_site_file.py",
+    "gen/traffic/test_sumo.py",
 )
 """Files that take longest: a worker that began one of them last would be waited for."""
 
 
 def pytest_configure() -> None:
-    """Keep the tests' scenery out of the user's cache; workers and subprocesses share it."""
+    """Keep the tests' scenery out of the user's cache; workers and subprocesses share it, and light it cheaply."""
     if not WORKER:
         os.environ["SKOPE_CACHE"] = tempfile.mkdtemp(prefix="skope-cache-")
+        path = (str(Path(sitecustomize.__file__).parent), os.environ.get("PYTHONPATH", ""))
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, path))
 
 
 def pytest_unconfigure() -> None:
@@ -56,16 +64,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     place = {here / name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cheap_scenery() -> Iterator[None]:
-    """Light the tests' scenery from few directions."""
-    from skope.gen.render.gl import light
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(light, "SAMPLES", 4)
-        yield
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoi
 from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
 from skope.errors import UserError
+from tests.train.conftest import shrink
 
 SMALL = {"min_size": 96, "max_size": 160}
 
@@ -55,6 +56,21 @@ def model() -> KeypointRCNN:
 def checkpoint(model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(3)
     detector.save_weights(path, model, config(), {"epoch": 3})
+    return path
+
+
+@pytest.fixture(scope="module")
+def small_model() -> KeypointRCNN:
+    """A model of few weights, for what does not depend on how many they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        return detector.build(config())
+
+
+@pytest.fixture(scope="module")
+def small_checkpoint(small_model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("small") / detector.checkpoint_name(3)
+    detector.save_weights(path, small_model, config(), {"epoch": 3})
     return path
 
 
@@ -109,20 +125,23 @@ def edited_header(path: Path, out: Path, **changes: Any) -> Path:
     ],
 )
 def test_a_checkpoint_of_something_else_is_refused(
-    checkpoint: Path, tmp_path: Path, changes: dict[str, Any], words: str
+    small_checkpoint: Path, tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
-    path = edited_header(checkpoint, tmp_path / "other.safetensors", **changes)
+    path = edited_header(small_checkpoint, tmp_path / "other.safetensors", **changes)
     with pytest.raises(UserError, match=words) as caught:
         detector.load_weights(path, "cpu")
     assert str(path) in str(caught.value)
 
 
-def test_files_that_are_no_checkpoint_are_refused(checkpoint: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_checkpoint_are_refused(
+    small_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shrink(monkeypatch)
     junk, short, foreign, partial = (tmp_path / f"{name}.safetensors" for name in ("junk", "short", "foreign", "part"))
     junk.write_bytes(b"not a checkpoint at all")
-    short.write_bytes(checkpoint.read_bytes()[:-100])
+    short.write_bytes(small_checkpoint.read_bytes()[:-100])
     save_file({"x": torch.zeros(1)}, foreign)
-    edited_header(checkpoint, partial)
+    edited_header(small_checkpoint, partial)
     state = load_file(partial)
     header = {"version": 1, "scheme": keypoints.SCHEME, "num_keypoints": 33, "metadata": {}}
     state.pop("backbone.body.conv1.weight")
@@ -222,16 +241,16 @@ def test_torchvision_codes_and_decodes_continuous_coordinates() -> None:
 
 
 def test_weights_of_the_package_go_by_their_name(
-    model: KeypointRCNN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_model: KeypointRCNN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(weights, "FOLDER", tmp_path / "package")
     with pytest.raises(UserError, match="no such checkpoint"):
         detector.find_checkpoint(Path("reference"))
-    detector.save_weights(weights.path("reference"), model, config(), {})
+    detector.save_weights(weights.path("reference"), small_model, config(), {})
     assert detector.find_checkpoint(Path("reference")) == tmp_path / "package" / "reference.safetensors"
     with pytest.raises(UserError, match="reference comes with skope"):
         detector.find_checkpoint(Path("other"))
     own = Path("reference") / detector.checkpoint_name(1)  # what a user calls so comes first
-    detector.save_weights(own, model, config(), {})
+    detector.save_weights(own, small_model, config(), {})
     assert detector.find_checkpoint(Path("reference")) == own

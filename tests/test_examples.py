@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 def run(folder: Path, name: str, *arguments: object) -> str:
     """Run an example in a process of its own; returns what it printed."""
     command = [sys.executable, str(ROOT / "examples" / name), *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ["PYTHONPATH"]])}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout

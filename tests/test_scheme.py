@@ -15,6 +15,7 @@ from skope.keypoints import PUBLISHED, SKOPE33
 from skope.schema import AnnotationFile, Result
 from skope.train import configure, init_weights, splits
 from tests.samples import make_annotation, make_dataset, make_image
+from tests.train.conftest import shrink
 from tests.train.test_cli import TINY, new
 
 LICENCE = "CC BY-NC-SA 4.0"
@@ -63,6 +64,7 @@ def test_card_and_annotations_agree(published: Path) -> None:
 
 
 def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shrink(monkeypatch)
     config = replace(new(), data=(str(published),), recipe=replace(TINY, epochs=1))
     assert config.recipe.augment.flip == 0.5
     monkeypatch.setattr(configure, "new", lambda *_, **__: config)

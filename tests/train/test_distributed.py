@@ -111,7 +111,8 @@ def torchrun(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     start = ("-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", str(free_port()))
     flags = ("--data", str(folder / "data"), "--out", str(folder / "run"), "--device", "cpu", "--epochs", "1")
     values = [part for value in SMALL for part in ("--set", value)]
-    command = [sys.executable, *start, "-m", "skope", "train", "--recipe", "scratch", *flags, *values, *more]
+    small_skope = ("-m", "tests.train.small_skope", "train")
+    command = [sys.executable, *start, *small_skope, "--recipe", "scratch", *flags, *values, *more]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
 

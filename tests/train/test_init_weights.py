@@ -50,6 +50,7 @@ def test_auto_takes_coco_weights_from_the_cache(tmp_path: Path, monkeypatch: pyt
         initialise("auto")
 
 
+@pytest.mark.usefixtures("small_network")
 def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr(weights, "FOLDER", tmp_path)

@@ -16,6 +16,9 @@ from skope.detector import DetectorConfig
 from skope.errors import UserError
 from skope.train.export import FORMATS, export
 from tests.test_detector import SMALL
+from tests.train.conftest import shrink
+
+pytestmark = pytest.mark.usefixtures("small_network")
 
 CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
 
@@ -24,7 +27,9 @@ CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(1)
     torch.manual_seed(0)
-    detector.save_weights(path, detector.build(CONFIG), CONFIG, {})
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        detector.save_weights(path, detector.build(CONFIG), CONFIG, {})
     return path
 
 
@@ -50,7 +55,8 @@ def little_room() -> None:
 )
 def test_an_export_without_room_leaves_nothing(to: str, out: str, checkpoint: Path, tmp_path: Path) -> None:
     path = tmp_path / out
-    command = [sys.executable, "-m", "skope", "train", "export", str(checkpoint), "--to", to, "--out", str(path)]
+    command = [sys.executable, "-m", "tests.train.small_skope", "train", "export", str(checkpoint)]
+    command += ["--to", to, "--out", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=little_room)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(f"skope: {path}: cannot be written: ")
@@ -112,5 +118,7 @@ def state() -> object:
     from skope.train.recipe import RECIPES
     from skope.train.run_folder import TrainingState, optimizer
 
-    model = detector.build(CONFIG)
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        model = detector.build(CONFIG)
     return TrainingState(model, CONFIG, optimizer(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)

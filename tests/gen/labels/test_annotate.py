@@ -1,6 +1,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pytest
@@ -99,6 +100,7 @@ def test_rule_others_by_hand() -> None:
     assert occluded_by_others(hidden, inside).tolist() == [False, True, False, True]
 
 
+@cache
 def scene(hide: str) -> tuple[Recording, RenderedFrame]:
     """A sedan whose pixels are replaced by a near wall (`static`) or not at all."""
     recording = standing(CAMERA, [("sedan", 0.0, 6.0, 0.3)])
