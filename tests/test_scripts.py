@@ -83,7 +83,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run(
         "research/experiment_train.py",
-        f"{TRAINING} --init {{small}} --epochs 1 --max-images 1 --seeds 0 --images mine={{dataset}} --splits easy"
+        f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --images mine={{dataset}} --splits easy"
         " --test-images 1 --workers 0 --photographs {labels} --out {out}",
         says="| mine | ",
     ),
