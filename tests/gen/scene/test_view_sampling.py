@@ -61,7 +61,7 @@ def test_most_views_see_vehicles_and_some_an_empty_road() -> None:
     points = lanes(town)
     corner = points[np.hypot(*(points[:, :2] - points[700, :2]).T) < 30][:40]  # all vehicles stand in one place
     sampler, seen = ViewSampler(town), []
-    for seed in range(40):
+    for seed in range(24):
         camera = sampler.draw(corner[None], SIZE, 80.0, None, SPANS, np.random.default_rng(seed)).camera
         pixels, depth, valid = camera.project(corner)
         seen.append((valid & camera.inside(pixels) & (depth < 150)).sum())
