@@ -336,7 +336,13 @@ def test_ctrl_c_to_a_process_and_its_workers_gets_the_same_line(tmp_path: Path) 
     command = [sys.executable, "-m", "skope", "gen", "--sites", "t01_main_west", "--frames", "500"]
     command += ["--size", "64x36", "--out", str(tmp_path / "d"), "--workers", "2"]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A program that a shell has put into the background is born deaf to Ctrl-C, and so are those that it starts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        start_new_session=True,
     )
     assert process.stdout
     process.stdout.readline()  # it has begun

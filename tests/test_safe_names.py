@@ -166,9 +166,12 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Where temporary files go."""
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
-    town._scratch.cache_clear()
+    # Networks lie there, which are known by their paths.
+    for known in (town._network_file, town._scratch):
+        known.cache_clear()
     yield tmp_path / "scratch"
-    town._scratch.cache_clear()
+    for known in (town._network_file, town._scratch):
+        known.cache_clear()
 
 
 def test_repair_removes_nothing_that_a_manifest_names_elsewhere(skope: Any, ours: Path) -> None:
