@@ -148,18 +148,21 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
 
 
-def _find_hidden(moment: Moment, world: WorldKeypoints, camera: Camera, gap: Array, shown: NDArray[np.int32]) -> Mask:
+def _find_hidden(
+    moment: Moment, world: WorldKeypoints, camera: Camera, inside: Mask, gap: Array, shown: NDArray[np.int32]
+) -> Mask:
     """(N, 33) which keypoints are hidden, from what `behind` says of them: `gap` and `shown` (4, N, 33).
 
     Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
     them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
-    point's own pixel shows it.
+    point's own pixel shows it. `inside` (N, 33) are the keypoints in the image.
     """
-    # A wheel's centre may be inside the image while the middle of its face is not: it then counts as visible.
     blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
     hidden: Mask = blocked[0].copy()
     edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
-    doubtful = edge & ~(blocked[0] & (shown[0] == STATIC))
+    # A wheel's centre may be inside the image while the middle of its face, which is tested, is not.
+    beyond = inside & np.isnan(gap[0])
+    doubtful = (edge & ~(blocked[0] & (shown[0] == STATIC))) | beyond
     if doubtful.any():
         points = world.tested[doubtful]
         away = np.linalg.norm(points - camera.position, axis=-1)
@@ -189,7 +192,7 @@ def annotate(
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.arange(1, len(world.vehicles) + 1)[:, None]
-    v = np.where(inside, np.where(_find_hidden(moment, world, camera, gap, shown), 1, 2), 0)
+    v = np.where(inside, np.where(_find_hidden(moment, world, camera, inside, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K

@@ -1,6 +1,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -218,6 +219,23 @@ def test_wheels_of_the_near_side_are_seen_and_those_of_the_far_side_hidden() -> 
             far = "left" if near == "right" else "right"
             assert (v[f"wheel_front_{near}"], v[f"wheel_rear_{near}"]) == (2, 2), (yaw, near)
             assert (v[f"wheel_front_{far}"], v[f"wheel_rear_{far}"]) == (1, 1), (yaw, near)
+
+
+@pytest.mark.parametrize(("wheel", "v"), [("wheel_front_right", 2), ("wheel_front_left", 1)])
+def test_a_wheel_whose_face_is_beyond_the_images_edge_is_hidden_by_the_body_all_the_same(wheel: str, v: int) -> None:
+    recording = standing(CAMERA, [("sedan", 0.0, 3.0, math.radians(30))])
+    k, world = keypoints.INDEX[wheel], locate(recording.moment(0), "rigid")
+    (center, _), (face, _) = (CAMERA.project(points[0, k])[0] for points in (world.points, world.tested))
+    # The image ends half way between the wheel's centre and the middle of its face.
+    edge = CAMERA.width if face > center else 0
+    K = CAMERA.K.copy()
+    K[0, 2] += edge - (center + face) / 2
+    cut = replace(recording, camera=replace(CAMERA, K=K))
+    view = make_renderer("gl", cut).render(0)
+    (annotation,), _ = annotate(cut.moment(0), view, cut.camera, Rules(), 1)
+    pixels, _, _ = cut.camera.project(world.tested[0, k])
+    assert not cut.camera.inside(pixels)
+    assert annotation.keypoints[k, 2] == v
 
 
 def agreement(name: str, recording: Recording, frames: Sequence[int]) -> Counter[tuple[str, bool]]:
