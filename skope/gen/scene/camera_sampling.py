@@ -29,7 +29,7 @@ LIMITS: Final[Mapping[str, Range]] = {
 factor on the focal length)."""
 _TRIES: Final = 500
 """Cameras that are drawn until one sees enough road."""
-_CAR: Final = 1.5
+CAR: Final = 1.5
 """Height of a car, metres."""
 _LARGE: Final = 24.0
 """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
@@ -114,5 +114,5 @@ def _lowest(graph: RoadGraph, site: Site) -> float:
 def road_seen(camera: Camera, lanes: Array) -> float:
     """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
     pixels, depth, valid = camera.project(lanes)
-    high = camera.K[1, 1] * _CAR >= _LARGE * camera.height / 1080 * depth
+    high = camera.K[1, 1] * CAR >= _LARGE * camera.height / 1080 * depth
     return float((valid & camera.inside(pixels) & high).sum())

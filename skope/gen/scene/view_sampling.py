@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.scene.camera_sampling import ROAD, moved, road_seen
+from skope.gen.scene.camera_sampling import CAR, ROAD, moved, road_seen
 from skope.gen.scene.conditions import Range
 from skope.gen.scenery.houses import SIGHT
 from skope.gen.towns.layout import Layout
@@ -38,8 +38,6 @@ AT_VEHICLES: Final = 0.8
 """Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
 _ASIDE: Final = (0.8, 9.0)
 """Range of the distance from the carriageway to a mast, metres."""
-_CAR: Final = 1.5
-"""Height of a car, metres."""
 _SEEN_PX: Final = 16.0
 """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
 _NEAR_SHARE: Final = 0.15
@@ -136,11 +134,11 @@ class ViewSampler:
             traffic: (F, V, 3) as `draw` takes it.
         """
         frames = traffic[::_EVERY]
-        places = frames[np.isfinite(frames[..., 0])] + [0.0, 0.0, _CAR / 2]
+        places = frames[np.isfinite(frames[..., 0])] + [0.0, 0.0, CAR / 2]
         if not len(places):
             return 0.0, 0.0
         pixels, depth, valid = camera.project(places)
-        rows = camera.K[1, 1] * _CAR / np.maximum(depth, 0.1)
+        rows = camera.K[1, 1] * CAR / np.maximum(depth, 0.1)
         seen = valid & camera.inside(pixels) & (rows > _SEEN_PX * camera.height / 1080)
         seen[seen] = self._in_the_open(camera.position, places[seen])
         near = seen & (rows > _NEAR_SHARE * camera.height)
