@@ -7,11 +7,12 @@ Dynamics and Control, 2nd ed., 2.2).
 """
 
 import math
+from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +27,14 @@ REACH_S: Final = 1.25
 """Time to either side at which the Gaussians are cut off, seconds."""
 LOCK: Final = 0.65
 """Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21 m."""
+_COLUMNS: Final = 6
+"""Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope."""
 _CHUNK: Final = 200
 """Number of steps that are smoothed at once."""
 
 
-@dataclass(frozen=True)
-class Driven:
-    """How one vehicle drives at one step, after smoothing."""
+class Driven(NamedTuple):
+    """How one vehicle drives at one step, after smoothing; a tuple as `SumoVehicle` is."""
 
     position: tuple[float, float, float]
     """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
@@ -87,6 +89,12 @@ class _Way:
         self.first = first
         self.placed: list[SumoVehicle] = []
         self.bicycle: _Bicycle | None = None
+        self._rows = array("d")
+
+    def add(self, placed: SumoVehicle) -> None:
+        """Note where SUMO had the vehicle at the next step."""
+        self.placed.append(placed)
+        self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
         """Steps in `start` <= step < `stop` at which SUMO had the vehicle, each with how it drives.
@@ -120,7 +128,7 @@ class _Way:
         and after the last known step the vehicle is assumed to drive on evenly.
         """
         half = len(weights) // 2
-        rows = np.array([(*one.lane_point, one.driven, one.speed, one.height, one.pitch) for one in self.placed])
+        rows = np.array(self._rows).reshape(-1, _COLUMNS)
         begin, end = start - half - self.first, stop + half - self.first
         inside = rows[max(begin, 0) : end]
         before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * _change_per_second(self.placed[0]))
@@ -141,7 +149,7 @@ class _Way:
     def forget(self, before: int) -> None:
         """Drop the steps before a step."""
         count = min(max(before - self.first, 0), len(self.placed))
-        del self.placed[:count]
+        del self.placed[:count], self._rows[: count * _COLUMNS]
         self.first += count
 
 
@@ -178,7 +186,10 @@ def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snaps
     while batch := list(islice(coming, _CHUNK)):
         for k, snapshot in enumerate(batch, start=read):
             for name, placed in snapshot.vehicles.items():
-                ways.setdefault(name, _Way(k)).placed.append(placed)
+                way = ways.get(name)
+                if way is None:
+                    way = ways[name] = _Way(k)
+                way.add(placed)
         read += len(batch)
         waiting.extend(batch)
         if read - half <= done:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -82,9 +82,8 @@ class Chassis:
         return cls(shape.wheelbase, LANE_POINT_SHARE * shape.wheelbase, -shape.rear_axle_x, shape.front_overhang)
 
 
-@dataclass(frozen=True)
-class SumoVehicle:
-    """Where SUMO has a vehicle at one step."""
+class SumoVehicle(NamedTuple):
+    """Where SUMO has a vehicle at one step; there are tens of thousands in a recording, hence a tuple."""
 
     chassis: Chassis
     lane_point: tuple[float, float]
@@ -129,10 +128,13 @@ class Snapshot:
     """SUMO's state string of each signal program."""
 
 
+_Place = tuple[float, float, float]
+
+
 class _RoadBehind:
     """The road behind a vehicle: where its front bumper was, (x, y, z) in metres, by the distance driven."""
 
-    def __init__(self, begun: float, place: tuple[float, float, float], yaw: float, slope: float) -> None:
+    def __init__(self, begun: float, place: _Place, yaw: float, slope: float) -> None:
         """Start with the vehicle at `place`; `begun` are the metres it has driven by SUMO's count.
 
         The road before is assumed to be straight, with the heading `yaw` and the slope `slope`, radians.
@@ -144,7 +146,7 @@ class _RoadBehind:
         self._driven = [-_ROAD_BEHIND_M, 0.0]
         self._places = [behind, place]
 
-    def add(self, driven: float, place: tuple[float, float, float]) -> None:
+    def add(self, driven: float, place: _Place) -> None:
         """Note the bumper's place after `driven` metres, and forget what lies too far back."""
         if driven - self._driven[-1] >= _ROAD_BEHIND_STEP_M:
             self._driven.append(driven)
@@ -153,13 +155,25 @@ class _RoadBehind:
                 first = next(i for i, at in enumerate(self._driven) if at > driven - _ROAD_BEHIND_M) - 1
                 del self._driven[:first], self._places[:first]
 
-    def at(self, driven: float) -> tuple[float, float, float]:
-        """Where the bumper was after `driven` metres, interpolated."""
-        after = min(bisect(self._driven, driven), len(self._driven) - 1)
-        start, end = self._driven[after - 1], self._driven[after]
-        (ax, ay, az), (bx, by, bz) = self._places[after - 1], self._places[after]
-        share = min((driven - start) / (end - start), 1.0)
-        return ax + (bx - ax) * share, ay + (by - ay) * share, az + (bz - az) * share
+    def at(self, driven: float) -> tuple[float, float]:
+        """x and y of where the bumper was after `driven` metres, interpolated."""
+        (ax, ay, _), (bx, by, _), share = self._around(driven)
+        return ax + (bx - ax) * share, ay + (by - ay) * share
+
+    def height(self, driven: float) -> float:
+        """Height of the road where the bumper was after `driven` metres."""
+        (_, _, az), (_, _, bz), share = self._around(driven)
+        return az + (bz - az) * share
+
+    def _around(self, driven: float) -> tuple[_Place, _Place, float]:
+        """The known places before and after `driven` metres, and the share of the way from the one to the other."""
+        known = self._driven
+        after = bisect(known, driven)
+        if after == len(known):
+            after -= 1
+        start = known[after - 1]
+        share = (driven - start) / (known[after] - start)
+        return self._places[after - 1], self._places[after], share if share < 1.0 else 1.0
 
 
 class Traffic:
@@ -260,12 +274,13 @@ class Traffic:
         """The road behind a vehicle, its present place included, and the metres that it has driven."""
         vehicle = self._sumo.vehicle
         driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
-        if name not in self._roads_behind:
+        road = self._roads_behind.get(name)
+        if road is None:
             slope, yaw = math.radians(vehicle.getSlope(name)), math.radians(90.0 - vehicle.getAngle(name))
-            self._roads_behind[name] = _RoadBehind(driven, place, yaw, slope)
-        driven -= self._roads_behind[name].begun
-        self._roads_behind[name].add(driven, place)
-        return self._roads_behind[name], driven
+            road = self._roads_behind[name] = _RoadBehind(driven, place, yaw, slope)
+        driven -= road.begun
+        road.add(driven, place)
+        return road, driven
 
     def steps(self, count: int) -> Iterator[Snapshot]:
         """Run some steps and report each; see `step`."""
@@ -289,12 +304,12 @@ class Traffic:
         chassis = self._chassis[self.trips[name].model]
         road, driven = self._road_behind(name)
         front = driven - chassis.front_axle
-        x, y, _ = road.at(front - chassis.wheelbase + chassis.lane_point)
-        ahead, behind = road.at(front)[2], road.at(front - chassis.wheelbase)[2]
+        rear = front - chassis.wheelbase
+        ahead, behind = road.height(front), road.height(rear)
         slope = (ahead - behind) / chassis.wheelbase
         return SumoVehicle(
             chassis=chassis,
-            lane_point=(x, y),
+            lane_point=road.at(rear + chassis.lane_point),
             driven=driven,
             height=behind + chassis.middle * slope,
             yaw=math.radians(90.0 - vehicle.getAngle(name)),
@@ -309,7 +324,7 @@ class Traffic:
         yaw = math.radians(90.0 - vehicle.getAngle(name))
         length = vehicle.getLength(name)
         road, driven = self._road_behind(name)
-        ahead, behind = (road.at(driven - share * length)[2] for share in (0.2, 0.8))
+        ahead, behind = (road.height(driven - share * length) for share in (0.2, 0.8))
         back, pitch = length / 2, math.atan2(ahead - behind, 0.6 * length)
         position = (x - back * math.cos(yaw), y - back * math.sin(yaw), (ahead + behind) / 2)
         return SumoRider(position, yaw, pitch, vehicle.getSpeed(name))
