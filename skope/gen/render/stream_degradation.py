@@ -1,4 +1,4 @@
-"""What a camera's own electronics and its stream do to a picture: text, less resolution, compression."""
+"""What a camera's own electronics and its stream do to a picture: text, less resolution, processing, compression."""
 
 from datetime import date, timedelta
 from typing import Final
@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.render.picture_processing import processed
 from skope.gen.scene.recording import Recording
 
 Image = NDArray[np.uint8]
@@ -21,10 +22,9 @@ def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
     height, width = rgb.shape[:2]
     if conditions.screen_text >= 0.5:
         _write_overlay_text(rgb, recording, frame)
-    if conditions.rescale >= 1 and conditions.compression_quality >= 100:
-        return rgb
     size = tuple(max(8, round(side * conditions.rescale)) for side in (width, height))
-    small = rgb if size == (width, height) else cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    small = rgb if size == (width, height) else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+    small = processed(small.astype(np.uint8, copy=False), conditions)
     if conditions.compression_quality < 100:
         # Red and blue are swapped for both ways, so that the codec's chroma is that of the right colours.
         quality = [cv2.IMWRITE_JPEG_QUALITY, round(conditions.compression_quality)]

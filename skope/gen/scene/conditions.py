@@ -69,6 +69,14 @@ class Conditions:
     """Resolution of the stream, as a share of the image's."""
     compression_quality: float = 100.0
     """JPEG quality that the stream was compressed with; 100 for none."""
+    contrast: float = 1.0
+    """Factor on differences from middle grey."""
+    black_level: float = 0.0
+    """What the picture shows where no light falls, of 255."""
+    saturation: float = 1.0
+    """Factor on the strength of colours."""
+    sharpening: float = 0.0
+    """Share of the finest detail that the camera adds to its picture once more."""
 
     @classmethod
     def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
@@ -128,6 +136,10 @@ LIMITS: Final[Mapping[str, Range]] = {
     "screen_text": (0.0, 1.0),
     "rescale": (0.1, 1.0),
     "compression_quality": (1.0, 100.0),
+    "contrast": (0.3, 3.0),
+    "black_level": (0.0, 100.0),
+    "saturation": (0.0, 2.0),
+    "sharpening": (0.0, 5.0),
 }
 """Least and greatest value of each condition that can be set."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
@@ -150,6 +162,10 @@ _CAMERA: Final[Mapping[str, Range]] = {
     "screen_text": (0.0, 0.0),
     "rescale": (1.0, 1.0),
     "compression_quality": (100.0, 100.0),
+    "contrast": (1.0, 1.0),
+    "black_level": (0.0, 0.0),
+    "saturation": (1.0, 1.0),
+    "sharpening": (0.0, 0.0),
 }
 _DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
 _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
