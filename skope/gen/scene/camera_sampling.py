@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from skope.types import Array
 LIMITS: Final[Mapping[str, Range]] = {
     "fov_deg": (5.0, 150.0),
     "height_m": (2.0, 60.0),
-    "pitch_deg": (-5.0, 85.0),
+    "pitch_deg": (-5.0, 90.0),
     "zoom_by": (0.2, 5.0),
     "height_by_m": (-10.0, 10.0),
     "pitch_by_deg": (-45.0, 45.0),
@@ -39,6 +39,20 @@ ROAD: Final = 40.0
 """Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
 
 
+@dataclass(frozen=True)
+class CameraRanges:
+    """What cameras are drawn from."""
+
+    size: tuple[int, int]
+    """Width and height of the image, pixels."""
+    fov_deg: float
+    """Horizontal field of view where `spans` has none."""
+    distortion: Distortion | None
+    """That of the lens; None for none, or that of a user's own camera."""
+    spans: Mapping[str, Range]
+    """Ranges of `LIMITS`, from which values are drawn; empty for a site's own camera."""
+
+
 def check_ranges(spans: Mapping[str, Range]) -> None:
     """UserError when a range is not one of `LIMITS`, or beyond it."""
     for name, (low, high) in spans.items():
@@ -47,28 +61,19 @@ def check_ranges(spans: Mapping[str, Range]) -> None:
             raise UserError(f"camera.{name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
 
 
-def drawn(
-    site: Site,
-    size: tuple[int, int],
-    fov_deg: float,
-    distortion: Distortion | None,
-    spans: Mapping[str, Range],
-    rng: np.random.Generator,
-) -> Camera:
+def drawn(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
     """Draw a camera on the site's mast that sees enough road.
 
     Args:
         site: The camera site.
-        size: Width and height of the image, pixels.
-        fov_deg: Horizontal field of view where `spans` has none.
-        distortion: That of the lens; None for none, or that of a user's own camera.
-        spans: Ranges of `LIMITS`, from which values are drawn evenly; empty for the site's own camera.
-        rng: Draws them.
+        ranges: What is drawn evenly.
+        rng: Draws.
 
     Raises:
         UserError: None of `_TRIES` cameras sees enough road.
     """
-    own = site.camera(size, fov_deg, distortion)
+    spans = ranges.spans
+    own = site.camera(ranges.size, ranges.fov_deg, ranges.distortion)
     if not spans:
         return own
     layout = Layout.of(site.town)
@@ -77,7 +82,8 @@ def drawn(
     enough = min(ROAD, road_seen(own, lanes) / 2)
     for _ in range(_TRIES):
         values = {name: float(rng.uniform(*spans[name])) for name in LIMITS if name in spans}
-        camera = moved(site.camera(size, values.get("fov_deg", fov_deg), distortion), values, level)
+        lens = site.camera(ranges.size, values.get("fov_deg", ranges.fov_deg), ranges.distortion)
+        camera = moved(lens, values, level)
         if camera.position[2] >= lowest and road_seen(camera, lanes) >= enough:
             return camera
     raise UserError(f"{site.name}: of {_TRIES} cameras drawn none sees {enough:.0f} m of lanes")

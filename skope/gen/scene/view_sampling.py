@@ -1,13 +1,13 @@
 """Choose cameras at other corners of a town, by the road and the traffic that they see.
 
-A mast stands beside a road; its camera looks at a place on the road. Of many that are drawn, one is taken with a
-probability that follows from the vehicles that it will see. Views that show road before a camera of a test site are
+A mast stands beside a road, or a camera hangs over it; it looks at a place on the road, and its zoom is set so that
+vehicles there have a size that is drawn first. Of many cameras, one is taken with a probability that follows from the
+vehicles that it will see. Views that show road before a camera of a test site are
 never taken: what is tested on is not learnt from.
 """
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,10 +15,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.camera import Camera, Distortion
+from skope.camera import Camera
 from skope.errors import UserError
-from skope.gen.scene.camera_sampling import CAR, ROAD, moved, road_seen
-from skope.gen.scene.conditions import Range
+from skope.gen.scene.camera_sampling import CAR, CameraRanges, moved, road_seen
 from skope.gen.scenery.houses import SIGHT
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.road_graph import driven, right_of
@@ -32,16 +31,26 @@ EMPTY_SHARE: Final = 0.06
 """Share of the views that are to show a road without vehicles."""
 ENOUGH: Final = 20.0
 """Vehicles in view on average, from which more of them make a view no more likely."""
-NEAR_WEIGHT: Final = 4.0
-"""How many distant vehicles a near one counts for."""
+ROAD: Final = 8.0
+"""Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
+LARGEST: Final = (0.1, 0.7)
+"""Range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its logarithm."""
+_CLOSE: Final = 0.3
+"""Standard deviation of the logarithm of that height around what is wanted."""
+_AT_TARGET: Final = (0.5, 1.0)
+"""Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
 AT_VEHICLES: Final = 0.8
 """Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
 _ASIDE: Final = (0.8, 9.0)
 """Range of the distance from the carriageway to a mast, metres."""
 _SEEN_PX: Final = 16.0
 """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
-_NEAR_SHARE: Final = 0.15
-"""A vehicle is near where a car is higher than this share of the image."""
+_ACROSS: Final = 3.0
+"""Length of a car as seen from above, between that of its side and that of its front, metres."""
+_STEEP_DEG: Final = 55.0
+"""Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
+_OVER_ROAD: Final = 6.0
+"""Least height over the road of a camera that hangs above it, metres."""
 _EVERY: Final = 3
 """Of as many frames, one is looked at to count vehicles."""
 _FRONTS: Final = 3.0
@@ -87,37 +96,30 @@ class ViewSampler:
                     headings += [math.atan2(b[1] - a[1], b[0] - a[0])] * count
         return np.array(points), np.array(headings)
 
-    def draw(
-        self,
-        traffic: Array,
-        size: tuple[int, int],
-        fov_deg: float,
-        distortion: Distortion | None,
-        spans: Mapping[str, Range],
-        rng: np.random.Generator,
-    ) -> PlacedCamera:
+    def draw(self, traffic: Array, ranges: CameraRanges, rng: np.random.Generator) -> PlacedCamera:
         """Draw a view.
 
         Args:
             traffic: (F, V, 3) places of vehicles on the road in each frame, world; NaN where there is none.
-            size: Width and height of the image, pixels.
-            fov_deg: Horizontal field of view where `spans` has none.
-            distortion: That of the lens.
-            spans: Ranges of `camera_sampling.LIMITS`.
+            ranges: What cameras are drawn from.
             rng: Draws.
 
         Raises:
             UserError: No camera was found that sees enough road and none of a test site's.
         """
         empty = rng.random() < EMPTY_SHARE
+        wanted = math.exp(rng.uniform(*np.log(LARGEST)))
         vehicles = traffic[np.isfinite(traffic[..., 0])]
         found: list[tuple[PlacedCamera, float]] = []
         for _ in range(CANDIDATES):
-            view = self._candidate(vehicles, size, fov_deg, distortion, spans, rng)
+            view = self._candidate(vehicles, wanted, ranges, rng)
             if view is None or road_seen(view.camera, self._lanes) < ROAD or self.shows_tested_road(view.camera):
                 continue
-            seen, near = self.vehicles_seen(view.camera, traffic)
-            weight = float(seen < 0.1) if empty else (min(seen, ENOUGH) + NEAR_WEIGHT * near) ** 1.5 * (seen >= 1)
+            seen, largest = self.vehicles_seen(view.camera, traffic)
+            if empty or seen < 0.1:
+                weight = float(empty and seen < 0.1)
+            else:
+                weight = min(seen, ENOUGH) * math.exp(-0.5 * (math.log(largest / wanted) / _CLOSE) ** 2)
             found.append((view, weight))
         if not found:
             raise UserError(f"of {CANDIDATES} cameras drawn none sees {ROAD:.0f} m of road that is not tested on")
@@ -127,22 +129,27 @@ class ViewSampler:
         return found[int(rng.choice(len(found), p=weights / weights.sum()))][0]
 
     def vehicles_seen(self, camera: Camera, traffic: Array) -> tuple[float, float]:
-        """Mean number of vehicles that a camera sees in a frame, and of near ones among them.
+        """Mean number of vehicles that a camera sees in a frame, and the mean height of the largest among them.
 
         Args:
             camera: The camera.
             traffic: (F, V, 3) as `draw` takes it.
+
+        Returns:
+            The number, and the height as a share of the image's; frames in which nothing is seen do not count for it.
         """
         frames = traffic[::_EVERY]
-        places = frames[np.isfinite(frames[..., 0])] + [0.0, 0.0, CAR / 2]
+        frame, column = np.nonzero(np.isfinite(frames[..., 0]))
+        places = frames[frame, column] + [0.0, 0.0, CAR / 2]
         if not len(places):
             return 0.0, 0.0
-        pixels, depth, valid = camera.project(places)
-        rows = camera.K[1, 1] * CAR / np.maximum(depth, 0.1)
-        seen = valid & camera.inside(pixels) & (rows > _SEEN_PX * camera.height / 1080)
+        pixels, _, valid = camera.project(places)
+        share = _apparent_height(camera.position, places) * camera.K[1, 1] / camera.height
+        seen = valid & camera.inside(pixels) & (share > _SEEN_PX / 1080)
         seen[seen] = self._in_the_open(camera.position, places[seen])
-        near = seen & (rows > _NEAR_SHARE * camera.height)
-        return float(seen.sum() / len(frames)), float(near.sum() / len(frames))
+        largest = np.zeros(len(frames))
+        np.maximum.at(largest, frame[seen], share[seen])
+        return float(seen.sum() / len(frames)), float(largest[largest > 0].mean()) if seen.any() else 0.0
 
     def _in_the_open(self, eye: Array, places: Array) -> NDArray[np.bool_]:
         """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
@@ -158,37 +165,53 @@ class ViewSampler:
         return bool((valid & camera.inside(pixels)).any())
 
     def _candidate(
-        self,
-        traffic: Array,
-        size: tuple[int, int],
-        fov_deg: float,
-        distortion: Distortion | None,
-        spans: Mapping[str, Range],
-        rng: np.random.Generator,
+        self, traffic: Array, wanted: float, ranges: CameraRanges, rng: np.random.Generator
     ) -> PlacedCamera | None:
-        """A camera beside a road that looks at a vehicle or a place on the road; None where nothing is found."""
+        """A camera that looks at a vehicle or a place on the road; None where there is no room for one.
+
+        Where its field of view can be chosen, it is that in which a car there is about `wanted` of the image high.
+        """
+        spans = ranges.spans
 
         def value(name: str, default: float) -> float:
             return float(rng.uniform(*spans[name])) if name in spans else default
 
-        height, fov = value("height_m", 6.0), value("fov_deg", fov_deg)
+        height = value("height_m", 6.0)
         low, high = spans.get("pitch_deg", (10.0, 40.0))
         # Most cameras look ahead, few look down.
         pitch = low + (high - low) * float(rng.beta(1.2, 2.4))
         among = traffic if len(traffic) and rng.random() < AT_VEHICLES else self._lanes
         target = among[rng.integers(len(among))]
+        if pitch > _STEEP_DEG:
+            height = max(height, _OVER_ROAD)
         distance = height / math.tan(math.radians(max(pitch, 3.0)))
-        away = np.hypot(*(self._starts[:, :2] - target[:2]).T)
-        there = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
-        place = self._beside(int(rng.choice(there)), rng) if len(there) else None
+        place = self._over(target, distance, rng) if pitch > _STEEP_DEG else self._away(target, distance, rng)
         if place is None:
             return None
         x, y, level = place.tolist()
         z = max(level + height, self._layout.height(self._layout.graph.world(place[:2])) + _ABOVE_GROUND)
+        fov = ranges.fov_deg
+        if "fov_deg" in spans:
+            high_m = float(_apparent_height(np.array([x, y, z]), target[None])[0])
+            width = high_m / (wanted * rng.uniform(*_AT_TARGET)) * ranges.size[0] / ranges.size[1]
+            fov = float(np.clip(math.degrees(2 * math.atan(width / 2)), *spans["fov_deg"]))
         yaw = math.degrees(math.atan2(target[1] - y, target[0] - x)) + value("yaw_by_deg", 0.0)
         mast = Mast((round(x, 3), round(y, 3), round(z, 3)), round(yaw, 3), round(pitch, 3))
-        camera = site_at(mast, Town("view"), "view").camera(size, fov, distortion)
+        camera = site_at(mast, Town("view"), "view").camera(ranges.size, fov, ranges.distortion)
         return PlacedCamera(mast, moved(camera, {"roll_by_deg": value("roll_by_deg", 0.0)}, level))
+
+    def _away(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
+        """A place (3,) beside a carriageway, about as far from a place (3,) as `distance`, in metres."""
+        away = np.hypot(*(self._starts[:, :2] - target[:2]).T)
+        there = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
+        return self._beside(int(rng.choice(there)), rng) if len(there) else None
+
+    def _over(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
+        """A place (3,) at that distance from a place (3,), over the road or before the houses, metres."""
+        angle = rng.uniform(0, 2 * math.pi)
+        at = target[:2] - distance * np.array([math.cos(angle), math.sin(angle)])
+        free = shapely.contains_xy(self._open, *self._layout.graph.world(at))
+        return np.array([*at, target[2]]) if free else None
 
     def _beside(self, start: int, rng: np.random.Generator) -> Array | None:
         """A place (3,) beside the carriageway next to a point of `_starts`, at the road's height, world."""
@@ -202,6 +225,14 @@ class ViewSampler:
                 inside = shapely.contains_xy(graph.road, *graph.world(at))
                 return None if inside else np.array([*at, self._starts[start, 2]])
         return None
+
+
+def _apparent_height(eye: Array, places: Array) -> Array:
+    """(N,) height of a car at each of the places (N, 3) as seen from `eye` (3,), as a share of its distance."""
+    away = eye - places
+    distance = np.maximum(np.linalg.norm(away, axis=1), 0.1)
+    steep = np.clip(away[:, 2] / distance, -1.0, 1.0)
+    return np.asarray((CAR * np.sqrt(1 - steep**2) + _ACROSS * np.abs(steep)) / distance)
 
 
 def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:

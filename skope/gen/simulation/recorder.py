@@ -139,7 +139,8 @@ class Recorder:
         if not self._plan.views:
             return color
         if name not in self._paints:
-            self._paints[name] = draw_paint(vehicle, self._plan.rng(Stream.PAINT, zlib.crc32(name.encode())))
+            rng = self._plan.rng(Stream.PAINT, zlib.crc32(name.encode()))
+            self._paints[name] = draw_paint(vehicle, rng, shades=True)
         return self._paints[name]
 
     def add(

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from skope.camera import Camera
-from skope.gen.scene import camera_sampling
+from skope.gen.scene.camera_sampling import CameraRanges, drawn
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
@@ -131,8 +131,7 @@ class _Cameras:
             self._add_recorders()
 
     def _own_camera(self, plan: RecordingPlan, conditions: Conditions) -> Camera:
-        rng = plan.rng(Stream.CAMERA)
-        return camera_sampling.drawn(plan.site, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, rng)
+        return drawn(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
 
     def watch(self, x: float, y: float) -> bool:
         """Whether a vehicle at a place (world, metres) may be recorded; anywhere while cameras are not chosen."""
@@ -145,8 +144,7 @@ class _Cameras:
         for plan, conditions, start in zip(self._plans, self._conditions, self._starts, strict=True):
             times = [start + k * self._stride for k in range(plan.frames)]
             traffic = _places([snapshots[k] for k in times])
-            rng = plan.rng(Stream.CAMERA)
-            view = sampler.draw(traffic, plan.size, plan.fov_deg, conditions.distortion, plan.cameras, rng)
+            view = sampler.draw(traffic, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
             self._cameras.append(view.camera)
             masts.append(view.mast)
         jitter = self._plans[0].town_jitter
@@ -188,6 +186,10 @@ def _conditions(plan: RecordingPlan) -> Conditions:
     site = plan.site
     spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
     return Conditions.drawn(spans, plan.rng(Stream.CONDITIONS))
+
+
+def _camera_ranges(plan: RecordingPlan, conditions: Conditions) -> CameraRanges:
+    return CameraRanges(plan.size, plan.fov_deg, conditions.distortion, plan.cameras)
 
 
 def _variant_seed(plan: RecordingPlan) -> int:

@@ -1,5 +1,6 @@
 """The paints that vehicles have: private cars' colours and the liveries of taxis, vans, lorries and buses."""
 
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,6 +28,11 @@ def _private(share: float, name: str, rgb: tuple[int, int, int]) -> tuple[str, P
     return name, Paint(share, rgb, rgb, name, "private")
 
 
+def _shades(share: float, color: str, *rgbs: tuple[int, int, int]) -> Iterator[tuple[str, Paint]]:
+    for k, rgb in enumerate(rgbs, start=1):
+        yield f"{color}_{k}", Paint(share / len(rgbs), rgb, rgb, color, "shades")
+
+
 def _livery(
     name: str, share: float, color: str, rgb: tuple[int, int, int], livery: tuple[int, int, int]
 ) -> tuple[str, Paint]:
@@ -47,6 +53,16 @@ PAINTS: Final[dict[str, Paint]] = dict(
         _private(0.03, "brown", (92, 66, 48)),
         _private(0.02, "yellow", (205, 160, 42)),
         _private(0.02, "green", (38, 74, 52)),
+        *_shades(16.5, "grey", (95, 99, 104), (58, 60, 63), (74, 77, 80), (120, 122, 123), (88, 84, 80)),
+        *_shades(17.0, "silver", (168, 172, 176), (190, 192, 193), (148, 152, 157), (176, 172, 164)),
+        *_shades(23.0, "black", (26, 26, 29), (15, 15, 17), (32, 35, 42), (40, 36, 34)),
+        *_shades(15.5, "white", _WHITE, (238, 238, 237), (212, 209, 200)),
+        *_shades(13.5, "blue", (31, 62, 122), (22, 36, 68), (56, 92, 146), (96, 126, 154)),
+        *_shades(8.0, "red", (140, 22, 24), (96, 18, 24), (172, 34, 28)),
+        *_shades(3.0, "green", (38, 74, 52), (64, 84, 68), (98, 116, 84)),
+        *_shades(1.5, "brown", (92, 66, 48), (128, 108, 84)),
+        *_shades(1.0, "yellow", (205, 160, 42)),
+        *_shades(1.0, "other", (198, 184, 156), (168, 152, 126)),
         _livery("taxi_yellow", 4, "yellow", (222, 168, 24), (30, 30, 32)),
         _livery("taxi_cream", 3, "other", _CREAM, _CREAM),
         _livery("taxi_black", 2, "black", (26, 26, 29), (66, 130, 62)),
@@ -80,23 +96,28 @@ PAINTS: Final[dict[str, Paint]] = dict(
 """Paints by the name that recordings keep.
 
 Shares of private cars' colours are Axalta's Global Automotive Color Popularity Report of 2020 in whole per cent; it has
-brown with beige and yellow with gold, and its last two per cent, other colours, are green here. Liveries have no such
-source: their shares say only that plain white leads.
+brown with beige and yellow with gold, and its last two per cent, other colours, are green here. Those of the palette
+"shades" lie between what Britain had licensed in 2017 (DVLA: silver 21 per cent, black 20, blue 18, grey 13, white 11)
+and Germany's new registrations of 2024 (KBA: grey and silver 33, black 26, white 20, blue 9, red 5, green 3). Liveries
+have no such source: their shares say only that plain white leads.
 """
 
 
-def palette(vehicle: Vehicle) -> list[str]:
-    """Names of the paints that a vehicle may have."""
+def palette(vehicle: Vehicle, *, shades: bool = False) -> list[str]:
+    """Names of the paints that a vehicle may have; with `shades`, private cars have several of each colour."""
     kind = vehicle.style.palette if isinstance(vehicle, ParametricVehicle) else "private"
+    kind = "shades" if shades and kind == "private" else kind
     return [name for name, paint in PAINTS.items() if paint.palette == kind]
 
 
-def draw_paint(vehicle: Vehicle, rng: np.random.Generator) -> str:
+def draw_paint(vehicle: Vehicle, rng: np.random.Generator, *, shades: bool = False) -> str:
     """The name of a paint for a vehicle, by the shares of its palette."""
-    names = palette(vehicle)
+    names = palette(vehicle, shades=shades)
     shares = np.array([PAINTS[name].share for name in names])
     return names[rng.choice(len(names), p=shares / shares.sum())]
 
 
 assert {paint.color for paint in PAINTS.values()} <= set(COLORS)
-assert {parametric(model).style.palette for model in fleet()} == {paint.palette for paint in PAINTS.values()}
+assert {parametric(model).style.palette for model in fleet()} == {paint.palette for paint in PAINTS.values()} - {
+    "shades"
+}

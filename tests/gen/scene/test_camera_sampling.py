@@ -8,6 +8,7 @@ from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.scene import camera_sampling
+from skope.gen.scene.camera_sampling import CameraRanges
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import site
 
@@ -27,7 +28,9 @@ def test_angles_are_those_a_camera_was_hung_with(yaw: float, pitch: float, roll:
 def test_a_fisheye_shows_the_field_of_view_it_is_asked_for() -> None:
     (plan, *_) = request("demo", settings={"fisheye": (1.0, 1.0), "k1": (-0.03, -0.03)}).plans()
     lens = camera_sampling.drawn(
-        plan.site, SIZE, 110.0, conditions_of(plan.settings).distortion, plan.cameras, np.random.default_rng(0)
+        plan.site,
+        CameraRanges(SIZE, 110.0, conditions_of(plan.settings).distortion, plan.cameras),
+        np.random.default_rng(0),
     )
     half = math.radians(55)
     edge = lens.position + lens.T_camera_world[:3, :3].T @ [math.sin(half), 0.0, math.cos(half)]
@@ -50,7 +53,9 @@ def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
     for number, name in enumerate(request().parameters.sites):
         layout = Layout.of(site(name).town)
         for seed in range(3):
-            camera = camera_sampling.drawn(site(name), SIZE, 110.0, None, spans, np.random.default_rng([number, seed]))
+            camera = camera_sampling.drawn(
+                site(name), CameraRanges(SIZE, 110.0, None, spans), np.random.default_rng([number, seed])
+            )
             _, pitch, roll = camera.angles
             seen["fov_deg"].append(math.degrees(2 * math.atan(960 / camera.K[0, 0])))
             seen["height_m"].append(camera.position[2] - layout.road_below(site(name)))
@@ -70,7 +75,8 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
     spans = request("demo", camera_jitter=True).parameters.cameras
     own = site("t01_mill_corner")
     first, second = (
-        camera_sampling.drawn(own, SIZE, 80.0, None, spans, np.random.default_rng(seed)) for seed in (1, 2)
+        camera_sampling.drawn(own, CameraRanges(SIZE, 80.0, None, spans), np.random.default_rng(seed))
+        for seed in (1, 2)
     )
     plain = own.camera(SIZE, 80.0)
     for camera in (first, second):
@@ -85,10 +91,7 @@ def test_views_that_show_no_road_are_refused() -> None:
     with pytest.raises(UserError, match="t01_mill_corner: of 500 cameras drawn none sees"):
         camera_sampling.drawn(
             site("t01_mill_corner"),
-            SIZE,
-            30.0,
-            None,
-            {"yaw_by_deg": (90.0, 90.0), "pitch_deg": (60.0, 80.0)},
+            CameraRanges(SIZE, 30.0, None, {"yaw_by_deg": (90.0, 90.0), "pitch_deg": (60.0, 80.0)}),
             np.random.default_rng(0),
         )
 

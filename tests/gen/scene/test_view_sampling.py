@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.gen.scene.camera_sampling import road_seen
-from skope.gen.scene.view_sampling import EMPTY_SHARE, ViewSampler
-from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
+from skope.gen.scene.camera_sampling import CameraRanges, road_seen
+from skope.gen.scene.view_sampling import ViewSampler
+from skope.gen.towns.layout import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import sites
 from skope.gen.towns.town import Mast, Town, Variant, towns
@@ -16,6 +16,7 @@ from skope.types import Array
 
 SIZE = (1280, 720)
 SPANS = {"fov_deg": (20.0, 110.0), "height_m": (3.0, 20.0), "pitch_deg": (4.0, 75.0), "roll_by_deg": (-3.0, 3.0)}
+RANGES = CameraRanges(SIZE, 80.0, None, SPANS)
 
 
 def lanes(town: Town) -> Array:
@@ -36,7 +37,7 @@ def test_no_view_shows_road_before_a_camera_of_a_test_site(town: Town) -> None:
     refused = 0
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        camera = sampler.draw(queue(town, seed), SIZE, 80.0, None, SPANS, rng).camera
+        camera = sampler.draw(queue(town, seed), RANGES, rng).camera
         pixels, _, valid = camera.project(points)
         shown = points[valid & camera.inside(pixels)]
         for site in tested:
@@ -46,7 +47,7 @@ def test_no_view_shows_road_before_a_camera_of_a_test_site(town: Town) -> None:
             sideways = -east * math.sin(ahead) + north * math.cos(ahead)
             before = (np.hypot(forward, sideways) < 79) & (np.abs(np.arctan2(sideways, forward)) < math.radians(74))
             assert not before.any(), (site.name, seed)
-        refused += road_seen(camera, points) < 40
+        refused += road_seen(camera, points) < 8
     assert not refused
 
 
@@ -62,20 +63,19 @@ def test_most_views_see_vehicles_and_some_an_empty_road() -> None:
     corner = points[np.hypot(*(points[:, :2] - points[700, :2]).T) < 30][:40]  # all vehicles stand in one place
     sampler, seen = ViewSampler(town), []
     for seed in range(24):
-        camera = sampler.draw(corner[None], SIZE, 80.0, None, SPANS, np.random.default_rng(seed)).camera
+        camera = sampler.draw(corner[None], RANGES, np.random.default_rng(seed)).camera
         pixels, depth, valid = camera.project(corner)
         seen.append((valid & camera.inside(pixels) & (depth < 150)).sum())
     empty = np.mean(np.array(seen) == 0)
     assert empty < 0.25
     assert np.mean(seen) > 8
-    assert 0 < EMPTY_SHARE < 0.2
 
 
 def test_where_no_camera_sees_road_one_line_says_so() -> None:
     blind = {"fov_deg": (5.0, 5.0), "height_m": (2.0, 2.0), "pitch_deg": (84.0, 84.0)}
     town = Town("town01")
-    with pytest.raises(UserError, match="none sees 40 m of road"):
-        ViewSampler(town).draw(queue(town, 0), SIZE, 80.0, None, blind, np.random.default_rng(0))
+    with pytest.raises(UserError, match="none sees 8 m of road"):
+        ViewSampler(town).draw(queue(town, 0), CameraRanges(SIZE, 80.0, None, blind), np.random.default_rng(0))
 
 
 def test_scenery_leaves_room_before_the_masts() -> None:
@@ -90,4 +90,3 @@ def test_scenery_leaves_room_before_the_masts() -> None:
     assert [(one.position, one.yaw_deg) for one in Layout.of(moved).sites] == [(mast.position, 90.0)]
     near = [b for b in scenery(moved).buildings if np.hypot(*(np.array(b.exterior.coords) - [x, y]).T).min() < 1.0]
     assert not near
-    assert CAMERA_CLEARANCE > 1
