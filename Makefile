@@ -84,6 +84,7 @@ bench: $(STAMP) $(DATA)/dataset.json
 	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
 	$(VENV)/bin/python scripts/bench_render.py
 	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
+	$(VENV)/bin/python scripts/bench_world.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -119,7 +119,7 @@ class Distortion:
             scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 0)
             return xy * scale[..., None], theta < self.fold()
         out, jacobian = self._brown_forward(xy)
-        return out, (radius < self.fold()) & (np.linalg.det(jacobian) > 0)
+        return out, (radius < self.fold()) & (_determinant_2x2(jacobian) > 0)
 
     def undistort(self, xy: Array) -> tuple[Array, Mask]:
         """Inverse of `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""

@@ -1,7 +1,7 @@
 """Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks. Pure numpy."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -187,34 +187,34 @@ def annotate(
         Annotations of all vehicles with a visible pixel, ignored ones included, by track id; their ids count from 1
         (the rule `paper` leaves hidden vehicles out). And how many vehicles each rule applies to.
     """
-    world = locate(moment, rules.localizer)
+    labelled = range(len(moment.labelled().vehicles))
+    # Vehicles that no pixel shows have no label, and are not built for one.
+    extents = {i: extent for i in labelled if (extent := _measure_extent(view, i, camera))}
+    seen = sorted(extents, key=lambda i: moment.vehicles[i].track_id)
+    world = locate(_taken(moment, seen), rules.localizer)
     pixels, _, valid = camera.project(world.points)
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
-    own = shown[0] == np.arange(1, len(world.vehicles) + 1)[:, None]
+    own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
     v = np.where(inside, np.where(_find_hidden(moment, world, camera, inside, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()
     out: list[Annotation] = []
-    order = sorted(range(len(world.vehicles)), key=lambda i: moment.vehicles[i].track_id)
-    for i in order:
-        shape = _measure_extent(view, i, camera)
-        if shape is None:
-            continue
+    for k, i in enumerate(seen):
         tally.vehicles += 1
-        tally.occluded_others += int(by_others[i])
-        tally.occluded_paper += int(by_paper[i])
-        tally.apart_m += float(world.difference[i].mean())
-        tally.most_apart_m = max(tally.most_apart_m, float(world.difference[i].max()))
-        if rules.occlusion == "paper" and by_paper[i]:
+        tally.occluded_others += int(by_others[k])
+        tally.occluded_paper += int(by_paper[k])
+        tally.apart_m += float(world.difference[k].mean())
+        tally.most_apart_m = max(tally.most_apart_m, float(world.difference[k].max()))
+        if rules.occlusion == "paper" and by_paper[k]:
             continue
         points = np.concatenate(
-            [np.where(v[i, :, None] > 0, _clip_to_image(pixels[i], camera), 0.0), v[i, :, None]], axis=1
+            [np.where(v[k, :, None] > 0, _clip_to_image(pixels[k], camera), 0.0), v[k, :, None]], axis=1
         )
-        occluded = rules.occlusion == "others" and bool(by_others[i])
-        reason = _ignore_reason(shape, occluded, float(view.contrast[i]), rules)
+        occluded = rules.occlusion == "others" and bool(by_others[k])
+        reason = _ignore_reason(extents[i], occluded, float(view.contrast[i]), rules)
         if reason:
             tally.ignored[reason] = tally.ignored.get(reason, 0) + 1
         out.append(
@@ -222,15 +222,27 @@ def annotate(
                 id=len(out) + 1,
                 image_id=image_id,
                 keypoints=points,
-                keypoints_3d=world.points[i],
+                keypoints_3d=world.points[k],
                 iscrowd=int(reason is not None),
                 ignore_reason=reason,
                 contrast=float(view.contrast[i]),
-                **shape.fields(),
-                **_vehicle_fields(moment, i, world.vehicles[i], camera),
+                **extents[i].fields(),
+                **_vehicle_fields(moment, i, world.vehicles[k], camera),
             )
         )
     return out, tally
+
+
+def _taken(moment: Moment, chosen: list[int]) -> Moment:
+    """The same moment with some of its road users, by index."""
+    return replace(
+        moment,
+        vehicles=tuple(moment.vehicles[i] for i in chosen),
+        T_world_chassis=moment.T_world_chassis[chosen],
+        T_world_wheels=moment.T_world_wheels[chosen],
+        velocity=moment.velocity[chosen],
+        lamps=moment.lamps[chosen],
+    )
 
 
 def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:

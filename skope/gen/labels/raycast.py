@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.mesh import Mesh
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Body
 from skope.types import Array
@@ -141,31 +142,43 @@ class _Patches:
 
 @lru_cache(maxsize=256)
 def _patches(vehicle: Body) -> _Patches:
-    corners, part = list[Array](), list[int]()
-    for number, mesh in enumerate(vehicle.parts):
-        triangles = mesh.vertices[mesh.triangles]
-        for chosen in _split_in_patches(triangles.mean(axis=1), np.arange(len(triangles))):
-            corners.append(triangles[np.resize(chosen, _PATCH)])
-            part.append(number)
-    points = np.array(corners)
+    each = [_part_corners(mesh) for mesh in vehicle.parts]
+    points = np.concatenate(each)
+    part = np.repeat(np.arange(len(each)), [len(corners) for corners in each])
     low, high = points.min(axis=(1, 2)), points.max(axis=(1, 2))
     centers = (low + high) / 2
     radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
     boxes = np.stack([low - _SLACK, high + _SLACK])
-    return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), np.array(part), centers, radii, boxes)
+    return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), part, centers, radii, boxes)
 
 
-def _split_in_patches(places: Array, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Split the `chosen` indices of `places` (N, 3) into groups of at most `_PATCH` that lie close together.
+@lru_cache(maxsize=8)
+def _part_corners(mesh: Mesh) -> Array:
+    """(P, _PATCH, 3, 3) corners of a mesh's triangles by patch; smaller patches repeat their triangles.
+
+    The last ones are kept: front and rear wheels are the same mesh.
+    """
+    triangles = mesh.vertices[mesh.triangles]
+    return triangles[_split_in_patches(triangles.mean(axis=1))]
+
+
+def _split_in_patches(places: Array) -> NDArray[np.int64]:
+    """(P, _PATCH) groups of the indices of `places` (N, 3) that lie close together; smaller ones repeat theirs.
 
     Each group is halved across its longest side until it is small enough.
     """
-    if len(chosen) <= _PATCH:
-        return [chosen] if len(chosen) else []
-    there = places[chosen]
-    order = chosen[there[:, np.ptp(there, axis=0).argmax()].argsort(kind="stable")]
-    middle = len(order) // 2
-    return _split_in_patches(places, order[:middle]) + _split_in_patches(places, order[middle:])
+    order, ends = np.arange(len(places)), np.unique([0, len(places)])
+    while (sizes := np.diff(ends)).max(initial=0) > _PATCH:
+        group = np.repeat(np.arange(len(sizes)), sizes)
+        low, high = (extreme.reduceat(places[order], ends[:-1]) for extreme in (np.minimum, np.maximum))
+        # Groups that are small enough stay in their order.
+        along = np.where(sizes > _PATCH, (high - low).argmax(axis=1), -1)[group]
+        key = np.where(along < 0, 0.0, places[order, along])
+        order = order[np.lexsort([key, group])]
+        halves = ends[:-1] + sizes // 2
+        ends = np.sort(np.concatenate([ends, halves[sizes > _PATCH]]))
+    sizes = np.diff(ends)
+    return np.asarray(order[ends[:-1, None] + np.arange(_PATCH) % sizes[:, None]])
 
 
 class Fan:

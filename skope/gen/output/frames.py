@@ -1,6 +1,6 @@
 """Make finished frames: render, annotate and encode."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,12 +12,12 @@ from skope import coco
 from skope.depth_files import depth_png
 from skope.errors import UserError, one_of
 from skope.files import json_bytes
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import RuleCounts, Rules, annotate
 from skope.gen.output.card_counts import kind_of
 from skope.gen.output.writers import FrameFiles, Labels, checksum
-from skope.gen.render.frame import Renderer
+from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.scene.recording import Recording
-from skope.schema import Image
+from skope.schema import Annotation, Image
 
 FORMATS: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
 """Suffixes of images by `--image-format`."""
@@ -68,21 +68,33 @@ def frames_of(
     for frame in frames:
         view = renderer.render(frame)
         annotations, tally = annotate(recording.moment(frame), view, recording.camera, rules, image_id=0)
-        name = recording.info.frame_name(frame)
-        files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
-        depth_name = f"depth/{name}.png" if encoding.depth else None
-        if depth_name:
-            files[depth_name] = depth_png(view.depth)
-        image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
-        labels = Labels(
-            name=name,
-            image=coco.image_to_dict(image),
-            rows=[json_bytes(coco.annotation_to_dict(annotation)) for annotation in annotations],
-            kinds=[kind_of(annotation.iscrowd, annotation.vehicle_type) for annotation in annotations],
-            sha256={path: checksum(data) for path, data in files.items()},
-            tally=vars(tally),
-        )
-        yield FrameFiles(files, labels)
+        yield files_of(recording, frame, view, annotations, tally, encoding)
+
+
+def files_of(
+    recording: Recording,
+    frame: int,
+    view: RenderedFrame,
+    annotations: Sequence[Annotation],
+    tally: RuleCounts,
+    encoding: Encoding,
+) -> FrameFiles:
+    """Encode a rendered frame, whose `annotations` and `tally` are what `annotate` gives."""
+    name = recording.info.frame_name(frame)
+    files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
+    depth_name = f"depth/{name}.png" if encoding.depth else None
+    if depth_name:
+        files[depth_name] = depth_png(view.depth)
+    image = replace(image_of(recording, frame, next(iter(files))), depth_file_name=depth_name)
+    labels = Labels(
+        name=name,
+        image=coco.image_to_dict(image),
+        rows=[json_bytes(coco.annotation_to_dict(annotation)) for annotation in annotations],
+        kinds=[kind_of(annotation.iscrowd, annotation.vehicle_type) for annotation in annotations],
+        sha256={path: checksum(data) for path, data in files.items()},
+        tally=vars(tally),
+    )
+    return FrameFiles(files, labels)
 
 
 def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:

@@ -77,7 +77,8 @@ class RayPool:
             yield len(plans)
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
-        queue, held, sent = JobQueue(missing), dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()
+        queue = JobQueue(missing, views=store.plan.parameters.views)
+        held, sent = dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()
 
         def next_for(worker: Any) -> RenderJob:
             job = queue.next_for(held.get(worker))

@@ -66,10 +66,10 @@ class JobQueue:
     A worker is given the rest of its own recording first, then a recording that no worker has had, and then a part of
     the one that has most left. Recordings of a town follow each other, and a worker keeps the towns in memory that it
     has loaded. So the next new recording is the one after its last, or else the middle of the longest run of
-    recordings that no worker has had.
+    recordings that no worker has had; there it begins with a town, where so many `views` in a row share one.
     """
 
-    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = CHUNK) -> None:
+    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = CHUNK, views: int = 0) -> None:
         self._left = {
             recording: deque(RenderJob(recording, tuple(frames[i : i + chunk])) for i in range(0, len(frames), chunk))
             for recording, frames in missing.items()
@@ -77,6 +77,7 @@ class JobQueue:
         }
         self._order = list(self._left)
         self._place = {recording: place for place, recording in enumerate(self._order)}
+        self._views = views
         self._untouched = {0: len(self._order)} if self._order else {}
         """Runs of recordings that no worker has had: places in `_order`, first: last + 1."""
 
@@ -98,17 +99,28 @@ class JobQueue:
         return job
 
     def _claim_place(self, wanted: int) -> int:
-        """Take a recording out of `_untouched`: the one at `wanted` if a run begins there, else the middle of the
-        longest run. Returns its place in `_order`."""
+        """Take a recording out of `_untouched`: the one at `wanted` if a run begins there, else one in the middle of
+        the longest run. Returns its place in `_order`."""
         at = begin = wanted
         if wanted not in self._untouched:
             begin = max(self._untouched, key=lambda begin: self._untouched[begin] - begin)
-            at = (begin + self._untouched[begin]) // 2
+            at = self._begin_of_town(begin, (begin + self._untouched[begin]) // 2)
         end = self._untouched.pop(begin)
         for first, last in ((begin, at), (at + 1, end)):
             if first < last:
                 self._untouched[first] = last
         return at
+
+    def _begin_of_town(self, first: int, middle: int) -> int:
+        """Place of the first recording of the town that the one at `middle` shows; `middle` if `first` shows it too."""
+
+        def town(place: int) -> tuple[str, int]:
+            recording = self._order[place]
+            return recording.site, int(recording.name) // self._views
+
+        if self._views == 0 or town(first) == town(middle):
+            return middle
+        return next(place for place in range(first, middle + 1) if town(place) == town(middle))
 
     def put_back(self, job: RenderJob) -> None:
         """Hand a job out again, because the worker that had it was lost."""
@@ -157,7 +169,7 @@ class InProcessPool:
         return (simulate_job(store.root, plans) for plans in simulations)
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
-        queue, recording = JobQueue(missing), None
+        queue, recording = JobQueue(missing, views=store.plan.parameters.views), None
         while queue:
             job = queue.next_for(recording)
             recording = job.recording
@@ -187,7 +199,7 @@ class ProcessPool:
         return self._keep_busy(queue, lambda worker: partial(simulate_job, store.root, queue.popleft()))
 
     def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
-        queue = JobQueue(missing)
+        queue = JobQueue(missing, views=store.plan.parameters.views)
         for worker in self._workers:
             worker.recording = None
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.render.frame import RenderedFrame, Silhouette
+from skope.gen.render.pixel_windows import Window
+from skope.types import Array
 
 _LIMIT: Final = 8192
 _MARGIN: Final = 2
@@ -52,7 +54,9 @@ class Lens:
         # Where in the pinhole's image each pixel's centre is, counted in OpenCV's way.
         self._columns, self._rows = (source[..., k].astype(np.float32) - np.float32(0.5) for k in (0, 1))
         whole = np.floor(source).astype(np.int64)
+        self._nearest_column, self._nearest_row = (whole[..., k].astype(np.int32) for k in (0, 1))
         self._nearest = whole[..., 1] * self.pinhole.width + whole[..., 0]
+        self._shown = _window_within(source)
         self._off = (source - whole - 0.5).astype(np.float32)
         """(H, W, 2) from the centre of the nearest pixel to there."""
         self._jacobian = np.stack([np.gradient(source, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float32)
@@ -93,14 +97,16 @@ class Lens:
     def _bend_silhouette(self, silhouette: Silhouette) -> Silhouette:
         """Inside the image by the same warp; beyond it, where only their number counts, pixel by pixel forwards."""
         camera, pinhole = self._camera, self.pinhole
-        rows, columns = np.nonzero(silhouette.mask)
-        if not len(rows):
+        if not silhouette.mask.any():
             return silhouette
+        rows, columns = np.nonzero(silhouette.mask & ~self._surely_sampled(silhouette))
         centers = np.stack([columns + silhouette.x, rows + silhouette.y], axis=-1) + 0.5
         distorted, monotonic = camera.distortion.distort((centers - pinhole.K[:2, 2]) / pinhole.K[[0, 1], [0, 1]])
         pixels = np.floor(distorted * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
         size = np.array([camera.width, camera.height])
-        on_canvas = monotonic & (pixels >= -size).all(-1) & (pixels < 2 * size).all(-1)
+        on_canvas = monotonic
+        for values, side in zip(pixels.T, size.tolist(), strict=True):
+            on_canvas = on_canvas & (values >= -side) & (values < 2 * side)
         pixels = pixels[on_canvas].astype(np.int64)
         if not len(pixels):
             return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
@@ -115,10 +121,37 @@ class Lens:
             )
         return Silhouette(int(low[0]), int(low[1]), mask)
 
+    def _surely_sampled(self, silhouette: Silhouette) -> NDArray[np.bool_]:
+        """Pixels of a silhouette that are shown in the image, and have the silhouette all around them.
+
+        They need no warp forwards: it keeps them from being the silhouette's outermost.
+        """
+        x0, y0, x1, y1 = self._shown
+        x, y = silhouette.x, silhouette.y
+        out = np.zeros_like(silhouette.mask)
+        there = slice(max(y0 - y, 0), max(y1 - y, 0)), slice(max(x0 - x, 0), max(x1 - x, 0))
+        around = np.ones((3, 3), dtype=np.uint8)
+        inner = cv2.erode(silhouette.mask.view(np.uint8), around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        out[there] = inner[there]
+        return out
+
     def _sample_silhouette(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
         """The silhouette at the source pixels of a window of the image."""
-        row, column = np.divmod(self._nearest[y0:y1, x0:x1], self.pinhole.width)
-        row, column = row - silhouette.y, column - silhouette.x
+        window = slice(y0, y1), slice(x0, x1)
+        row, column = self._nearest_row[window] - silhouette.y, self._nearest_column[window] - silhouette.x
         height, width = silhouette.mask.shape
         there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        return np.asarray(there & silhouette.mask[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
+        out = np.zeros(there.shape, dtype=bool)
+        out[there] = silhouette.mask[row[there], column[there]]
+        return out
+
+
+def _window_within(source: Array) -> Window:
+    """A window of the pinhole's image whose pixels the lens all shows.
+
+    `source` (H, W, 2) is where in the pinhole's image each pixel of the lens is. No edge of the lens' image passes
+    through the window: each of the four lies on its own side of it.
+    """
+    left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + _MARGIN
+    right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - _MARGIN
+    return int(left), int(top), int(right), int(bottom)

@@ -21,6 +21,8 @@ NEAR: Final = 0.3
 """Silhouettes are clipped at this depth, metres."""
 TILE: Final = 8
 """Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
+_STICKS_OUT: Final = 1.0
+"""No part of a vehicle, be it a mirror or a sign, is farther outside the box of its dimensions than this, metres."""
 CONTACT: Final = 1.8
 """How far around itself a vehicle takes sky from the road, metres."""
 
@@ -41,6 +43,15 @@ def window_of(hull: Array, camera: Camera) -> Window | None:
 def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
     return _projected_hull(_box_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+
+
+def may_be_seen(vehicle: Body, T_world_chassis: Array, camera: Camera) -> bool:
+    """Whether the image may show a vehicle, by its dimensions alone: `window_of` is None where it may not."""
+    length, width, height = vehicle.size_lwh
+    half = [length / 2 + _STICKS_OUT, width / 2 + _STICKS_OUT]
+    corners = _corners_between(np.array([*np.negative(half), -_STICKS_OUT]), np.array([*half, height + _STICKS_OUT]))
+    pixels = _project(corners @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+    return window_of(pixels, camera) is not None
 
 
 def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
@@ -136,6 +147,11 @@ def _box_corners(vehicle: Body) -> Array:
     """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
     low, high = vehicle.extent.copy()
     low[2] = -0.1
+    return _corners_between(low, high)
+
+
+def _corners_between(low: Array, high: Array) -> Array:
+    """(8, 3) corners of the box between two of them."""
     return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
 
 

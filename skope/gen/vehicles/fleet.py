@@ -52,13 +52,10 @@ class ParametricVehicle(Derived):
             body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
             return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
 
-        return self._cached_arrays("vehicle", build)
+        return self._cached("vehicle", build)
 
-    def _cached_arrays(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
-        """Arrays that `build` makes of a model, from the cache; jittered shapes, which occur once, are not cached."""
-        entry = fleet().get(self.model)
-        if entry is None or entry.vehicle.shape != self.shape:
-            return build()
+    def _cached(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
+        """Arrays that `build` makes of this shape, from the cache: workers meet the same shapes."""
         return cached(kind, digest_of(repr(self.shape), repr(self.style)), build)
 
     @cached_property
@@ -88,7 +85,7 @@ class ParametricVehicle(Derived):
             parts = zip(names, simplified_parts(self.parts), strict=True)
             return {key: array for name, part in parts for key, array in part.to_arrays(name).items()}
 
-        arrays = self._cached_arrays("coarse", build)
+        arrays = self._cached("coarse", build)
         return tuple(Mesh.from_arrays(arrays, name) for name in names)
 
     @cached_property

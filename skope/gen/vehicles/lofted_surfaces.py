@@ -9,7 +9,6 @@ hovers a millimetre over the shell, which need not be split for it.
 """
 
 from collections.abc import Collection, Sequence
-from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -18,9 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.mesh import Mesh, from_triangles, merged
+from skope.gen.vehicles.triangle_cuts import EDGES, ConvexPolygon, Indices, cut
 from skope.types import Array
-
-Indices = NDArray[np.int64]
 
 X, Y, Z, NX, NY, NZ, W, T = range(8)
 """Columns of a surface's vertices: position, normal, metres along the outline from the front's middle, row."""
@@ -36,10 +34,7 @@ _FRONT, _CORNER = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
 _LIFT: Final = 0.0012
 """How far each layer of what is drawn hovers over the one below, metres."""
-_SNAP: Final = 8e-4
-"""Cuts nearer to a vertex than this go through it, metres."""
 _CREASE: Final = np.cos(np.radians(38))
-_EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
 
 
 @dataclass(frozen=True)
@@ -122,7 +117,6 @@ class Surface:
         place = np.stack(np.broadcast_arrays(along[None, :], np.array(levels)[:, None]), axis=-1)
         self._set_up(points.reshape(-1, 3), place.reshape(-1, 2), triangles)
         self._names = [material]
-        self._material = np.zeros(len(self._triangles), dtype=np.int64)
 
     def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
         """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
@@ -158,7 +152,7 @@ class Surface:
         rows = np.column_stack([points[corners], normals, place[corners]])
         rows, index = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
         self._vertices = rows
-        self._triangles = index.reshape(-1, 3).astype(np.int64)
+        self._set_triangles(index.reshape(-1, 3).astype(np.int64), np.zeros(len(triangles), dtype=np.int64))
 
     def paint(
         self,
@@ -185,79 +179,59 @@ class Surface:
         facing: tuple[float, float, float] | None,
     ) -> Indices:
         """Split triangles along a polygon's edges; returns those inside."""
-        p = np.asarray(polygon, dtype=np.float64)
-        edge = np.roll(p, -1, axis=0) - p
-        if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() < 0:
-            p, edge = p[::-1], (np.roll(p[::-1], -1, axis=0) - p[::-1])
-        place = self._vertices[:, projection]
-        corners = place[self._triangles]
-        active = ((corners.max(axis=1) > p.min(axis=0)) & (corners.min(axis=1) < p.max(axis=0))).all(axis=1)
-        level = self._vertices[:, T][self._triangles]
-        active &= (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
-        if facing is not None:
-            active &= (self._vertices[:, NX:W][self._triangles].mean(axis=1) @ np.array(facing)) > 0.7
+        outline = ConvexPolygon.of(polygon)
+        active = self._reached(outline, projection, levels, facing)
         if not active.any():
             return np.zeros(0, dtype=np.int64)
         touched = np.zeros(len(self._vertices), dtype=bool)
         touched[self._triangles[active]] = True
+        # Neighbours are split with them, so that the shell stays closed.
         local = touched[self._triangles].any(axis=1)
-        triangles, material, inside = self._triangles[local], self._material[local], active[local]
-        edges = np.stack([-edge[:, 1], edge[:, 0]], axis=-1)
-        length = np.linalg.norm(edges, axis=1)
-        p, normals = p[length > 1e-9], edges[length > 1e-9] / length[length > 1e-9, None]
-        offsets = (p * normals).sum(axis=1)
-        for start, normal in zip(p, normals, strict=True):
-            # What lies outside one of the edges altogether needs no cutting by the others.
-            heights = self._vertices[:, projection][triangles[inside]] @ normals.T - offsets
-            inside[inside] = (heights.max(axis=1) > _SNAP).all(axis=1)
-            value = (self._vertices[:, projection] - start) @ normal
-            value[np.abs(value) < _SNAP] = 0
-            triangles, parent = self._split_edges(triangles, inside, value)
-            value = (self._vertices[:, projection] - start) @ normal
-            value[np.abs(value) < _SNAP] = 0
-            material = material[parent]
-            inside = inside[parent] & (value[triangles].sum(axis=1) > 0)
-            if not inside.any():
-                break
+        used, triangles = _renumbered(self._triangles[local])
+        made = cut(self._vertices[used], triangles, active[local], outline, projection, keep_outside=True)
+        added = len(self._vertices) + np.arange(len(made.vertices) - len(used))
+        number = np.concatenate([used, added])
+        material = self._material[local][made.parent]
         kept = int((~local).sum())
-        self._triangles = np.concatenate([self._triangles[~local], triangles])
-        self._material = np.concatenate([self._material[~local], material])
-        return kept + np.flatnonzero(inside)
+        self._vertices = np.concatenate([self._vertices, made.vertices[len(used) :]])
+        self._set_triangles(
+            np.concatenate([self._triangles[~local], number[made.triangles]]),
+            np.concatenate([self._material[~local], material]),
+        )
+        return kept + np.flatnonzero(made.inside)
 
-    def _split_edges(self, triangles: Indices, inside: NDArray[np.bool_], value: Array) -> tuple[Indices, Indices]:
-        """Split edges where `value` of the vertices changes sign: new triangles, and the old one of each."""
-        ends = np.sort(triangles[:, _EDGES], axis=-1)
-        crossing = inside[:, None] & (value[ends[..., 0]] * value[ends[..., 1]] < 0)
-        base = len(self._vertices)
-        key = ends[..., 0] * base + ends[..., 1]
-        keys = np.unique(key[crossing])
-        if not len(keys):
-            return triangles, np.arange(len(triangles))
-        a, b = keys // base, keys % base
-        share = (value[a] / (value[a] - value[b]))[:, None]
-        new = self._vertices[a] + (self._vertices[b] - self._vertices[a]) * share
-        new[:, NX:W] /= np.maximum(np.linalg.norm(new[:, NX:W], axis=1, keepdims=True), 1e-9)
-        self._vertices = np.concatenate([self._vertices, new])
-        found = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
-        hit = keys[found] == key
-        middle = base + found
-        count = hit.sum(axis=1)
-        out, parents = [triangles[count == 0]], [np.flatnonzero(count == 0)]
-        for splits, first in ((1, hit.argmax(axis=1)), (2, ((~hit).argmax(axis=1) + 1) % 3), (3, 0 * count)):
-            at = np.flatnonzero(count == splits)
-            if not len(at):
-                continue
-            turn = (first[at, None] + np.arange(3)) % 3
-            v = np.take_along_axis(triangles[at], turn, axis=1).T
-            m = np.take_along_axis(middle[at], turn, axis=1).T
-            parts = {
-                1: [(v[0], m[0], v[2]), (m[0], v[1], v[2])],
-                2: [(m[0], v[1], m[1]), (v[0], m[0], m[1]), (v[0], m[1], v[2])],
-                3: [(v[0], m[0], m[2]), (m[0], v[1], m[1]), (m[1], v[2], m[2]), (m[0], m[1], m[2])],
-            }[splits]
-            out += [np.stack(part, axis=-1) for part in parts]
-            parents += [at] * len(parts)
-        return np.concatenate(out), np.concatenate(parents)
+    def _reached(
+        self,
+        polygon: ConvexPolygon,
+        projection: tuple[int, int],
+        levels: tuple[float, float],
+        facing: tuple[float, float, float] | None,
+    ) -> NDArray[np.bool_]:
+        """(T,) which triangles lie between two rows, are turned to `facing`, and may lie in a polygon."""
+        active = self._between(levels)
+        for column, start, end in zip(projection, polygon.low, polygon.high, strict=True):
+            low, high = self._extremes(column)
+            active = active & (high > start) & (low < end)
+        if facing is not None:
+            at = np.flatnonzero(active)
+            active[at] = (self._vertices[:, NX:W][self._triangles[at]].mean(axis=1) @ np.array(facing)) > 0.7
+        return active
+
+    def _between(self, levels: tuple[float, float]) -> NDArray[np.bool_]:
+        """(T,) which triangles lie between two rows."""
+        low, high = self._extremes(T)
+        return np.asarray((low >= levels[0] - 1e-6) & (high <= levels[1] + 1e-6))
+
+    def _extremes(self, column: int) -> tuple[Array, Array]:
+        """(T,) least and greatest value of a column at each triangle's corners."""
+        if column not in self._known_extremes:
+            a, b, c = self._vertices[:, column][self._triangles].T
+            self._known_extremes[column] = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        return self._known_extremes[column]
+
+    def _set_triangles(self, triangles: Indices, material: Indices) -> None:
+        self._triangles, self._material = triangles, material
+        self._known_extremes: dict[int, tuple[Array, Array]] = {}
 
     def sink(
         self,
@@ -290,8 +264,10 @@ class Surface:
         walls = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
         self._triangles[chosen] = base + index.reshape(-1, 3)
         self._material[chosen] = self._material_number(material)
-        self._triangles = np.concatenate([self._triangles, walls])
-        self._material = np.concatenate([self._material, np.full(len(walls), self._material_number(wall))])
+        self._set_triangles(
+            np.concatenate([self._triangles, walls]),
+            np.concatenate([self._material, np.full(len(walls), self._material_number(wall))]),
+        )
 
     def _outward_directions(self, used: Indices) -> Array:
         """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
@@ -303,9 +279,10 @@ class Surface:
 
     def _rim_edges(self, triangles: Indices) -> tuple[Indices, Indices]:
         """Starts and ends of the edges around triangles, counter-clockwise."""
-        _, same = np.unique(np.round(self._vertices[:, :NX], 6), axis=0, return_inverse=True)
-        edges = triangles[:, _EDGES].reshape(-1, 2)
-        keys = same.reshape(-1)[edges]
+        used, local = _renumbered(triangles)
+        _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
+        edges = triangles[:, EDGES].reshape(-1, 2)
+        keys = same.reshape(-1)[local[:, EDGES].reshape(-1, 2)]
         base = int(keys.max()) + 1
         rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
         return edges[rim, 0], edges[rim, 1]
@@ -326,18 +303,24 @@ class Surface:
         facing: tuple[float, float, float] | None = None,
     ) -> None:
         """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
-        patch = copy(self)
-        inside = patch._cut_polygon(polygon, projection, levels, facing)
-        a, b, c = np.moveaxis(patch._vertices[:, projection][patch._triangles[inside]], 1, 0)
+        outline = ConvexPolygon.of(polygon)
+        at = np.flatnonzero(self._reached(outline, projection, levels, facing))
+        if not len(at):
+            return
+        used, triangles = _renumbered(self._triangles[at])
+        every = np.ones(len(at), dtype=bool)
+        made = cut(self._vertices[used], triangles, every, outline, projection, keep_outside=False)
+        inside = made.triangles[made.inside]
+        a, b, c = np.moveaxis(made.vertices[:, projection][inside], 1, 0)
         # Walls around what is sunk have no area here, and nothing to show.
         inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
         if not len(inside):
             return
-        used, index = np.unique(patch._triangles[inside], return_inverse=True)
-        v = patch._vertices[used]
+        used, index = _renumbered(inside)
+        v = made.vertices[used]
         position = v[:, :NX] + layer * _LIFT * v[:, NX:W]
         kind = np.zeros(len(inside), dtype=np.int64)
-        self._drawn.append(Mesh(position, v[:, NX:W], index.reshape(-1, 3), (material,), kind))
+        self._drawn.append(Mesh(position, v[:, NX:W], index, (material,), kind))
 
     def place(
         self,
@@ -347,10 +330,8 @@ class Surface:
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> tuple[Array, Array]:
         """(3,) position and unit normal of the surface's outermost point over a point of a projection."""
-        level = self._vertices[:, T][self._triangles]
-        chosen = (level.min(axis=1) >= levels[0] - 1e-6) & (level.max(axis=1) <= levels[1] + 1e-6)
-        corners = self._vertices[self._triangles[chosen]]
-        a, b, c = np.moveaxis(corners[:, :, list(projection)], 1, 0)
+        triangles = self._triangles[self._between(levels)]
+        a, b, c = np.moveaxis(self._vertices[:, projection][triangles], 1, 0)
         p = np.asarray(point, dtype=np.float64)
         area = _cross(b - a, c - a)
         flat = np.abs(area) < 1e-10
@@ -358,9 +339,11 @@ class Surface:
         shares = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1) / area[:, None]
         shares[flat] = -9.0
         # Over a hole, the nearest triangle's edge.
-        inside = np.flatnonzero(shares.min(axis=1) > min(-1e-6, float(shares.min(axis=1).max()) - 1e-9))
+        least = np.minimum(np.minimum(shares[:, 0], shares[:, 1]), shares[:, 2])
+        inside = np.flatnonzero(least > min(-1e-6, float(least.max()) - 1e-9))
         weights = np.clip(shares[inside], 0, 1)
-        found = (corners[inside] * (weights / weights.sum(axis=1, keepdims=True))[..., None]).sum(axis=1)
+        weights /= weights.sum(axis=1, keepdims=True)
+        found = (self._vertices[triangles[inside]] * weights[..., None]).sum(axis=1)
         best = found[(found[:, :NX] * found[:, NX:W]).sum(axis=1).argmax()]
         return best[:NX], best[NX:W] / np.linalg.norm(best[NX:W])
 
@@ -395,8 +378,7 @@ class Surface:
         """
         gone = self._cut_polygon(polygon, SIDE, (INNER, SHOULDER), None)
         removed = self._triangles[gone]
-        self._triangles = np.delete(self._triangles, gone, axis=0)
-        self._material = np.delete(self._material, gone)
+        self._set_triangles(np.delete(self._triangles, gone, axis=0), np.delete(self._material, gone))
         position = self._vertices[:, :3]
         start, end = self._rim_edges(removed)
         a, b = position[start], position[end]
@@ -418,6 +400,12 @@ class Surface:
         v = self._vertices[used]
         shell = Mesh(v[:, :3], v[:, NX:W], index.reshape(-1, 3), tuple(self._names), self._material)
         return merged([shell, *self._drawn])
+
+
+def _renumbered(triangles: Indices) -> tuple[Indices, Indices]:
+    """The vertices that triangles (T, 3) use, in rising order, and the triangles by their places in these."""
+    used, index = np.unique(triangles, return_inverse=True)
+    return used, index.reshape(-1, 3)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -2,7 +2,7 @@ import numpy as np
 
 from skope.camera import Camera
 from skope.gen.labels.annotate import locate
-from skope.gen.labels.raycast import RayCaster
+from skope.gen.labels.raycast import RayCaster, _split_in_patches
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing
 
@@ -21,3 +21,16 @@ def test_first_hits_are_those_of_every_triangle_of_every_vehicle() -> None:
     assert 100 < before.sum() < 290
     np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
     np.testing.assert_array_less(np.linalg.norm(away, axis=1)[~before], hits[~before] + 1e-6)
+
+
+def test_patches_hold_every_triangle_and_lie_close_together() -> None:
+    places = np.random.default_rng(5).uniform(0, 1, (1000, 3))
+    patches = _split_in_patches(places)
+    assert patches.shape == (64, 16)
+    assert set(patches.ravel()) == set(range(1000))
+    assert np.median(np.ptp(places[patches], axis=1).prod(axis=1)) < 0.03
+
+
+def test_a_part_of_few_or_no_triangles_has_one_patch_or_none() -> None:
+    assert _split_in_patches(np.zeros((3, 3))).tolist() == [[0, 1, 2] * 5 + [0]]
+    assert _split_in_patches(np.zeros((0, 3))).shape == (0, 16)

@@ -27,6 +27,21 @@ def test_workers_spread_and_each_goes_on_from_its_last_recording() -> None:
         assert [RECORDINGS.index(b) - RECORDINGS.index(a) for a, b in pairwise(recordings)] == [1, 1, 1]
 
 
+def test_workers_begin_with_different_towns_where_views_share_one() -> None:
+    views = [RecordingInfo("t01_a", f"{number:02d}", "train", 20) for number in range(12)]
+    queue, given = JobQueue({recording: [0] for recording in views}, views=4), list[int]()
+    while queue:
+        given.append(int(queue.next_for(None).recording.name))
+    assert sorted(given[:3]) == [0, 4, 8]
+    assert sorted(given) == list(range(12))
+
+
+def test_the_views_of_a_town_are_shared_out_when_there_is_nothing_else() -> None:
+    views = [RecordingInfo("t01_a", f"{number:02d}", "train", 20) for number in range(4)]
+    queue = JobQueue({recording: list(range(20)) for recording in views}, views=4)
+    assert [int(queue.next_for(None).recording.name) for _ in range(4)] == [0, 2, 1, 3]
+
+
 def test_one_worker_goes_through_all_recordings_in_order() -> None:
     queue, recording, met = JobQueue({recording: [0, 9] for recording in RECORDINGS}), None, list[RecordingInfo]()
     while queue:

@@ -8,6 +8,7 @@ from skope.camera import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.render.choose_renderer import make_renderer
+from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.lens import Lens, pinhole_of
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing
@@ -111,3 +112,29 @@ def test_distortions_that_cannot_be_drawn_are_refused() -> None:
     Lens(camera_of(BROWN))
     with pytest.raises(UserError, match=r"shows more than a view of|folds back"):
         pinhole_of(Camera(1920, 1080, wide.K * [[2, 1, 1], [1, 2, 1], [1, 1, 1]], wide.T_camera_world, wide.distortion))
+
+
+@pytest.mark.parametrize("distortion", [BROWN, FISHEYE], ids=["brown", "fisheye"])
+def test_the_inside_of_a_silhouette_is_not_warped_pixel_by_pixel(
+    distortion: Distortion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lens, rng = Lens(camera_of(distortion)), np.random.default_rng(3)
+    silhouettes = []
+    for x, y, width, height in rng.integers([-200, -150, 3, 3], [600, 300, 260, 200], (60, 4)).tolist():
+        mask = np.zeros((height, width), dtype=np.uint8)
+        corners = rng.integers(0, [width, height], (5, 2)).astype(np.int32)
+        cv2.fillConvexPoly(mask, cv2.convexHull(corners), 1)
+        silhouettes.append(Silhouette(x, y, mask > 0))
+    view = RenderedFrame(
+        np.zeros((lens.pinhole.height, lens.pinhole.width, 3), np.uint8),
+        np.ones((lens.pinhole.height, lens.pinhole.width), np.float32),
+        np.zeros((lens.pinhole.height, lens.pinhole.width, 2), np.float32),
+        np.zeros((lens.pinhole.height, lens.pinhole.width), np.int32),
+        tuple(silhouettes),
+        np.zeros(len(silhouettes)),
+    )
+    bent = lens.bend(view).silhouettes
+    monkeypatch.setattr(Lens, "_surely_sampled", lambda _, silhouette: np.zeros_like(silhouette.mask))
+    for one, other in zip(bent, lens.bend(view).silhouettes, strict=True):
+        assert (one.x, one.y) == (other.x, other.y)
+        np.testing.assert_array_equal(one.mask, other.mask)

@@ -9,7 +9,7 @@ import numpy as np
 from skope.camera import Camera
 from skope.gen.mesh import merged
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
-from skope.gen.render.pixel_windows import Window, hull_of, window_of
+from skope.gen.render.pixel_windows import Window, hull_of, may_be_seen, window_of
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.vehicles.model import Body
@@ -66,6 +66,9 @@ class Placer:
         for i in away.argsort(kind="stable").tolist():
             recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
             vehicle = body_of(recorded)
+            # Its surfaces take longer to build than to draw.
+            if not may_be_seen(vehicle, chassis, camera):
+                continue
             hull = hull_of(vehicle, chassis, camera)
             window = window_of(hull, camera)
             if window is None:
@@ -94,7 +97,7 @@ class Placer:
         return out
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
     """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
     body, *wheels = vehicle.parts

@@ -1,0 +1,159 @@
+"""Cuts triangles along the edges of convex polygons: the arithmetic behind panels that are drawn on a shell."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope.types import Array
+
+Indices = NDArray[np.int64]
+
+NORMAL: Final = slice(3, 6)
+"""Columns of a vertex that are a direction, which stays a unit vector in between two vertices."""
+_SNAP: Final = 8e-4
+"""Cuts nearer to a vertex than this go through it, metres."""
+EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
+"""Corners of a triangle that each of its edges joins."""
+_PARTS: Final = {
+    1: np.array([(0, 3, 2), (3, 1, 2)]),
+    2: np.array([(3, 1, 4), (0, 3, 4), (0, 4, 2)]),
+    3: np.array([(0, 3, 5), (3, 1, 4), (4, 2, 5), (3, 4, 5)]),
+}
+"""Triangles that one becomes, by how many of its edges are split: 0-2 are its corners, 3-5 the middles of its edges."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexPolygon:
+    """A convex polygon of E edges in a projection of vertices, counter-clockwise."""
+
+    low: Array
+    """(2,) least corner of the box around it."""
+    high: Array
+    """(2,) greatest corner of the box around it."""
+    starts: Array
+    """(E, 2) a point on each edge."""
+    normals: Array
+    """(E, 2) unit normals of the edges, inwards."""
+
+    @classmethod
+    def of(cls, corners: ArrayLike) -> "ConvexPolygon":
+        """The polygon of corners (N, 2) in either direction; edges without length are left out."""
+        p = np.asarray(corners, dtype=np.float64)
+        if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() < 0:
+            p = p[::-1]
+        edge = np.roll(p, -1, axis=0) - p
+        across = np.stack([-edge[:, 1], edge[:, 0]], axis=-1)
+        length = np.linalg.norm(across, axis=1)
+        proper = length > 1e-9
+        return cls(p.min(axis=0), p.max(axis=0), p[proper], across[proper] / length[proper, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Triangles that were cut, with their vertices."""
+
+    vertices: Array
+    """(V', C) those of before, then those that were added on edges."""
+    triangles: Indices
+    """(T', 3) indices of vertices."""
+    parent: Indices
+    """(T',) the triangle of before that each is part of."""
+    inside: NDArray[np.bool_]
+    """(T',) whether it lies in the polygon."""
+
+
+def cut(
+    vertices: Array,
+    triangles: Indices,
+    inside: NDArray[np.bool_],
+    polygon: ConvexPolygon,
+    projection: tuple[int, int],
+    *,
+    keep_outside: bool,
+) -> Cut:
+    """Split triangles along a polygon's edges.
+
+    Args:
+        vertices: (V, C) of which columns 3 to 5 are a normal.
+        triangles: (T, 3) indices of vertices.
+        inside: (T,) the triangles that are to be cut; others are split only where they share an edge with these.
+        polygon: What they are cut by.
+        projection: The columns of vertices that the polygon is in.
+        keep_outside: Whether triangles outside the polygon are kept.
+    """
+    parent = np.arange(len(triangles))
+    offsets = (polygon.starts * polygon.normals).sum(axis=1)
+    for start, normal in zip(polygon.starts, polygon.normals, strict=True):
+        # What lies outside one of the edges altogether needs no cutting by the others.
+        inside[inside] = _reach_inside(vertices, triangles[inside], polygon.normals, offsets, projection)
+        if not keep_outside:
+            triangles, parent, inside = triangles[inside], parent[inside], inside[inside]
+        value = _heights(vertices, projection, start, normal)
+        before = len(vertices)
+        vertices, triangles, origin = _split_edges(vertices, triangles, inside, value)
+        value = np.concatenate([value, _heights(vertices[before:], projection, start, normal)])
+        a, b, c = value[triangles].T
+        parent, inside = parent[origin], inside[origin] & (a + b + c > 0)
+        if not inside.any():
+            break
+    return Cut(vertices, triangles, parent, inside)
+
+
+def _reach_inside(
+    vertices: Array, triangles: Indices, normals: Array, offsets: Array, projection: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """(T,) whether triangles have a corner on the inner side of every edge."""
+    u, v = (vertices[:, column][triangles] for column in projection)
+    out = np.ones(len(triangles), dtype=bool)
+    for (nu, nv), offset in zip(normals.tolist(), offsets.tolist(), strict=True):
+        out &= (u * nu + v * nv - offset > _SNAP).any(axis=1)
+    return out
+
+
+def _heights(vertices: Array, projection: tuple[int, int], start: Array, normal: Array) -> Array:
+    """(V,) distances of vertices from an edge, inwards; 0 for those that a cut goes through."""
+    u, v = projection
+    value: Array = (vertices[:, u] - start[0]) * normal[0] + (vertices[:, v] - start[1]) * normal[1]
+    value[np.abs(value) < _SNAP] = 0
+    return value
+
+
+def _split_edges(
+    vertices: Array, triangles: Indices, inside: NDArray[np.bool_], value: Array
+) -> tuple[Array, Indices, Indices]:
+    """Split edges of triangles `inside` where `value` (V,) of the vertices changes sign.
+
+    Returns the vertices with the new ones at the end, the new triangles, and the old one of each.
+    """
+    at_corners = value[triangles]
+    crossing = inside[:, None] & (at_corners * at_corners[:, [1, 2, 0]] < 0)
+    if not crossing.any():
+        return vertices, triangles, np.arange(len(triangles))
+    base, after = len(vertices), triangles[:, [1, 2, 0]]
+    key = np.minimum(triangles, after) * base + np.maximum(triangles, after)
+    keys = np.sort(key[crossing])
+    keys = keys[np.append(True, keys[1:] != keys[:-1])]
+    a, b = np.divmod(keys, base)
+    share = (value[a] / (value[a] - value[b]))[:, None]
+    new = vertices[a] + (vertices[b] - vertices[a]) * share
+    new[:, NORMAL] /= np.maximum(np.linalg.norm(new[:, NORMAL], axis=1, keepdims=True), 1e-9)
+    found = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+    hit = keys[found] == key
+    middle = base + found
+    count = hit.sum(axis=1)
+    whole = np.flatnonzero(count == 0)
+    out, origin = [triangles[whole]], [whole]
+    for splits, parts in _PARTS.items():
+        at = np.flatnonzero(count == splits)
+        if not len(at):
+            continue
+        # Turned so that the first edge is the split one, or the last edge the one that is not split.
+        own = hit[at]
+        start = {1: own.argmax(axis=1), 2: (~own).argmax(axis=1) + 1, 3: 0 * at}[splits]
+        turn = (start[:, None] + np.arange(3)) % 3
+        corners = np.concatenate([triangles[at[:, None], turn], middle[at[:, None], turn]], axis=1)
+        out.append(corners[:, parts].swapaxes(0, 1).reshape(-1, 3))
+        origin += [at] * len(parts)
+    return np.concatenate([vertices, new]), np.concatenate(out), np.concatenate(origin)
