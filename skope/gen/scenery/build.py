@@ -16,15 +16,17 @@ from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.scenery.backdrop import backdrop
 from skope.gen.scenery.bridges_and_barriers import structures
+from skope.gen.scenery.distractors import distractors
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
-from skope.gen.scenery.houses import car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
+from skope.gen.scenery.houses import House, car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
+from skope.gen.scenery.markings import crossings
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
 from skope.gen.towns.layout import Layout
-from skope.gen.towns.parking import Bay, lot_bays
+from skope.gen.towns.parking import Bay, ground_of, kerb_bays, lot_bays
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.town import Town
 from skope.types import Array
@@ -32,6 +34,8 @@ from skope.types import Array
 STUDIO: Final = Town("studio")
 """An empty place, to look at vehicles."""
 STUDIO_RADIUS: Final = 200.0
+_BEFORE_CROSSINGS: Final = 5.0
+"""Distance from crossings that is kept free of parked vehicles, metres."""
 ARM_CLEARANCE: Final = 16.0
 """Signals nearer to a camera than this do not hang over the road, metres."""
 
@@ -117,7 +121,7 @@ def bays_of(town: Town) -> tuple[Bay, ...]:
         return scenery(town).bays
     layout = Layout.of(town)
     houses = plots(layout, _generators(town)["plots"])
-    bays = (*lot_bays(car_parks(houses)[0]), *drive_bays(houses))
+    bays = (*lot_bays(car_parks(houses)[0]), *drive_bays(houses), *_bays_along_kerbs(town, layout, houses))
     return tuple(map(_bay_out_of_mirror, bays)) if layout.graph.mirrored else bays
 
 
@@ -128,15 +132,18 @@ def _grow_scenery(town: Town) -> Scenery:
     built = covered(houses)
     walks, drives = paths(houses)
     lots, ways = car_parks(houses)
-    paved = unary_union([drives, lots, ways])
+    along_kerbs = _bays_along_kerbs(town, layout, houses)
+    lay_bys = ground_of(along_kerbs)
+    paved = unary_union([drives, lots, ways, lay_bys])
     trees = plant(layout, unary_union([built, paved]), rng["trees"])
     signals, poles = _signals(layout)
     pits = unary_union([tree.pit for tree in trees if tree.street])
     footings = built.buffer(0.35, join_style="mitre")
-    beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, footings, pits)
+    beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, lay_bys, footings, pits)
     furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
+    surfaces = list(ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])))
     meshes = [
-        *ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])),
+        *surfaces,
         *house_meshes(houses, rng["houses"]),
         *gardens(layout, houses, pits, rng["gardens"]),
         *tree_meshes(layout, trees, rng["crowns"]),
@@ -145,11 +152,23 @@ def _grow_scenery(town: Town) -> Scenery:
         *horizon(layout, rng["horizon"]),
         *poles,
     ]
+    if town.variant and town.variant.distractors:
+        blocked = unary_union([built, paved, walks, pits])
+        meshes += distractors(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["distractors"])
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
-    bays = (*lot_bays(lots), *drive_bays(houses))
+    bays = (*lot_bays(lots), *drive_bays(houses), *along_kerbs)
     footprints = tuple(house.footprint for house in houses)
     grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamp_positions(furnished))
     return _out_of_mirror(grown) if layout.graph.mirrored else grown
+
+
+def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[Bay]:
+    """Bays along kerbs, which variants of the towns have: clear of drives and of crossings."""
+    if not (town.variant and town.variant.seed):
+        return []
+    stripes = unary_union(list(crossings(layout.graph)))
+    keep_clear = unary_union([paths(houses)[1], car_parks(houses)[1], stripes.buffer(_BEFORE_CROSSINGS)])
+    return kerb_bays(layout, keep_clear, _generators(town)["kerbside"])
 
 
 def _generators(town: Town) -> dict[str, np.random.Generator]:
@@ -176,7 +195,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
     )
 
 
-_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon")
+_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon", "kerbside", "distractors")
 
 
 def _signal_head() -> Mesh:

@@ -46,6 +46,8 @@ class Beside:
     walks: Any
     drives: Any
     parking: Any
+    lay_bys: Any
+    """Bays along kerbs."""
     footings: Any
     """Bare soil at walls' feet."""
     pits: Any
@@ -87,6 +89,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
             ("soil", beside_road.pits.intersection(sidewalk)),
             (layout.style.median, islands.buffer(0.01)),
             ("asphalt_old", layout.beside_lanes("shoulder")),
+            ("asphalt_old", beside_road.lay_bys),
             ("sidewalk", sidewalk.union(beside_road.forecourts)),
             ("paving", unary_union([beside_road.walks, graph.walled_road.buffer(4.5), *layout.under_decks])),
             ("marking", bay_lines(beside_road.parking)),

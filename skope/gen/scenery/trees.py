@@ -12,9 +12,11 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
+from skope.gen.scenery.winter_trees import branches, drooping_branches
 from skope.gen.towns.layout import FAR, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along
+from skope.gen.towns.season import Season
 from skope.gen.towns.style import drawn_name
 from skope.types import Array
 
@@ -130,8 +132,29 @@ def _places_along(region: Polygon, spacing: float) -> Iterator[Array]:
 
 
 def tree_meshes(layout: Layout, trees: list[Tree], rng: np.random.Generator) -> Iterator[Mesh]:
+    season = layout.style.season
     for tree in trees:
-        yield _tree(tree, rng).moved(layout.on_ground(tree.place), rng.uniform(0, 2 * np.pi))
+        mesh = _tree_in_season(tree, season, rng) if season else _tree(tree, rng)
+        yield mesh.moved(layout.on_ground(tree.place), rng.uniform(0, 2 * np.pi))
+
+
+def _tree_in_season(tree: Tree, season: Season, rng: np.random.Generator) -> Mesh:
+    """A tree as a season has it: some without leaves, conifers with branches that can be told apart."""
+    species, height, reach = tree.species, tree.height, tree.reach * rng.uniform(0.88, 1.12)
+    bare = height * species.bare * rng.uniform(0.88, 1.12)
+    if species.form == "cone":
+        crown = drooping_branches(height, bare, min(reach, tree.room / 1.12), species.leaves, tree.detail, rng)
+        return merged([_stem(species, 0.9 * height), *crown])
+    if species.leaves == "leaves_dark" or species.form == "shrub" or rng.random() >= season.bare:
+        return _tree(tree, rng)
+    crowned = branches(height, bare, min(reach, tree.room / 1.4), species.stem, species.bark, tree.detail, rng)
+    return merged([_stem(species, 0.85 * height), crowned])
+
+
+def _stem(species: Species, top: float) -> Mesh:
+    """A trunk up to a height, metres."""
+    profile = [(-0.4, 1.4 * species.stem), (0.3, species.stem), (0.9 * top, 0.5 * species.stem)]
+    return lathe(profile, [species.bark] * 2, 6, "z")
 
 
 def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
@@ -143,10 +166,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     rims = {"cone": 1.12, "column": 1.5}.get(species.form, 0.8 + 1.5 * share)
     reach = min(height * species.reach * rng.uniform(0.88, 1.12), tree.room / rims)
     top = 0.42 * height if species.form == "shrub" else height - 0.6 * reach
-    stem = lathe(
-        [(-0.4, 1.4 * species.stem), (0.3, species.stem), (0.9 * top, 0.5 * species.stem)], [species.bark] * 2, 6, "z"
-    )
-    parts = [stem]
+    parts = [_stem(species, top)]
     if species.form == "cone":
         return merged([*parts, *_conifer_tiers(tree, bare, reach, rng)])
     if species.form == "column":

@@ -1,6 +1,6 @@
-"""Parking: bays of car parks, and on the drives beside houses."""
+"""Parking: bays of car parks, on the drives beside houses, and along kerbs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -8,7 +8,9 @@ import numpy as np
 from shapely import Polygon
 from shapely.ops import unary_union
 
+from skope.gen.towns.layout import KERB_WIDTH, Layout
 from skope.gen.towns.regions import polygons, rectangle
+from skope.gen.towns.road_graph import beside, driven
 from skope.types import Array
 
 BAY: Final = (4.8, 2.6)
@@ -18,6 +20,16 @@ DRIVE: Final = 2.4
 """Width of a drive, metres."""
 _EDGE: Final = 1.0
 """Distance from a car park's edge to its bays, metres."""
+KERBSIDE: Final = (6.0, 2.1)
+"""Length and width of a bay along a kerb, metres."""
+_PARKED_ALONG: Final = 0.55
+"""Share of the streets with wide enough sidewalks that have bays along their kerbs."""
+_WIDE_ENOUGH: Final = 2.2
+"""Width of a sidewalk from which it may have bays, metres."""
+_FROM_JUNCTIONS: Final = (12.0, 20.0)
+"""Distance from the beginning and the end of a street to its bays, metres."""
+_GAP: Final = 0.15
+"""Share of the places along a kerb that are left free between bays."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +40,11 @@ class Bay:
     """World x and y of its middle, metres."""
     heading: float
     """Direction in which a car drives into it, counter-clockwise from east, radians."""
+
+
+def ground_of(bays: Iterable[Bay]) -> Any:
+    """The ground that bays along kerbs take up."""
+    return unary_union([rectangle(np.array(bay.place), bay.heading, *KERBSIDE).buffer(0.01) for bay in bays])
 
 
 def lot_bays(lots: Any) -> list[Bay]:
@@ -50,6 +67,27 @@ def _rows(lot: Polygon) -> Iterator[Bay]:
             bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
             if inside.contains(rectangle(place, bay.heading, *BAY)):
                 yield bay
+
+
+def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list[Bay]:
+    """Bays along the kerbs of some streets, on the side of the sidewalk, in the direction of the traffic.
+
+    Args:
+        layout: The town's, in whose places the bays are.
+        keep_clear: Region that no bay may meet, such as drives and crossings.
+        rng: Draws streets and gaps.
+    """
+    out = []
+    for edge in layout.graph.edges_of("ground"):
+        if layout.graph.kind(edge).sidewalk < _WIDE_ENOUGH or rng.random() > _PARKED_ALONG:
+            continue
+        first, last = _FROM_JUNCTIONS
+        for s in np.arange(first, driven(edge)[0].getLength() - last, KERBSIDE[0]):
+            place, heading = beside(edge, float(s), KERB_WIDTH + KERBSIDE[1] / 2)
+            ground = rectangle(place, heading, *KERBSIDE)
+            if rng.random() > _GAP and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
+                out.append(Bay((float(place[0]), float(place[1])), heading))
+    return out
 
 
 def bay_lines(lots: Any) -> Any:

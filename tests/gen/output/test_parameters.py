@@ -30,6 +30,9 @@ PARAMETERS = Parameters(
     cameras={"zoom_by": (0.9, 1.1)},
     vehicles={"mine": "ef"},
     shape_jitter=True,
+    distractors=(0, 25),
+    seasons=True,
+    randomised=0.25,
     own=OWN,
     encoding=Encoding(image="png", depth=False),
     format="shards",
@@ -50,9 +53,10 @@ def test_what_is_written_is_read_again() -> None:
 
 def test_folders_of_before_lack_what_there_was_not() -> None:
     values = through_json(PARAMETERS.to_dict())
-    for name in ("licence", "own", "recordings"):
+    for name in ("distractors", "licence", "own", "randomised", "recordings", "seasons"):
         del values[name]
     made = Parameters.from_dict(values)
+    assert (made.distractors, made.randomised, made.seasons) == (None, 0.0, False)
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
 
 
@@ -69,6 +73,7 @@ def test_folders_of_before_lack_what_there_was_not() -> None:
         ({"rules": {"occlusion": "paper"}}, "parameters.rules: expected occlusion, "),
         ({"encoding": {"image": "gif", "quality": 95, "depth": True}}, "parameters.encoding: --image-format: "),
         ({"encoding": {"image": "jpeg", "quality": "95", "depth": True}}, "parameters.encoding: "),
+        ({"distractors": 3}, "parameters.distractors: expected a pair of numbers or null, got 3"),
         ({"haze": 3}, "parameters.haze: is a field that this version of skope does not know"),
     ],
 )

@@ -81,7 +81,7 @@ COMMANDS = {
     "repair": ("gen", "check", "d", "--repair", "--workers", "1"),
     "shards": ("gen", "convert", "d", "tars", "--to", "shards"),
 }
-OPTIONAL = {"licence", "recordings", "town_jitter", "traffic", "views"}
+OPTIONAL = {"distractors", "licence", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views"}
 """Parameters that folders need not have."""
 
 

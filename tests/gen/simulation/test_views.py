@@ -15,9 +15,11 @@ from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
-from skope.gen.simulation.simulate import simulate, simulate_together
+from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
 from skope.gen.towns.style import style
-from skope.gen.towns.town import Town, Variant
+from skope.gen.towns.town import Mast, Town, Variant
+from skope.gen.traffic.sumo import LAMPS
+from skope.gen.vehicles.paints import PAINTS
 
 
 def request(**changes: object) -> DatasetRequest:
@@ -55,6 +57,22 @@ def test_cameras_hang_at_corners_of_one_town(filmed: list[Recording]) -> None:
     for mast, recording in zip(variant.masts, filmed, strict=True):
         assert recording.camera.position == pytest.approx(mast.position, abs=1e-6)
     assert len({recording.conditions for recording in filmed}) == 4
+
+
+def test_by_day_some_vehicles_have_their_lamps_lit(filmed: list[Recording]) -> None:
+    lit = []
+    for recording in filmed:
+        assert not lamps_on(recording.conditions) or (recording.lamps & LAMPS["low_beam"]).any()
+        if not lamps_on(recording.conditions):
+            driving = [not recording.vehicles[i].parked and recording.vehicles[i].labelled for i in recording.vehicle]
+            lit += ((recording.lamps & LAMPS["low_beam"]) > 0)[driving].tolist()
+    assert 0.1 < np.mean(lit) < 0.8
+
+
+def test_paints_come_in_shades(filmed: list[Recording]) -> None:
+    palettes = {PAINTS[one.color].palette for recording in filmed for one in recording.vehicles if one.labelled}
+    assert "shades" in palettes
+    assert "private" not in palettes
 
 
 def test_equal_plans_make_equal_recordings(plans: Sequence[RecordingPlan], filmed: list[Recording]) -> None:
@@ -109,6 +127,26 @@ def test_a_town_is_grown_anew_by_its_seed() -> None:
     again = build._grow_scenery(Town("town01", variant=Variant(1)))
     assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
     assert len({len(one.mesh.vertices) for one in (own, first, second)}) == 3
+
+
+def test_what_a_variant_is_drawn_with_is_switched_by_itself() -> None:
+    def drawn(**changes: object) -> Variant:
+        values = {"distractors": None, "seasons": False, "randomised": 0.0, **changes}
+        (plans,) = request(**values).simulations()
+        return _variant(plans[0], ())
+
+    plain = drawn()
+    assert (plain.distractors, plain.season, plain.randomised) == (0, 0, 0)
+    assert drawn(distractors=(7, 7)) == replace(plain, distractors=7)
+    assert drawn(seasons=True) == replace(plain, season=drawn(seasons=True).season) != plain
+    assert drawn(randomised=1.0) == replace(plain, randomised=drawn(randomised=1.0).randomised) != plain
+    assert drawn(seasons=True, town_jitter=False) == Variant(0)
+
+
+def test_recordings_of_before_have_neither_distractors_nor_seasons() -> None:
+    mast = {"position": [1.0, 2.0, 3.0], "yaw_deg": 4.0, "pitch_deg": 5.0}
+    variant = recordings._variant_of({"seed": 6, "masts": [mast]})
+    assert variant == Variant(6, (Mast((1.0, 2.0, 3.0), 4.0, 5.0),))
 
 
 def test_only_a_seed_changes_the_style() -> None:

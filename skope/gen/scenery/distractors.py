@@ -1,0 +1,269 @@
+"""Places things around the cameras that resemble vehicles and are none: beside the roads and on walls."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString, Polygon
+from shapely.ops import unary_union
+
+from skope.gen.mesh import Mesh
+from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
+from skope.gen.scenery.houses import House, covered
+from skope.gen.towns.layout import Layout
+from skope.gen.towns.regions import rectangle
+from skope.gen.towns.road_graph import beside, driven, right_of
+from skope.gen.towns.sites import Site, sites_of
+from skope.gen.towns.town import Mast, Town
+from skope.types import Array
+
+REACH: Final = 70.0
+"""Distance from a camera up to which such things are placed, metres."""
+OUT_OF_VIEW: Final = 0.15
+"""Share of them that stands anywhere around a camera, not where it looks."""
+CLEARANCE: Final = 0.6
+"""Least distance from the carriageway, metres."""
+LARGEST_SHARE: Final = 0.45
+"""Largest size as a share of the distance from the nearest camera: nothing fills a picture."""
+SIGHT: Final = 24.0
+"""Nothing stands in a camera's view of road that is nearer to it than this, metres."""
+ON_WALLS: Final = 0.4
+"""Share of them that hangs on walls."""
+STEEP: Final = 0.3
+"""Largest fall of the ground under one, metres."""
+_TRIES: Final = 40
+_STEP: Final = 2.5
+"""Distance between places along roads, metres."""
+_ASPECT: Final = 9 / 16
+"""Height of pictures as a share of their width, as far as a mast tells."""
+
+
+def distractors(
+    town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
+) -> Iterator[Mesh]:
+    """Make and place the things of a town's variant that resemble vehicles; fewer where there is no room.
+
+    Args:
+        town: The town, whose variant says how many there are.
+        layout: Its regions and cameras.
+        houses: Its buildings, on whose walls some hang.
+        blocked: Further area where nothing may stand.
+        standing: Everything that stands in the town; things keep clear of it.
+        rng: Draws.
+    """
+    if not town.variant or not layout.sites:
+        return
+    near = [house for house in houses if layout.camera_distance(house.center) < REACH + max(house.size)]
+    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
+    views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
+    along_roads, walls = _Roadside(layout, views), _Walls(views, near)
+    kinds, shares = list(STANDING), np.array(list(STANDING.values()))
+    for _ in range(town.variant.distractors):
+        view = int(rng.integers(len(views)))
+        if rng.random() < ON_WALLS and (panel := walls.draw(view, room, rng)):
+            yield panel
+            continue
+        made = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
+        for _ in range(_TRIES):
+            placed = along_roads.draw(view, made, rng)
+            if placed and room.take(*placed, made):
+                place, heading = placed
+                corners = np.array(rectangle(place, heading, *np.ptp(made.vertices[:, :2], axis=0)).exterior.coords)
+                low = layout.ground.beside(corners).min() + layout.style.kerb
+                yield made.moved([*place, low], heading)
+                break
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What a camera sees of the plane, as far as its mast tells."""
+
+    place: Array
+    """(2,) where it hangs."""
+    height: float
+    """Height over the ground below it, metres."""
+    yaw: float
+    pitch: float
+    """Viewing direction, radians from the x axis and down from the horizon."""
+    half_fov: float
+    """Half of the horizontal field of view, radians."""
+
+    @classmethod
+    def of(cls, mast: Mast, layout: Layout) -> Self:
+        place = layout.graph.world(mast.position[:2])
+        height = mast.position[2] - layout.height(place)
+        yaw, pitch, fov = np.radians([mast.yaw_deg, mast.pitch_deg, mast.fov_deg])
+        return cls(place, height, -yaw if layout.graph.mirrored else yaw, pitch, fov / 2)
+
+    def sees(self, places: Array) -> NDArray[np.bool_]:
+        """(N,) which places (N, 2) within reach the image may show."""
+        away = places - self.place
+        distance = np.maximum(np.hypot(*away.T), 1e-6)
+        turned = np.arctan2(away[:, 1], away[:, 0]) - self.yaw
+        aside = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
+        down = np.arctan2(self.height - 1.0, distance) - self.pitch
+        upright = np.arctan(_ASPECT * np.tan(self.half_fov))
+        return np.asarray((aside < 0.95 * self.half_fov) & (np.abs(down) < 0.95 * upright) & (distance < REACH))
+
+
+def _mast_at(site: Site) -> Mast:
+    return Mast(site.position, site.yaw_deg, site.pitch_deg)
+
+
+class _Room:
+    """Where things may stand or hang."""
+
+    def __init__(self, layout: Layout, blocked: Any, standing: Mesh) -> None:
+        self._layout = layout
+        graph = layout.graph
+        self._street = unary_union(
+            [graph.road.buffer(CLEARANCE), layout.sidewalk.buffer(0.1), layout.beside_lanes("shoulder")]
+        )
+        walls = graph.walled_road.buffer(4.0) if not graph.walled_road.is_empty else graph.walled_road
+        self._blocked = unary_union([self._street, blocked, walls, layout.sightlines(SIGHT), *layout.under_decks])
+        for region in (self._street, self._blocked):
+            shapely.prepare(region)
+        self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
+        self._taken: list[Polygon] = []
+
+    def take(self, place: Array, heading: float, made: Mesh) -> bool:
+        """Whether a thing has room there on the ground; if so its place is taken."""
+        low, high = made.vertices.min(axis=0), made.vertices.max(axis=0)
+        size, distance = high - low, self._layout.camera_distance(place)
+        if max(size[0], high[2]) > LARGEST_SHARE * distance:
+            return False
+        c, s = np.cos(heading), np.sin(heading)
+        middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
+        footprint = rectangle(middle, heading, *size[:2])
+        heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
+        if np.ptp(heights) > STEEP or self._blocked.intersects(footprint):
+            return False
+        if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
+            return False
+        return self._keep(footprint, 0.4)
+
+    def take_on_wall(self, footprint: Polygon) -> bool:
+        """Whether a panel on a wall hangs clear of streets and of others; if so its place is taken."""
+        return not self._street.intersects(footprint) and self._keep(footprint, 0.2)
+
+    def _keep(self, footprint: Polygon, gap: float) -> bool:
+        if any(footprint.distance(other) < gap for other in self._taken):
+            return False
+        self._taken.append(footprint)
+        return True
+
+
+class _Roadside:
+    """Places along the roads around the cameras."""
+
+    def __init__(self, layout: Layout, views: Sequence[_View]) -> None:
+        places, headings, widths = [], [], []
+        for edge in layout.graph.edges_of("ground"):
+            lane = driven(edge)[0]
+            line, kind = LineString(lane.getShape()), layout.graph.kind(edge)
+            if min(line.distance(shapely.Point(view.place)) for view in views) > REACH:
+                continue
+            for s in np.arange(1.0, line.length, _STEP):
+                place, heading = beside(edge, float(s), 0.0)
+                places.append(place)
+                headings.append(heading)
+                widths.append(max(kind.sidewalk, kind.shoulder))
+        self._places, self._headings, self._widths = np.array(places).reshape(-1, 2), np.array(headings), widths
+        outwards = np.column_stack([np.sin(self._headings), -np.cos(self._headings)])
+        beyond = self._places + outwards * (np.array(widths) + 3.0)[:, None]
+        self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
+        self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < REACH) for view in views]
+
+    def draw(self, view: int, made: Mesh, rng: np.random.Generator) -> tuple[Array, float] | None:
+        """A place beside the road and a heading for a thing before a camera; None where it is near no road."""
+        among = self._near[view] if rng.random() < OUT_OF_VIEW else self._seen[view]
+        if not len(among):
+            return None
+        i = int(rng.choice(among))
+        along_road = rng.random() < 0.7
+        depth = np.ptp(made.vertices[:, 1 if along_road else 0])
+        offset = self._widths[i] + 0.3 + depth / 2 + CLEARANCE + 14.0 * rng.random() ** 2
+        # Fronts look to the left of a heading, which is at the road.
+        turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])
+        place = self._places[i] + right_of(self._headings[i]) * offset
+        return place, float(self._headings[i] + turned + rng.normal(0.0, 0.08))
+
+
+@dataclass(frozen=True, eq=False)
+class _Wall:
+    """A wall of a building."""
+
+    house: House
+    middle: Array
+    """(2,) middle of its foot."""
+    heading: float
+    """Direction along it, radians; it looks to the left of that."""
+    width: float
+    out: float
+    """How far parts of the building stand out from it, metres."""
+
+
+class _Walls:
+    """Walls of buildings that cameras look at."""
+
+    def __init__(self, views: Sequence[_View], houses: Sequence[House]) -> None:
+        self._footprints = shapely.STRtree([house.footprint for house in houses])
+        self._walls: list[list[_Wall]] = [[] for _ in views]
+        for house, (side, axis) in itertools.product(houses, enumerate(((0, 1), (0, -1), (1, 0), (-1, 0)))):
+            kind = house.kind
+            if kind.form in ("barn", "silo") or (side < 2 and (kind.balconies or kind.form == "hall")):
+                continue
+            middle = house.to_world(np.array(axis) * np.array(house.size) / 2)
+            outward = house.to_world(np.array(axis, dtype=np.float64)) - house.center
+            heading = float(np.arctan2(outward[1], outward[0]) - np.pi / 2)
+            # Piers and floors stand out from the walls of towers.
+            wall = _Wall(house, middle, heading, house.size[side // 2], 0.35 if kind.form == "tower" else 0.02)
+            for view, seen in zip(views, self._walls, strict=True):
+                if view.sees(middle[None])[0] and self._looks_at(wall, outward, view):
+                    seen.append(wall)
+
+    def _looks_at(self, wall: _Wall, outward: Array, view: _View) -> bool:
+        """Whether a camera sees a wall from its front, and no building stands between them."""
+        away = view.place - wall.middle
+        if away @ outward < 0.25 * np.linalg.norm(away):
+            return False
+        ray = LineString([wall.middle + 0.6 * outward, view.place])
+        return not len(self._footprints.query(ray, predicate="intersects"))
+
+    def draw(self, view: int, room: _Room, rng: np.random.Generator) -> Mesh | None:
+        """A panel on one of the walls that a camera sees, or None where it does not fit."""
+        if not self._walls[view]:
+            return None
+        wall = self._walls[view][int(rng.integers(len(self._walls[view])))]
+        kind = wall.house.kind
+        low = kind.ground + 0.35 if kind.shop and kind.form == "house" else rng.uniform(0.8, 2.4)
+        top = kind.ground + kind.storey * (kind.storeys[0] - 1) - 0.3
+        if top - low < 0.6:
+            return None
+        high = rng.uniform(0.6, min(3.2, top - low))
+        long = high * rng.uniform(0.7, 4.0)
+        if long > 0.9 * wall.width:
+            return None
+        along = np.array([np.cos(wall.heading), np.sin(wall.heading)])
+        place = wall.middle + along * rng.uniform(-0.5, 0.5) * (0.95 * wall.width - long)
+        place = place - wall.out * right_of(wall.heading)
+        footprint = rectangle(place - 0.2 * right_of(wall.heading), wall.heading, long + 0.1, 0.3)
+        if len(self._footprints.query(footprint, predicate="intersects")) or not room.take_on_wall(footprint):
+            return None
+        foot = wall.house.floor + low + rng.uniform(0.0, top - low - high)
+        return wall_panel(long, high, rng).moved([*place, foot], wall.heading)
+
+
+def _plans_of_low_triangles(layout: Layout, standing: Mesh) -> NDArray[np.object_]:
+    """Rings of the triangles around the cameras that are not far above the ground, from above."""
+    corners = standing.vertices[standing.triangles]
+    middle = corners.mean(axis=1)
+    near = np.zeros(len(corners), dtype=bool)
+    for site in layout.sites:
+        near |= np.abs(middle[:, :2] - site.position[:2]).max(axis=1) < REACH + 10.0
+    low = corners[near][..., 2].min(axis=1) < layout.ground.beside(middle[near, :2]) + layout.style.kerb + 2.5
+    return np.asarray(shapely.linearrings(corners[near][low][..., :2]))
