@@ -70,6 +70,12 @@ class Parameters:
     """Range of a recording's traffic, times its site's; None for what `presets.toml` says of the split."""
     town_jitter: bool = False
     """Whether what stands along the roads is drawn anew for each simulated traffic."""
+    distractors: Range | None = None
+    """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
+    seasons: bool = False
+    """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
+    randomised: float = 0.0
+    """Share of the simulated traffics whose ground and walls have random colours and patterns, 0..1."""
     own: OwnSiteRecord | None = None
     """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
@@ -96,7 +102,7 @@ class Parameters:
             "rules": asdict(self.rules),
             "settings": {name: list(pair) for name, pair in self.settings.items()},
             "cameras": {name: list(pair) for name, pair in self.cameras.items()},
-            "traffic": list(self.traffic) if self.traffic else None,
+            **{name: list(pair) if (pair := getattr(self, name)) else None for name in _RANGES},
             "own": self.own.to_dict() if self.own else None,
             "encoding": asdict(self.encoding),
         }
@@ -119,9 +125,10 @@ class Parameters:
         if made.get("own") is not None:
             _check_fields(f"{where}.own", made["own"], _OWN_KINDS)
             made["own"] = OwnSiteRecord(**{**made["own"], "splits": tuple(made["own"]["splits"])})
-        if values.get("traffic"):
-            low, high = values["traffic"]
-            made["traffic"] = (low, high)
+        for name in _RANGES:
+            if values.get(name):
+                low, high = values[name]
+                made[name] = (low, high)
         for name in ("settings", "cameras"):
             made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
         return cls(**{**made, "sites": tuple(values["sites"])})
@@ -193,20 +200,24 @@ _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
 _COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
 _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_range))
 
+_RANGES: Final = ("traffic", "distractors")
+"""Fields that hold a range or None."""
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
     **dict.fromkeys(("seed", "recordings", "views"), _WHOLE),
-    **dict.fromkeys(("interval_s", "fov_deg"), _NUMBER),
+    **dict.fromkeys(("interval_s", "fov_deg", "randomised"), _NUMBER),
     **dict.fromkeys(("rules", "encoding"), _OBJECT),
     **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
     **dict.fromkeys(("vehicles", "versions"), _TEXT_BY_NAME),
     "sites": _TEXTS,
     "frames": _COUNT_BY_NAME,
-    **dict.fromkeys(("shape_jitter", "town_jitter"), _SWITCH),
+    **dict.fromkeys(("seasons", "shape_jitter", "town_jitter"), _SWITCH),
     "own": _OBJECT_OR_NULL,
-    "traffic": _RANGE_OR_NULL,
+    **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
 }
-_OPTIONAL: Final = frozenset(("licence", "own", "recordings", "town_jitter", "traffic", "views"))
+_OPTIONAL: Final = frozenset(
+    ("distractors", "licence", "own", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views")
+)
 """Fields that folders of before may lack."""
 _OWN_KINDS: Final[Mapping[str, _Kind]] = {
     "file": _TEXT,

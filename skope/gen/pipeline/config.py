@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import resources
@@ -112,6 +112,9 @@ class DatasetRequest:
                 shape_jitter=p.shape_jitter,
                 views=p.views if self.site(name).split == "train" else 0,
                 town_jitter=p.town_jitter,
+                distractors=p.distractors,
+                seasons=p.seasons,
+                randomised=p.randomised,
             )
             for name in p.sites
             for index, frames in enumerate(_share_out(self.frames_of(name), p.recordings))
@@ -127,7 +130,8 @@ class DatasetRequest:
     def _in_its_light(self, name: str, index: int) -> Site:
         """The site with the weather, hour and traffic of its recording `index`."""
         if self.own is None:
-            return in_its_light(site(name), index, self.parameters.seed, self.parameters.traffic)
+            p = self.parameters
+            return in_its_light(site(name), index, p.seed, p.traffic, presets()[p.preset].get("light"))
         own = replace(self.own.site, split=self.own.splits[index])
         # A photograph shows one light, which all recordings share.
         return own if self.own.road.photograph else in_its_light(own, index, self.parameters.seed)
@@ -153,11 +157,13 @@ def _share_out(frames: int, recordings: int) -> list[int]:
     return [frames // count + (i < frames % count) for i in range(count)]
 
 
-def in_its_light(own: Site, index: int, seed: int, traffic: Range | None = None) -> Site:
+def in_its_light(
+    own: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
+) -> Site:
     """A site with the weather, hour and traffic of its recording `index`.
 
     Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
-    and a share of the site's vehicles an hour that `seed` draws: from `traffic`, or else from the same table.
+    and a share of the site's vehicles an hour that `seed` draws. `lights` and `traffic` replace what the table says.
     """
     splits = _tables()["splits"]
     split = splits.get(own.split, splits["train"])
@@ -165,7 +171,7 @@ def in_its_light(own: Site, index: int, seed: int, traffic: Range | None = None)
     busy = replace(own, vehicles_per_hour=round(own.vehicles_per_hour * share, 1))
     if index == 0:
         return busy if traffic else own
-    lights = split["light"]
+    lights = lights or split["light"]
     if own.road:
         # The site file decides the first recording's light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
@@ -236,7 +242,8 @@ def from_preset(
     if "recording_frames" in row and overrides.get("recordings") is None:
         longest = max(values["frames"].values()) if frames is None else frames
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
-    values["traffic"] = tuple(row["traffic"]) if "traffic" in row else None
+    for name in ("traffic", "distractors"):
+        values[name] = tuple(row[name]) if name in row else None
     values["settings"] = _range_pairs(row.get("settings", {})) | dict(settings or {})
     values["cameras"] = _range_pairs(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:

@@ -179,6 +179,12 @@ GROUND: Final = tuple(MATERIALS)[: list(MATERIALS).index("grass") + 1]
 """Materials that lie on the ground: the first ones of the table."""
 
 
+def materials_between(first: str, last: str) -> tuple[str, ...]:
+    """Names of the materials from one to another in the order of the table, both included."""
+    order = list(MATERIALS)
+    return tuple(order[order.index(first) : order.index(last) + 1])
+
+
 def own_color(material: str) -> RGB | None:
     """The colour of a material that is named by it, such as "#a0b4c8"."""
     if not material.startswith("#"):

@@ -21,6 +21,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
+from skope.gen.render.palette import Palette
 from skope.gen.render.pixel_windows import NEAR, Window, hull_of, window_of
 from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
@@ -155,7 +156,7 @@ class _Stage:
 @cache
 def _town_stage(town: Town) -> _Stage:
     stage = _Stage()
-    stage.add(scenery(town).mesh, MATERIALS)
+    stage.add(scenery(town).mesh, Palette.of(town).plain)
     return stage
 
 

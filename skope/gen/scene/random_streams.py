@@ -24,6 +24,11 @@ class Stream(Enum):
     """Pose of the camera, where it is not the site's own."""
     VARIANT = auto()
     """Scenery of a simulation's town, where it is grown anew."""
+    DISTRACTORS = auto()
+    """Number of things around the cameras that resemble vehicles."""
+    SEASON = auto()
+    RANDOMISED = auto()
+    """Whether ground and walls have random colours and patterns, and which."""
     PAINT = auto()
     """The paint of a vehicle before a camera that shares its traffic with others; takes the CRC-32 of the name."""
     SHAPE = auto()
@@ -50,6 +55,9 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.PAINT: (7,),
     Stream.SHAPE: (8,),
     Stream.ROAD_USER: (),
+    Stream.DISTRACTORS: (14,),
+    Stream.SEASON: (15,),
+    Stream.RANDOMISED: (16,),
     Stream.RAIN: (11,),
     Stream.RAIN_IN_FRAME: (12,),
     Stream.DROPS_ON_GLASS: (13,),

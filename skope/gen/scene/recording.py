@@ -75,6 +75,12 @@ class RecordingPlan:
     0 where the camera hangs at its site and the traffic is its own."""
     town_jitter: bool = False
     """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
+    distractors: Range | None = None
+    """Range of the number of things around the cameras that resemble vehicles; None for none."""
+    seasons: bool = False
+    """Whether the season is drawn where what stands along the roads is."""
+    randomised: float = 0.0
+    """Share of simulated traffics whose ground and walls have random colours and patterns, 0..1."""
 
     @property
     def leader(self) -> int:
@@ -334,9 +340,11 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
         return None
     masts = []
     for mast in row["masts"]:
-        x, y, z, yaw, pitch = map(float, (*mast["position"], mast["yaw_deg"], mast["pitch_deg"]))
-        masts.append(Mast((x, y, z), yaw, pitch))
-    return Variant(int(row["seed"]), tuple(masts))
+        x, y, z = map(float, mast["position"])
+        angles = {name: float(value) for name, value in mast.items() if name != "position"}
+        masts.append(Mast((x, y, z), **angles))
+    drawn = {name: int(row.get(name, 0)) for name in ("distractors", "season", "randomised")}
+    return Variant(int(row["seed"]), tuple(masts), **drawn)
 
 
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:

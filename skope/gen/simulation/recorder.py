@@ -43,6 +43,9 @@ AROUND_AT_NIGHT: Final = 45.0
 """The same with lamps on, which light the road before them, metres."""
 FLASH: Final = 0.667
 """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
+DAYTIME_LAMPS: Final = 0.4
+"""Share of the vehicles that drive with their headlamps lit by day, where cameras are to differ as those of many
+countries do."""
 TRACKS_PER_RECORDING: Final = 100_000
 """Track ids of a site's recordings are this far apart, so that they never meet."""
 
@@ -143,6 +146,11 @@ class Recorder:
             self._paints[name] = draw_paint(vehicle, rng, shades=True)
         return self._paints[name]
 
+    def _daytime_lamps(self, name: str) -> int:
+        """The lamps that a vehicle has lit by day too."""
+        lit = self._plan.views and zlib.crc32(f"{name} by day".encode()) < DAYTIME_LAMPS * 2**32
+        return LAMPS["low_beam"] if lit else 0
+
     def add(
         self,
         time: float,
@@ -155,7 +163,7 @@ class Recorder:
         self._times.append(round(time, 6))
         self._signals.append(dict(snapshot.signals))
         for name, (vehicle, driven) in near.items():
-            lamps = flashed(driven.lamps, time, name) | self._always
+            lamps = flashed(driven.lamps, time, name) | self._always | self._daytime_lamps(name)
             color = self._paint(name, vehicle, traffic.trips[name].color)
             self._note(frame, name, vehicle.model, vehicle.shape.to_dict(), color, poses[name], lamps)
         for name, (one, pose) in self._parked.items():

@@ -1,5 +1,6 @@
 """Simulate recordings: drive a site's traffic past its camera, or past several cameras of its town."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -20,7 +21,7 @@ from skope.gen.simulation.recorder import REACH, Recorder
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
-from skope.gen.towns.town import Variant
+from skope.gen.towns.town import Mast, Variant
 from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import Snapshot, Traffic, step_for
 from skope.gen.vehicles import user_models
@@ -126,7 +127,7 @@ class _Cameras:
         self._starts, self._stride = starts, stride
         self._cameras = [] if plans[0].views else [self._own_camera(plans[0], conditions[0])]
         if plans[0].town_jitter and not plans[0].views:
-            self._move_to(Variant(_variant_seed(plans[0])))
+            self._move_to(_variant(plans[0], ()))
         if self._cameras:
             self._add_recorders()
 
@@ -146,9 +147,9 @@ class _Cameras:
             traffic = _places([snapshots[k] for k in times])
             view = sampler.draw(traffic, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
             self._cameras.append(view.camera)
-            masts.append(view.mast)
-        jitter = self._plans[0].town_jitter
-        self._move_to(Variant(_variant_seed(self._plans[0]) if jitter else 0, tuple(masts)))
+            fov = 2 * math.atan(view.camera.width / 2 / view.camera.K[0, 0])
+            masts.append(replace(view.mast, fov_deg=round(math.degrees(fov), 3)))
+        self._move_to(_variant(self._plans[0], tuple(masts)))
         self._add_recorders()
 
     def _move_to(self, variant: Variant) -> None:
@@ -192,8 +193,21 @@ def _camera_ranges(plan: RecordingPlan, conditions: Conditions) -> CameraRanges:
     return CameraRanges(plan.size, plan.fov_deg, conditions.distortion, plan.cameras)
 
 
-def _variant_seed(plan: RecordingPlan) -> int:
-    return int(plan.shared_rng(Stream.VARIANT).integers(1, 2**31))
+def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
+    """The variant of a plan's town, as the plans that share their traffic draw it together."""
+
+    def seed(stream: Stream) -> int:
+        return int(plan.shared_rng(stream).integers(1, 2**31))
+
+    low, high = plan.distractors or (0, 0)
+    randomised = plan.shared_rng(Stream.RANDOMISED).random() < plan.randomised
+    return Variant(
+        seed(Stream.VARIANT) if plan.town_jitter else 0,
+        masts,
+        distractors=int(plan.shared_rng(Stream.DISTRACTORS).integers(int(low), int(high) + 1)),
+        season=seed(Stream.SEASON) if plan.town_jitter and plan.seasons else 0,
+        randomised=seed(Stream.RANDOMISED) if randomised else 0,
+    )
 
 
 def _places(snapshots: Sequence[Snapshot]) -> Array:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from skope.gen.towns.season import Season, drawn_season
 from skope.gen.towns.town import Town, folder, towns
 
 Range = tuple[float, float]
@@ -170,11 +171,16 @@ class TownStyle:
     horizon: Literal["hills", "skyline"] = "hills"
     hill_height: float = 1.0
     """Height of the hills around the town, as a multiple of 22 m."""
+    season: Season | None = None
+    """Colours of plants in place of those of the materials, and which trees are bare; None for the usual summer."""
 
 
 @lru_cache(maxsize=64)
 def style(town: Town) -> TownStyle:
     """The style of a town, or of its variant."""
+    if town.variant and town.variant.season:
+        at_other_times = replace(town, variant=replace(town.variant, season=0))
+        return replace(style(at_other_times), season=drawn_season(np.random.default_rng(town.variant.season)))
     if town.variant and town.variant.seed:
         rng = np.random.default_rng([zlib.crc32(town.name.encode()), town.variant.seed])
         return varied_style(style(Town(town.name)), [style(other) for other in towns()], rng)

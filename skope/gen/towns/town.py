@@ -20,6 +20,8 @@ class Mast:
     """Viewing direction, degrees counter-clockwise from east."""
     pitch_deg: float
     """Viewing direction, degrees down from the horizon."""
+    fov_deg: float = 90.0
+    """Horizontal field of view, degrees."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,12 @@ class Variant:
     """What houses, trees, furniture and colours are drawn by; 0 for a town's own style."""
     masts: tuple[Mast, ...] = ()
     """Cameras whose views are kept clear, in place of those of the town's sites."""
+    distractors: int = 0
+    """Number of things around the masts that resemble vehicles or parts of them and are none."""
+    season: int = 0
+    """What the colours of plants and the bare trees are drawn by; 0 for the usual summer."""
+    randomised: int = 0
+    """What the colours and patterns of ground and walls are drawn by; 0 for those of the materials."""
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,19 @@ from skope.gen.render.daylight import Daylight
 from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl import photograph
-from skope.gen.render.gl.context import Device, albedo_table, light_projection, projection, put, shader_sources
+from skope.gen.render.gl.context import (
+    Device,
+    albedo_table,
+    light_projection,
+    pattern_tables,
+    projection,
+    put,
+    shader_sources,
+)
 from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
+from skope.gen.render.palette import Palette
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
 from skope.types import Array
@@ -68,7 +77,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
         conditions = replace(conditions, wetness=0.0, puddles=0.0)
         daylight = photograph.fitted(device, daylight, recording.town.road)
     size = (camera.width, camera.height)
-    stage = Stage(device, town.mesh, camera, conditions, town.lamps, daylight)
+    stage = Stage(device, town.mesh, camera, conditions, town.lamps, daylight, Palette.of(recording.town))
     wet = conditions.wetness > 0
 
     geometry = device.target(size, ["4f4"])
@@ -176,7 +185,7 @@ def _mirror_texture(stage: Stage) -> Any:
 def _light_digest(device: Device, recording: Recording) -> str:
     """Names everything that the scenery's light depends on."""
     mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
-    camera = recording.camera
+    camera, palette = recording.camera, Palette.of(recording.town)
     parts = (
         digest_of("light"),
         device.name,
@@ -189,6 +198,7 @@ def _light_digest(device: Device, recording: Recording) -> str:
         str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )
     digest = hashlib.sha256("\n".join(parts).encode())
-    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, albedo_table(), lamps):
+    colors = (albedo_table(palette), *pattern_tables(palette))
+    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, *colors, lamps):
         digest.update(array.tobytes())
     return digest.hexdigest()[:24]

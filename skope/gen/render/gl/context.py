@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
 from skope.gen.render.materials import GLOSS, MATERIALS
+from skope.gen.render.palette import Palette
 from skope.gen.render.pixel_windows import Window
 from skope.gen.traffic.sumo import LAMPS
 from skope.types import Array
@@ -271,10 +272,22 @@ def put(program: Any, values: Mapping[str, Any]) -> None:
 
 
 @cache
-def albedo_table() -> NDArray[np.float32]:
+def albedo_table(palette: Palette) -> NDArray[np.float32]:
     """(M, 4) linear colour and roughness of every material, in the order of their numbers."""
-    rows = [[*linear(MATERIALS[name]), GLOSS.get(name, 0.85)] for name in MATERIALS]
+    rows = [[*linear(palette.colors[name]), GLOSS.get(name, 0.85)] for name in MATERIALS]
     return np.array([*rows, [0.5, 0.5, 0.5, GLOSS["paint"]]], dtype=np.float32)
+
+
+def pattern_tables(palette: Palette) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(M, 4) each: linear colours of patterns, in the order of the materials' numbers.
+
+    The fourth value is the size, metres, of the first, and motif and turn together of the second; 0 for no pattern.
+    """
+    first, second = np.zeros((2, len(_NUMBERS), 4), dtype=np.float32)
+    for name, pattern in palette.patterns.items():
+        first[_NUMBERS[name]] = [*linear(pattern.first), pattern.size_m]
+        second[_NUMBERS[name]] = [*linear(pattern.second), pattern.motif + pattern.turn]
+    return first, second
 
 
 def noise_tile(size: int = 256) -> bytes:

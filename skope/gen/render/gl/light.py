@@ -21,12 +21,14 @@ from skope.gen.render.gl.context import (
     albedo_table,
     light_projection,
     noise_tile,
+    pattern_tables,
     projection,
     put,
 )
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
+from skope.gen.render.palette import USUAL, Palette
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
@@ -63,6 +65,7 @@ class Stage:
         conditions: Conditions,
         burning: Array | None = None,
         daylight: Daylight | None = None,
+        palette: Palette = USUAL,
     ) -> None:
         """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None."""
         self.device, self._camera, self._mesh = device, camera, mesh
@@ -81,7 +84,9 @@ class Stage:
         self.options = (
             *(street_lights.OPTIONS if daylight.dark else ()),
             *(("WET",) if conditions.wetness > 0 else ()),
+            *(("PATTERNS",) if palette.patterns else ()),
         )
+        first, second = pattern_tables(palette)
         self._seen, self._casting = _scenery_parts(device, mesh, _Eye.of(camera))
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
@@ -96,7 +101,9 @@ class Stage:
             "u_sunset": daylight.sunset,
             "u_ground": daylight.ground,
             "u_cloud": daylight.clouds,
-            "u_albedo": albedo_table(),
+            "u_albedo": albedo_table(palette),
+            "u_pattern_first": first,
+            "u_pattern_second": second,
             "u_exposure": daylight.exposure,
             "u_haze": daylight.haze,
             "u_haze_density": daylight.haze_density,
@@ -350,7 +357,10 @@ def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
     Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
     """
     order = list(MATERIALS)
-    number = np.array([order.index(name) for name in mesh.materials])[mesh.material]
+    # Colours that materials are named by are drawn with the last group.
+    last_number = order.index(GROUPS["OTHERS"][1])
+    numbers = [last_number if name.startswith("#") else order.index(name) for name in mesh.materials]
+    number = np.array(numbers)[mesh.material]
     left = np.ones(len(number), dtype=bool)
     out: Parts = []
     for group, (first, last) in GROUPS.items():

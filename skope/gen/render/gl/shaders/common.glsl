@@ -15,6 +15,13 @@ uniform vec4 u_albedo[MATERIAL_COUNT];  // linear colour; w: roughness
 
 const float PI = 3.14159265;
 
+// Linear colour and roughness; colours that materials are named by are numbers with four bits a channel (see context.py).
+vec4 albedo_of(int material) {
+    if (material < MATERIAL_COUNT) return u_albedo[material];
+    int own = material - MATERIAL_COUNT;
+    return vec4(pow(vec3((own >> 8) & 15, (own >> 4) & 15, own & 15) / 15.0, vec3(2.2)), 0.35);
+}
+
 // Clear and overcast sky: a gradient from horizon to zenith with the sun's glow (after Preetham's qualitative shape).
 vec3 open_sky(vec3 d) {
     vec3 color = mix(u_horizon, u_zenith, pow(max(d.z, 0.0), 0.45));

@@ -35,9 +35,36 @@ void leaf_color(vec3 p, inout vec3 color) {
     color *= mix(vec3(0.85, 1.0, 0.95), vec3(1.35, 1.12, 0.75), smoothstep(0.25, 0.75, tree));
 }
 
+#ifdef PATTERNS
+uniform vec4 u_pattern_first[MATERIAL_COUNT];   // linear colour; w: size, metres
+uniform vec4 u_pattern_second[MATERIAL_COUNT];  // linear colour; w: motif (see palette.py) and turn, 0 for no pattern
+
+// The material's random pattern of two colours, worn as much as its own colour is.
+vec3 patterned(vec2 at, float footprint, vec3 own) {
+    vec4 first = u_pattern_first[v_material], second = u_pattern_second[v_material];
+    int motif = int(second.w);
+    if (motif == 0) return own;
+    float angle = 2.0 * PI * fract(second.w), share = 0.0;
+    vec2 cell = mat2(cos(angle), sin(angle), -sin(angle), cos(angle)) * at / first.w;
+    if (motif == 2) share = mod(floor(cell.x) + floor(cell.y), 2.0);
+    else if (motif == 3) share = step(0.5, fract(cell.x));
+    else if (motif == 4) share = abs(2.0 * fract(cell.x / 8.0) - 1.0);
+    else if (motif == 5) share = texture(u_noise, cell / 12.0).r;
+    else if (motif == 6) share = smoothstep(0.45, 0.55, texture(u_noise, cell / 16.0).g);
+    if (motif == 2 || motif == 3) share = mix(share, 0.5, smoothstep(0.3, 1.0, footprint / first.w));
+    vec3 usual = u_albedo[v_material].rgb;
+    float worn = clamp(dot(own, vec3(1.0)) / max(dot(usual, vec3(1.0)), 1e-3), 0.5, 1.5);
+    return mix(first.rgb, second.rgb, share) * worn;
+}
+#endif
+
 // Tangent coordinates run along a wall and up it; gloss is the share of light that a pane of glass mirrors.
 vec3 albedo(vec3 p, vec3 n, out float gloss) {
+#ifdef OTHERS
+    vec3 color = albedo_of(v_material).rgb;
+#else
     vec3 color = u_albedo[v_material].rgb;
+#endif
     gloss = 0.0;
     float footprint = length(fwidth(p));  // metres that a pixel covers: patterns finer than that fade to their mean
     bool level = abs(n.z) > 0.75;
@@ -152,6 +179,8 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
     } else if (v_material == M_WOODS) {
         vec2 crown = vec2(at.x, p.z) / 7.0;
         color *= 0.3 + 0.7 * texture(u_noise, turn * crown).g + 0.6 * texture(u_noise, crown * 3.7).b;
+    } else if (v_material >= MATERIAL_COUNT) {
+        color *= (0.86 + 0.2 * broad.r + 0.1 * (middle.g - 0.5)) * (1.0 - 0.2 * smoothstep(0.55, 0.85, streaks.b));
     } else if (v_material == M_BARK || v_material == M_CABINET || v_material == M_ZINC) {
         color *= 0.8 + 0.35 * fine.g;
     } else if (v_material == M_WINDOW || v_material == M_SHOP_WINDOW) {
@@ -168,6 +197,9 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= 0.55 + 0.4 * mix(fold, 0.5, smoothstep(0.03, 0.1, footprint));
         gloss = 0.8;
     }
+#endif
+#ifdef PATTERNS
+    if (v_material < MATERIAL_COUNT) color = patterned(at, footprint, color);
 #endif
     return color;
 }

@@ -52,13 +52,6 @@ vec3 glow(int material, int lamps) {
     return vec3(0.0);
 }
 
-// Linear colour and roughness; colours of a model's own are numbers with four bits a channel (see context.py).
-vec4 albedo_of(int material) {
-    if (material < MATERIAL_COUNT) return u_albedo[material];
-    int own = material - MATERIAL_COUNT;
-    return vec4(pow(vec3((own >> 8) & 15, (own >> 4) & 15, own & 15) / 15.0, vec3(2.2)), 0.35);
-}
-
 // 1 where a pattern of period 1 is below a share of it, as far as a pixel resolves it.
 float stripes(float at, float share) {
     float wide = max(fwidth(at), 1e-4), place = abs(fract(at) - 0.5);
