@@ -117,7 +117,7 @@ class ViewSampler:
                 continue
             seen, largest = self.vehicles_seen(view.camera, traffic)
             if empty or seen < 0.1:
-                weight = float(empty and seen < 0.1)
+                weight = float(empty and seen < 0.1 and self.road_in_the_open(view.camera) >= ROAD)
             else:
                 weight = min(seen, ENOUGH) * math.exp(-0.5 * (math.log(largest / wanted) / _CLOSE) ** 2)
             found.append((view, weight))
@@ -150,6 +150,12 @@ class ViewSampler:
         largest = np.zeros(len(frames))
         np.maximum.at(largest, frame[seen], share[seen])
         return float(seen.sum() / len(frames)), float(largest[largest > 0].mean()) if seen.any() else 0.0
+
+    def road_in_the_open(self, camera: Camera) -> float:
+        """Metres of lanes in a camera's image that no house hides."""
+        pixels, _, valid = camera.project(self._lanes)
+        shown = self._lanes[valid & camera.inside(pixels)]
+        return float(self._in_the_open(camera.position, shown).sum()) if len(shown) else 0.0
 
     def _in_the_open(self, eye: Array, places: Array) -> NDArray[np.bool_]:
         """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""

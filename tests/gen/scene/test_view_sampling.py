@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from shapely import LineString, Point
 
 from skope.errors import UserError
+from skope.gen.scene import view_sampling
 from skope.gen.scene.camera_sampling import CameraRanges, road_seen
 from skope.gen.scene.view_sampling import ViewSampler
 from skope.gen.towns.layout import Layout
@@ -69,6 +71,24 @@ def test_most_views_see_vehicles_and_some_an_empty_road() -> None:
     empty = np.mean(np.array(seen) == 0)
     assert empty < 0.25
     assert np.mean(seen) > 8
+
+
+def test_views_without_vehicles_show_an_empty_road_and_no_walls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All vehicles stand in one place, so that most cameras see none; of the road before them houses hide nothing."""
+    monkeypatch.setattr(view_sampling, "EMPTY_SHARE", 1.0)
+    for name, traffic in (("town01", 300), ("town05", 700), ("town07", 100)):
+        town = Town(name)
+        points, graph = lanes(town), RoadGraph.of(town)
+        sampler, open_ground = ViewSampler(town), graph.road.buffer(3.0)
+        for seed in range(8):
+            crowd = points[None, traffic : traffic + 40]
+            camera = sampler.draw(crowd, RANGES, np.random.default_rng(seed)).camera
+            pixels, _, valid = camera.project(points)
+            eye = graph.world(camera.position[:2])
+            lines = [LineString([eye, graph.world(p[:2])]) for p in points[valid & camera.inside(pixels)]]
+            clear = [line.difference(Point(eye).buffer(38.0)).within(open_ground.buffer(1.0)) for line in lines]
+            clear = [ok or line.length < 38 for ok, line in zip(clear, lines, strict=True)]
+            assert sum(clear) >= 8, (name, seed)
 
 
 def test_where_no_camera_sees_road_one_line_says_so() -> None:
