@@ -78,7 +78,7 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
         localizer: "rigid" (keypoints move with the chassis) or "trilateration" (from distances to the wheels).
     """
     moment = moment.labelled()
-    vehicles = tuple(build(recorded.model, recorded.shape) for recorded in moment.vehicles)
+    vehicles = tuple(build(recorded.model, recorded.shape, recurs=recorded.recurs) for recorded in moment.vehicles)
     if not vehicles:
         return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
     wheels = moment.T_world_wheels

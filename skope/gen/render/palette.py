@@ -76,7 +76,8 @@ _SIZES_M: Final = (0.15, 6.0)
 
 @lru_cache(maxsize=64)
 def _palette(town: Town) -> Palette:
-    season, variant = None if town.road else style(town).season, town.variant
+    variant = town.variant
+    season = style(town).season if variant and variant.season else None
     colors = {**MATERIALS, **season.colors} if season else MATERIALS
     randomised = variant.randomised if variant else 0
     return Palette(colors, _drawn_patterns(np.random.default_rng(randomised)) if randomised else {})

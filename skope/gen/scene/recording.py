@@ -125,6 +125,8 @@ class RecordedVehicle:
     parked: bool = False
     labelled: bool = True
     """False for bystanders: people on foot and on two wheels. They come after the vehicles."""
+    recurs: bool = False
+    """Whether other recordings of the dataset have vehicles of exactly this shape, drawn at random (see `SHAPES`)."""
 
     def __post_init__(self) -> None:
         safe_names.name("model", self.model)

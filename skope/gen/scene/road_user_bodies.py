@@ -9,5 +9,5 @@ from skope.gen.vehicles.model import Body
 def body_of(recorded: RecordedVehicle) -> Body:
     """The body of a road user; equal ones are built once."""
     if recorded.labelled:
-        return build(recorded.model, recorded.shape)
+        return build(recorded.model, recorded.shape, recurs=recorded.recurs)
     return bystander.build(recorded.model, recorded.shape)

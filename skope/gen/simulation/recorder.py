@@ -133,7 +133,7 @@ class Recorder:
         if name not in self._vehicles:
             vehicle = self._models[model].vehicle
             if self._plan.shape_jitter and model in fleet():
-                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)))
+                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)), recurs=self._plan.views > 0)
             self._vehicles[name] = vehicle
         return self._vehicles[name]
 
@@ -208,7 +208,9 @@ class Recorder:
         if name not in self._index:
             self._index[name] = len(self._entries)
             track = self._first_track + len(self._entries)
-            self._entries.append(RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled))
+            recurs = labelled and self._plan.views > 0
+            one = RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled, recurs=recurs)
+            self._entries.append(one)
         self._rows.append((frame, self._index[name], pose, lamps))
 
     def _shows(self, place: Array) -> bool:

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 from importlib import resources
 from typing import Any, Final
@@ -38,6 +38,8 @@ class ParametricVehicle(Derived):
     """Kilograms, laden with a driver."""
     substituted: tuple[str, ...] = ()
     """Keypoints that stand for a part that this body lacks."""
+    recurs: bool = field(default=False, compare=False)
+    """Whether a shape that is not the model's own occurs in other recordings too, and so is worth keeping on disk."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -55,7 +57,10 @@ class ParametricVehicle(Derived):
         return self._cached("vehicle", build)
 
     def _cached(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
-        """Arrays that `build` makes of this shape, from the cache: workers meet the same shapes."""
+        """Arrays that `build` makes of this shape, from the cache; shapes that occur once are not cached."""
+        entry = fleet().get(self.model)
+        if not self.recurs and (entry is None or entry.vehicle.shape != self.shape):
+            return build()
         return cached(kind, digest_of(repr(self.shape), repr(self.style)), build)
 
     @cached_property
@@ -156,27 +161,28 @@ def parametric(model: str) -> ParametricVehicle:
 
 
 @lru_cache(maxsize=256)
-def _build_parametric(model: str, shape: tuple[tuple[str, float], ...]) -> ParametricVehicle:
+def _build_parametric(model: str, shape: tuple[tuple[str, float], ...], recurs: bool) -> ParametricVehicle:
     base = parametric(model)
     try:
-        return replace(base, shape=Shape(**dict(shape)))
+        return replace(base, shape=Shape(**dict(shape)), recurs=recurs)
     except TypeError as error:
         raise UserError(f"shape of {model}: {error}") from None
 
 
-def build(model: str, shape: Mapping[str, float]) -> Vehicle:
+def build(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Vehicle:
     """Build a vehicle; equal vehicles are built once.
 
     Args:
         model: A model of the fleet, or one that the user added.
         shape: Shape parameters (fields of `Shape`); a model of the user has one shape only, and ignores them.
+        recurs: Whether a shape that is not the model's own is worth keeping on disk, for other recordings have it too.
 
     Raises:
         UserError: There is no such model or parameter.
     """
     if model not in fleet():
         return load(model)
-    return _build_parametric(model, tuple(sorted(shape.items())))
+    return _build_parametric(model, tuple(sorted(shape.items())), recurs)
 
 
 assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())

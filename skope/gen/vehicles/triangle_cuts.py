@@ -51,7 +51,7 @@ class ConvexPolygon:
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class CutTriangles:
     """Triangles that were cut, with their vertices."""
 
     vertices: Array
@@ -72,7 +72,7 @@ def cut(
     projection: tuple[int, int],
     *,
     keep_outside: bool,
-) -> Cut:
+) -> CutTriangles:
     """Split triangles along a polygon's edges.
 
     Args:
@@ -98,7 +98,7 @@ def cut(
         parent, inside = parent[origin], inside[origin] & (a + b + c > 0)
         if not inside.any():
             break
-    return Cut(vertices, triangles, parent, inside)
+    return CutTriangles(vertices, triangles, parent, inside)
 
 
 def _reach_inside(
