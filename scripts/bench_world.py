@@ -111,21 +111,27 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=96, help="of each site; 96 are a group of four views")
     parser.add_argument("--sites", default="t01_mill_corner", help="of the split `train`, whose recordings share towns")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--recordings", type=Path, help="folder that `skope gen simulate` made, where SUMO is missing")
     options = parser.parse_args()
     workers = ["--workers", str(options.workers)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["SKOPE_CACHE"] = str(folder / "cache")
         what = ["--preset", "world", "--sites", options.sites, "--frames", str(options.frames), "--size", options.size]
-        simulated = skope("simulate", *what, "--no-depth", *workers, "--out", str(folder / "world"))
+        simulated = 0.0
+        if options.recordings:
+            shutil.copytree(options.recordings, folder / "world")
+        else:
+            simulated = skope("simulate", *what, "--no-depth", *workers, "--out", str(folder / "world"))
         shutil.copytree(folder / "world", folder / "stages")
         rendered = skope("render", str(folder / "world"), *workers)
         # The second part begins with an empty cache too.
         os.environ["SKOPE_CACHE"] = str(folder / "cache of the stages")
         stages = Stages()
         built = render_by_stages(folder / "stages", stages)
-        images = options.frames * len(options.sites.split(","))
-    print(f"world, {options.size}, {images} images of {options.sites}, {options.workers} processes")
+        plan = Store(folder / "stages").plan
+    images, parameters = sum(info.frames for info in plan.recordings), plan.parameters
+    print(f"world, {parameters.size}, {images} images of {','.join(parameters.sites)}, {options.workers} processes")
     print(f"  simulation {simulated:.1f} s, rendering {rendered:.1f} s: {images / (simulated + rendered):.3f} images/s")
     print(f"  one process that renders, {built} vehicles built: seconds, and of these processor time an image, ms")
     for stage in STAGES:
