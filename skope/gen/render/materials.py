@@ -142,6 +142,9 @@ MATERIALS: Final[dict[str, RGB]] = {
     "seat": (0.15, 0.15, 0.16),
     "driver_skin": (0.62, 0.45, 0.36),
     "driver_clothes": (0.22, 0.26, 0.34),
+    # details of single vehicles; "seam" is a gap between panels, as dark as its share of a pixel far away
+    "plate_yellow": (0.86, 0.70, 0.10),
+    "seam": (0.16, 0.16, 0.165),
 }
 GLOSS: Final[dict[str, float]] = {
     "window": 0.08,
@@ -172,6 +175,7 @@ GLOSS: Final[dict[str, float]] = {
     "grille_bars": 0.5,
     "grille_mesh": 0.5,
     "plate": 0.5,
+    "plate_yellow": 0.5,
 }
 """Roughness of the materials that shine."""
 BRAKE_LIGHT: Final = (1.0, 0.16, 0.12)

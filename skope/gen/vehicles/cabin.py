@@ -8,8 +8,9 @@ import numpy as np
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.lofted_surfaces import CENTER, FRONT_END, ROWS, SIDE_START, Plan, Surface, T, X, along
+from skope.gen.vehicles.lofted_surfaces import CENTER, FRONT_END, ROWS, SIDE_START, TOP, Plan, Surface, T, X, along
 from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.roof_loads import antenna, roof_load
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
@@ -109,6 +110,10 @@ class Greenhouse:
         screen = float(w[FRONT_END + 2]) + 0.02
         # Under a high roof the panes end where they would end under a low one.
         room = s.height - s.belt_height
+        if style.pillar_tone and style.glazed == 1:
+            glass.paint(rectangle(-1, total + 1, -1, 9), ROWS, style.pillar_tone, levels=(0.0, 1.0))
+        if style.roof_tone:
+            glass.paint(rectangle(-1, total + 1, -1, 9), ROWS, style.roof_tone, levels=(1.0, CENTER))
         side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
         self._draw_screen(-0.2, screen, _GLASS_LOW, screen_high, "glass")
         self._draw_side_panes(side_high)
@@ -185,6 +190,12 @@ class Greenhouse:
             self.parts.append(parts.rail(np.column_stack([xs, np.full(6, half - 0.07), self.roof_edge(xs) + 0.032])))
         if style.spoiler:
             top = float(self.roof_edge(np.array([rear])).item()) + _EDGE_ROWS[-1][2]
-            self.parts.append(parts.spoiler(rear, top, half - 0.05))
+            self.parts.append(parts.spoiler(rear, top, half - 0.05, style.roof_tone or "paint"))
         if style.sign:
             self.parts.append(parts.roof_sign(front - 0.4 * (front - rear), s.height))
+        if style.load:
+            self.parts.append(roof_load(style.load, front, rear, half, s.height, self.roof_edge))
+        if style.antenna:
+            x = np.array([rear + (0.22 if style.antenna == "fin" else 0.12)])
+            top = float(self.surface.place((x.item(), 0.0), TOP, levels=(1.0, CENTER))[0][2])
+            self.parts.append(antenna(style.antenna, x.item(), top))

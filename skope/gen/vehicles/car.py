@@ -4,10 +4,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.cabin import Greenhouse
+from skope.gen.vehicles.decals import draw_decal
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.lofted_surfaces import (
     BOTTOM,
@@ -34,6 +36,8 @@ _WELL: Final = 0.05
 """Room between a wheel's inner face and its well, metres."""
 _SILL, _LEDGE = 0.16, 0.40
 """Rows of the sill's edge, and of the bumpers' upper edge."""
+_LOW_BUMPER: Final = 0.25
+"""Row up to which half of a bumper reaches."""
 _PROFILE: Final = np.array(
     [  # row, share of the height, how far side, front and rear stand in, height over the shoulder
         [0.00, 0.00, 0.090, 0.110, 0.085, 0],
@@ -236,7 +240,9 @@ class CarBody:
             self._carve_wheel_well(axle)
         lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP, "under", levels=(FLOOR, BOTTOM))
         trim = 0.25 if style.cladding else 0.07
-        lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
+        if style.sill != "paint":
+            lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
+        self._draw_tones()
         cabin = self._greenhouse.foot(0.03)
         lower.paint(
             np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]), TOP, "dashboard", levels=(_RIM, CENTER)
@@ -246,6 +252,7 @@ class CarBody:
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]
             lower.paint(hollow, TOP, material, levels=(_RIM, top))
         self._draw_livery()
+        draw_decal(lower, s, style)
         self._draw_doors()
         self._parts += front.draw_front(lower, self.w, s, style, self.points)
         self._parts += rear.draw_rear(lower, self.w, s, style, self.points)
@@ -260,6 +267,19 @@ class CarBody:
             "beltline": lower.place((self.w_of(self._greenhouse.pillar_x), SHOULDER), ROWS)[0],
         }
 
+    def _draw_tones(self) -> None:
+        """What is dark or bright below: the bumpers, the sills' edge."""
+        s, lower, style = self.shape, self._lower, self.style
+        reach = ARCH * s.wheel_radius
+        ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)
+        if style.bumper:
+            top = _LEDGE if style.bumper == "black" else _LOW_BUMPER
+            for start, stop in ((-1.0, ahead), (behind, 99.0)):
+                lower.paint(rectangle(start, stop, -0.1, top), ROWS, "trim")
+        if style.sill == "chrome":
+            ends = self.w_of(s.front_axle_x - reach - 0.05), self.w_of(s.rear_axle_x + reach + 0.05)
+            lower.line([(ends[0], _SILL), (ends[1], _SILL)], ROWS, "chrome", width=0.03)
+
     def _carve_wheel_well(self, axle: float) -> None:
         s = self.shape
         radius = ARCH * s.wheel_radius
@@ -269,7 +289,8 @@ class CarBody:
         lining, rim = self._lower.carve_well(polygon, self.well)
         dark = self.style.cladding
         around, material = (axle, s.wheel_radius), "trim" if dark else "paint"
-        lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034)
+        rise = 0.004 if self.style.soft_seams and not dark else 0.012
+        lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034, rise)
         self._parts += [lining, lip]
 
     def _draw_livery(self) -> None:
@@ -285,6 +306,19 @@ class CarBody:
             stripe = rectangle(behind, ahead, s.belt_height - low, s.belt_height - high)
             self._lower.draw(stripe, SIDE, "livery", layer=0.5)
 
+    def _seam(
+        self,
+        points: ArrayLike,
+        projection: tuple[int, int],
+        *,
+        width: float = 0.009,
+        levels: tuple[float, float] = (BOTTOM, SHOULDER),
+    ) -> None:
+        """Draw a gap between panels through points (N, 2) of a projection."""
+        soft = self.style.soft_seams
+        material, wide = ("seam", width + 0.008) if soft else ("gap", width)
+        self._lower.line(points, projection, material, width=wide, levels=levels)
+
     def _draw_doors(self) -> None:
         """Gaps around the doors, the fuel flap, handles."""
         s, style, lower = self.shape, self.style, self._lower
@@ -295,16 +329,16 @@ class CarBody:
         last = s.rear_axle_x + reach * 0.55 if style.doors == 4 else pillar
         top = s.belt_height + 0.1
         shut = s.rear_axle_x + reach + 0.05
-        lower.line([(ahead - 0.02, low), (ahead, low + 0.25), (ahead - 0.06, top)], SIDE)
-        lower.line([(pillar, low), (pillar, top)], SIDE)
+        self._seam([(ahead - 0.02, low), (ahead, low + 0.25), (ahead - 0.06, top)], SIDE)
+        self._seam([(pillar, low), (pillar, top)], SIDE)
         if style.doors == 4:
-            lower.line([(shut, low), (shut, s.wheel_radius + 0.1), (last, s.wheel_radius + reach), (last, top)], SIDE)
+            self._seam([(shut, low), (shut, s.wheel_radius + 0.1), (last, s.wheel_radius + reach), (last, top)], SIDE)
             if style.sliding:
                 lower.line([(pillar, s.belt_height - 0.16), (self.end + 0.4, s.belt_height - 0.14)], SIDE, width=0.02)
-        lower.line([(ahead - 0.02, low), (max(shut, last) if style.doors == 4 else pillar, low)], SIDE)
+        self._seam([(ahead - 0.02, low), (max(shut, last) if style.doors == 4 else pillar, low)], SIDE)
         flap = np.array([s.rear_axle_x - 0.12, s.belt_height - 0.2])
         square = flap + 0.075 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
-        lower.line(square, SIDE, width=0.006)
+        self._seam(square, SIDE, width=0.006)
         height = s.belt_height - 0.13
         for x in (pillar + 0.19, *([last + 0.22] if style.doors == 4 else [])):
             cup = np.array([(-0.06, -0.025), (0.06, -0.025), (0.06, 0.025), (-0.06, 0.025)])
@@ -314,27 +348,27 @@ class CarBody:
 
     def _draw_hood(self) -> None:
         """Gaps around the hood, along the bumpers, and around the trunk or tailgate."""
-        s, lower, w = self.shape, self._lower, self.w
+        s, w = self.shape, self.w
         y = s.width / 2 - 0.135
         ahead = s.length / 2 - s.nose_round - s.nose_lean - 0.12
         top = (SHOULDER, CENTER)
-        lower.line([(s.cowl_x - 0.12, y), (ahead, y - 0.07)], TOP, levels=top, width=0.011)
+        self._seam([(s.cowl_x - 0.12, y), (ahead, y - 0.07)], TOP, levels=top, width=0.011)
         edge = s.hood_height - 0.012
-        lower.line([(-0.1, edge), (float(w[SIDE_START - 3]), edge)], WRAP, width=0.011)
+        self._seam([(-0.1, edge), (float(w[SIDE_START - 3]), edge)], WRAP, width=0.011)
         arch = self.w_of(s.front_axle_x + ARCH * s.wheel_radius)
         seam = (s.headlight_low + s.headlight_high) / 2 - 0.05
-        lower.line([(arch, seam - 0.12), (float(w[SIDE_START - 2]), seam)], WRAP)
+        self._seam([(arch, seam - 0.12), (float(w[SIDE_START - 2]), seam)], WRAP)
         end = float(w[-1])
         behind = self.w_of(s.rear_axle_x - ARCH * s.wheel_radius)
         low = s.taillight_low - 0.03
-        lower.line([(behind, low - 0.12), (end - s.taillight_inner - 0.2, low - 0.02)], WRAP)
+        self._seam([(behind, low - 0.12), (end - s.taillight_inner - 0.2, low - 0.02)], WRAP)
         if s.deck_length > 0.3 and not self.style.bed:
             back = self.end + s.tail_round + s.tail_lean + 0.1
-            lower.line([(s.backlight_x, y + 0.01), (back, y - 0.03)], TOP, levels=top, width=0.011)
+            self._seam([(s.backlight_x, y + 0.01), (back, y - 0.03)], TOP, levels=top, width=0.011)
         trunk = s.deck_length > 0.3
         side = end - s.taillight_inner + (0.02 if trunk else -0.16)
         low = s.taillight_low - 0.16 if trunk or self.style.bed else s.clearance + 0.3
-        lower.line([(side, s.deck_height + 0.03), (side + 0.01, low), (end + 0.1, low)], WRAP, width=0.011)
+        self._seam([(side, s.deck_height + 0.03), (side + 0.01, low), (end + 0.1, low)], WRAP, width=0.011)
 
     def _add_parts(self) -> None:
         s = self.shape
@@ -342,6 +376,7 @@ class CarBody:
         x = s.cowl_x - (0.3 if tall else 0.36)
         z = s.belt_height + (0.06 if tall else 0.035)
         y = self.side_y(x) - s.shoulder_inset - 0.03
-        mirror, tip = parts.mirror((x, y, z), tall, "trim" if tall or self.style.cladding else "paint")
+        material = self.style.mirror or ("trim" if tall or self.style.cladding else "paint")
+        mirror, tip = parts.mirror((x, y, z), tall, material)
         self._parts.append(mirror)
         self.points["mirror"] = tip

@@ -15,8 +15,10 @@ from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.details import styled
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
+from skope.gen.vehicles.roof_loads import LOADS
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck import TruckBody
 from skope.gen.vehicles.user_models import load
@@ -44,7 +46,11 @@ class ParametricVehicle(Derived):
     @property
     def size_lwh(self) -> tuple[float, float, float]:
         s = self.shape
-        return s.length, s.width, s.height + (SIGN_HEIGHT if self.style.sign else 0.0)
+        return (
+            s.length,
+            s.width,
+            s.height + max(SIGN_HEIGHT if self.style.sign else 0.0, LOADS.get(self.style.load, 0.0)),
+        )
 
     @cached_property
     def _body_arrays(self) -> Arrays:
@@ -164,9 +170,10 @@ def parametric(model: str) -> ParametricVehicle:
 def _build_parametric(model: str, shape: tuple[tuple[str, float], ...], recurs: bool) -> ParametricVehicle:
     base = parametric(model)
     try:
-        return replace(base, shape=Shape(**dict(shape)), recurs=recurs)
+        own = Shape(**dict(shape))
     except TypeError as error:
         raise UserError(f"shape of {model}: {error}") from None
+    return replace(base, shape=own, style=styled(base.style, own), recurs=recurs)
 
 
 def build(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Vehicle:

@@ -122,7 +122,7 @@ def rail(path: Array) -> Mesh:
     return merged([bar, box((x - 0.05, y - 0.014, z - 0.05), (x + 0.05, y + 0.014, z + 0.03), "rail")])
 
 
-def spoiler(rear: float, top: float, half_width: float) -> Mesh:
+def spoiler(rear: float, top: float, half_width: float, material: str = "paint") -> Mesh:
     """A lip over the rear window that carries the roof on, from the middle to `half_width`."""
     section = np.array([(0.2, -0.004), (-0.04, 0.004), (-0.05, -0.012), (0.1, -0.07)])
     y = np.array([0.0, half_width - 0.12, half_width])
@@ -134,8 +134,8 @@ def spoiler(rear: float, top: float, half_width: float) -> Mesh:
         ]
     )
     loop = np.concatenate([points, points[:, :1]], axis=1)
-    skin = grid(loop, [["paint"] * 4] * 2)
-    end = from_triangles(points[-1], [[0, 1, 2], [0, 2, 3]], "paint")
+    skin = grid(loop, [[material] * 4] * 2)
+    end = from_triangles(points[-1], [[0, 1, 2], [0, 2, 3]], material)
     return merged([_turned_outward(skin, points.reshape(-1, 3).mean(axis=0)), _turned_to_face(end, (0.0, 1.0, 0.0))])
 
 
@@ -173,23 +173,23 @@ def roof_sign(x: float, z: float) -> Mesh:
     return merged([quads(np.array([*sides, high]), "sign"), foot])
 
 
-def plate(x: float, z: float, tilt: float, sign: float) -> Mesh:
+def plate(x: float, z: float, tilt: float, sign: float, material: str = "plate") -> Mesh:
     """The left half of a number plate, its face at `x` at its lower edge, leaning back by `tilt` at the upper one."""
     half, high = PLATE
     face = np.array([(x, 0, z), (x, half, z), (x - sign * tilt, half, z + high), (x - sign * tilt, 0, z + high)])
     rim = face + np.array([(0, 0, -0.012), (0, 0.012, -0.012), (0, 0.012, 0.012), (0, 0, 0.012)]) - [sign * 0.004, 0, 0]
     back = rim - [sign * 0.03, 0, 0]
     sides = [[a[i], b[i], b[i + 1], a[i + 1]] for a, b in ((face, rim), (rim, back)) for i in range(3)]
-    mesh = merged([quads(face, "plate"), quads(np.array(sides), "trim")])
+    mesh = merged([quads(face, material), quads(np.array(sides), "trim")])
     return mesh if sign > 0 else _flipped(mesh)
 
 
-def badge(at: Array, radius: float, sign: float) -> Mesh:
+def badge(at: Array, radius: float, sign: float, material: str = "chrome") -> Mesh:
     """The left half of a round badge on the middle of the front (`sign` 1) or the rear (-1)."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
     ring = at + np.column_stack([0 * turn + sign * 0.009, radius * np.cos(turn), radius * np.sin(turn)])
     back = ring - [sign * 0.02, 0, 0]
-    face = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], "chrome")
+    face = from_triangles(ring, [[0, i, i + 1] for i in range(1, len(ring) - 1)], material)
     edge = grid(np.stack([back, ring]), [["rail"] * (len(ring) - 1)])
     return merged([_turned_to_face(face, (sign, 0.0, 0.0)), edge if sign > 0 else _flipped(edge)])
 
@@ -213,9 +213,17 @@ def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
 
 
 def arch_lip(
-    edges: Array, center: tuple[float, float], material: str, side: Callable[[Array], float], width: float = 0.034
+    edges: Array,
+    center: tuple[float, float],
+    material: str,
+    side: Callable[[Array], float],
+    width: float = 0.034,
+    rise: float = 0.012,
 ) -> Mesh:
-    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z."""
+    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z.
+
+    It is `width` wide and stands `rise` out from the body, metres.
+    """
     chain = _ordered_along_arch(edges.reshape(-1, 3), center)
     axle = np.array([center[0], 0.0, center[1]])
     outward = (chain - axle) * [1, 0, 1]
@@ -223,7 +231,7 @@ def arch_lip(
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     outer = chain + width * outward
     outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
-    crest = chain + 0.012 * outward + [0, 0.012, 0]
+    crest = chain + 0.012 * outward + [0, rise, 0]
     # Chords of the arch: a little nearer to the wheel than the edge that they hide.
     inner = chain - 0.005 * outward + [0, -0.05, 0]
     # From behind the wheel around it to ahead of it, and inwards.

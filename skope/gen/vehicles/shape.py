@@ -1,6 +1,7 @@
 """Parameters of a vehicle model: its dimensions (a point in the shape space) and the style of its parts."""
 
 from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 
@@ -46,7 +47,37 @@ class Dimensions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Dimensions):
+class Details:
+    """Which of the parts in `skope.gen.vehicles.details.DETAILS` a vehicle has in place of its model's: the option's
+    number, 0 for the model's own."""
+
+    seams: float = 0.0
+    grille: float = 0.0
+    grille_frame: float = 0.0
+    intake: float = 0.0
+    headlight: float = 0.0
+    taillight: float = 0.0
+    exhausts: float = 0.0
+    bumper: float = 0.0
+    sills: float = 0.0
+    roof: float = 0.0
+    pillars: float = 0.0
+    bright: float = 0.0
+    glass: float = 0.0
+    mirrors: float = 0.0
+    roof_load: float = 0.0
+    antenna: float = 0.0
+    plates: float = 0.0
+    plate_places: float = 0.0
+    badge: float = 0.0
+    decal: float = 0.0
+    spokes: float = 0.0
+    dirt: float = 0.0
+    """Not an option's number: how dirty its lower half is, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Details, Dimensions):
     """A point in the shape space: heights above the road, positions along the vehicle from its own parts, so that a
     shape stays whole when it is stretched."""
 
@@ -97,6 +128,10 @@ class Shape(Dimensions):
     box_height: float = 0.0
     """A truck's floor above the road."""
 
+    def to_dict(self) -> dict[str, float]:
+        """All parameters by name, without details that are the model's own."""
+        return {name: value for name, value in super().to_dict().items() if value or name not in DETAIL_NAMES}
+
     @property
     def cowl_x(self) -> float:
         """The windscreen's base in the middle."""
@@ -108,22 +143,30 @@ class Shape(Dimensions):
         return -self.length / 2 + self.deck_length
 
 
+DETAIL_NAMES: Final = frozenset(f.name for f in fields(Details))
+
+
 @dataclass(frozen=True, kw_only=True)
 class VehicleStyle:
-    """What a model's shape parameters do not say; the same for all shapes of the model."""
+    """What a vehicle's dimensions do not say: its model's, but for what its details replace."""
 
     family: str = "car"
     """"car", "truck" or "bus": which builder makes it."""
     grille: str = "wide"
-    """"wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"."""
+    """"wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"; of vehicles with details of
+    their own also "frame", "kidneys", "tall", "double", "panel", "strip" or "none"."""
+    grille_frame: str = ""
+    """Material of the grille's frame. Default: chrome or trim, as `chrome` says."""
     intake: str = "wide"
-    """Air intake in the front bumper: "wide", "triple", "deep", "slot", "skid" or "plain"."""
+    """Air intake in the front bumper: "wide", "triple", "deep", "slot", "skid", "plain", "corners" or
+    "mouth"."""
     headlight: str = "swept"
-    """"swept", "hook", "slim", "drop", "box", "twin" or "round"."""
+    """"swept", "hook", "slim", "drop", "box", "twin", "round", "ring", "narrow", "blade", "tall", "pixel" or
+    "split"."""
     taillight: str = "wide"
-    """"wide", "tall", "band", "hook" or "round"."""
+    """"wide", "tall", "band", "hook", "round", "bar", "column", "slim", "rings", "blade", "clear" or "block"."""
     exhausts: str = ""
-    """Exhausts between the rear bumper's corners: "pipes", "blend", "fins", or none."""
+    """Exhausts between the rear bumper's corners: "pipes", "blend", "fins", "middle", or none."""
     chrome: bool = False
     """Bright frames around grille and side panes, bright door handles."""
     soft: bool = False
@@ -156,3 +199,32 @@ class VehicleStyle:
     """Middle axles' distances before the rearmost one, metres."""
     dual: bool = False
     """Twin tyres at the rear."""
+    soft_seams: bool = False
+    """Panel gaps wide and pale enough to be whole lines 15 m away, and flat lips around the arches."""
+    bumper: str = ""
+    """Lower part of the bumpers: "black", "low" (half as high), or as the body."""
+    sill: str = ""
+    """Edge of the sills: "paint", "chrome" for a bright line, or dark."""
+    roof_tone: str = ""
+    """Material of the roof. Default: the body's paint."""
+    pillar_tone: str = ""
+    """Material of the pillars. Default: the body's paint."""
+    mirror: str = ""
+    """Material of the mirrors. Default: the body's paint, or dark trim with cladding or on a tall body."""
+    load: str = ""
+    """What lies on the roof: "box", "bars", "ladder" or nothing."""
+    antenna: str = ""
+    """"fin", "rod" or none."""
+    front_plate: str = "plate"
+    """Material of the front number plate; "" for none."""
+    rear_plate: str = "plate"
+    plate_steps: int = 0
+    """How many places the front number plate hangs above its usual one; a place is `parts.PLATE_STEP`."""
+    low_plate: bool = False
+    """The rear number plate hangs in the bumper."""
+    badge: str = "chrome"
+    """Material of the badges' faces."""
+    badge_size: float = 1.0
+    """Size of the badges, 1 for the usual one."""
+    decal: str = ""
+    """What is stuck on the sides: "stripe", "panel", "letters", or, on the hood, "racing"; or nothing."""

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from skope.errors import one_of
+from skope.gen.vehicles.details import draw_details
 from skope.gen.vehicles.fleet import class_ranges, fleet, parametric
 from skope.gen.vehicles.shape import Shape
 
@@ -43,7 +44,25 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
         out[name] = float(value * scale)
     for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
         out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
-    return out
+    # A stream of its own: dimensions do not depend on how many details there are.
+    own = rng.spawn(1)[0]
+    _jitter_lamps(out, vehicle.style.family, own)
+    return out | draw_details(vehicle.style, vehicle.vehicle_type, own)
+
+
+def _jitter_lamps(shape: dict[str, float], family: str, rng: np.random.Generator) -> None:
+    """Make the lamps of a car taller or flatter, wider or narrower, higher or lower."""
+    if family != "car":
+        return
+    top = {"headlight": shape["hood_height"] - 0.03, "taillight": shape["deck_height"] - 0.03}
+    for lamp, highest in top.items():
+        low, high = shape[f"{lamp}_low"], shape[f"{lamp}_high"]
+        middle = (low + high) / 2 + rng.uniform(-0.025, 0.025)
+        half = (high - low) / 2 * rng.uniform(0.75, 1.25)
+        shape[f"{lamp}_high"] = min(middle + half, max(high, highest))
+        shape[f"{lamp}_low"] = shape[f"{lamp}_high"] - 2 * half
+        shape[f"{lamp}_inner"] += rng.uniform(-0.04, 0.04)
+        shape[f"{lamp}_wrap"] *= rng.uniform(0.7, 1.3)
 
 
 assert {f.name for f in fields(Shape)} >= _ALONG | _ACROSS | _UP

@@ -89,7 +89,12 @@ class Placer:
                         "u_world": _uniform_bytes(from_camera),
                     },
                     distance=float(away[i]),
-                    look=look | {"u_lamps": int(moment.lamps[i]), "u_plate": recorded.track_id},
+                    look=look
+                    | {
+                        "u_lamps": int(moment.lamps[i]),
+                        "u_plate": recorded.track_id,
+                        "u_dirt": float(recorded.shape.get("dirt", 0.0)),
+                    },
                     hull=hull,
                     window=window,
                 )

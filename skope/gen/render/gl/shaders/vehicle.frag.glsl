@@ -15,6 +15,7 @@ uniform vec3 u_paint;
 uniform vec3 u_livery;          // second colour: stripe, box, lower half
 uniform int u_plate;            // what the plates' text is drawn from
 uniform int u_lamps;
+uniform float u_dirt;           // of the lower half of the body, 0 to 1
 uniform float u_id;
 uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the image shows
 uniform sampler2D u_mirror;     // octahedral map of what a mirror sees
@@ -90,6 +91,13 @@ vec3 plate() {
     return ((GLYPHS[glyph] >> bit) & 1) != 0 ? vec3(0.015) : vec3(-1.0);
 }
 
+// How much dust and mud covers a place of a body: the more the lower, in blotches, most around the wheels.
+float dirt_at(vec3 at) {
+    float low = 1.0 - smoothstep(0.15, 0.95, at.z);
+    float blotch = 0.5 + 0.25 * sin(at.x * 3.1 + at.z * 7.0 + 2.0 * sin(at.x * 1.3)) + 0.25 * sin(at.x * 11.0 - at.z * 5.0 + at.y * 4.0);
+    return u_dirt * (0.08 + 0.72 * low * (0.55 + 0.45 * blotch));
+}
+
 void main() {
 #ifdef REFLECTION
     if (over_plane(v_world) < 0.0) discard;
@@ -105,13 +113,18 @@ void main() {
     if (dot(n, view) < 0.0) n = -n;
     vec4 albedo = albedo_of(v_material);
     vec3 base = v_material == M_PAINT ? u_paint : v_material == M_LIVERY ? u_livery : albedo.rgb;
+    if (v_material == M_SEAM) base = 0.3 * u_paint;
 #ifndef PANES
     if (v_material >= M_GRILLE_SLATS && v_material <= M_GRILLE_MESH) base = mix(vec3(0.004), vec3(0.09), grille(v_material));
-    if (v_material == M_PLATE) {
+    if (v_material == M_PLATE || v_material == M_PLATE_YELLOW) {
         vec3 text = plate();
         if (text.r >= 0.0) base = text;
     }
 #endif
+    float dirt = u_dirt == 0.0 ? 0.0 : dirt_at(v_local);
+    // Wheels have axes of their own, about which they are evenly dirty.
+    if (v_material >= M_TYRE && v_material <= M_DISC) dirt = 0.35 * u_dirt;
+    base = mix(base, vec3(0.17, 0.145, 0.115), dirt);
     // The inside of the body, seen through its windows.
     if (!gl_FrontFacing) base = vec3(0.03);
 #ifdef LAMPS
@@ -143,6 +156,8 @@ void main() {
     if (v_material == M_CHROME || v_material == M_RIM) metal = 1.0;
     if (v_material == M_TRIM || v_material == M_GRILLE || v_material == M_BOX) coat = 0.25;
 
+    coat *= 1.0 - dirt;
+    metal *= 1.0 - dirt;
     if (!gl_FrontFacing) coat = metal = 0.0;
 
     float f = coat * fresnel(dot(n, view), f0);

@@ -1,0 +1,114 @@
+"""Details of jittered vehicles: other fronts, rears, tones and loads than their model's."""
+
+from collections import Counter
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from skope import keypoints
+from skope.errors import UserError
+from skope.gen.render.materials import MATERIALS, own_color
+from skope.gen.vehicles.details import DETAILS, draw_details, styled
+from skope.gen.vehicles.fleet import ParametricVehicle, build, fleet, parametric
+from skope.gen.vehicles.roof_loads import LOADS
+from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
+from skope.gen.vehicles.shape_jitter import jittered
+from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen
+
+CARS = sorted(name for name in fleet() if parametric(name).style.family == "car")
+OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in range(1, len(detail.options))]
+
+
+def with_details(model: str, **details: float) -> ParametricVehicle:
+    vehicle = build(model, {**parametric(model).shape.to_dict(), **details})
+    assert isinstance(vehicle, ParametricVehicle)
+    return vehicle
+
+
+@pytest.mark.parametrize("model", sorted(fleet()))
+def test_models_have_no_details_of_their_own(model: str) -> None:
+    vehicle = parametric(model)
+    assert not set(vehicle.shape.to_dict()) & DETAIL_NAMES
+    assert styled(vehicle.style, vehicle.shape) == vehicle.style
+
+
+@pytest.mark.parametrize("model", sorted(fleet()))
+def test_shapes_without_details_are_the_models(model: str) -> None:
+    """As of recordings older than details."""
+    assert build(model, parametric(model).shape.to_dict()) == parametric(model)
+
+
+def test_details_are_neutral_where_nothing_is_said() -> None:
+    assert {f.default for f in fields(Shape) if f.name in DETAIL_NAMES} == {0.0}
+
+
+@pytest.mark.parametrize(("name", "number"), OPTIONS)
+def test_each_option_keeps_the_keypoints_on_the_surface(name: str, number: int) -> None:
+    model = CARS[OPTIONS.index((name, number)) % len(CARS)]
+    vehicle = with_details(model, **{name: float(number)})
+    assert_on_the_surface(vehicle)
+    points = vehicle.points
+    np.testing.assert_allclose(points[list(keypoints.FLIP)], points * [1, -1, 1], atol=1e-12)
+    assert backs_seen(vehicle, np.random.default_rng(3), 6) == 0
+    used = {vehicle.mesh.materials[i] for i in np.unique(vehicle.mesh.material)}
+    assert {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"} <= used
+    assert all(material in {*MATERIALS, "paint"} or own_color(material) for material in used)
+
+
+def test_only_lamps_and_badge_move_their_keypoints() -> None:
+    plain = parametric("hatchback")
+    front_and_rear = {i for name, i in keypoints.INDEX.items() if "light" in name}
+    for name, number in OPTIONS:
+        moved = np.abs(with_details("hatchback", **{name: float(number)}).points - plain.points).max(axis=1) > 1e-9
+        expected = {"headlight", "taillight"} & {name}
+        assert set(np.flatnonzero(moved).tolist()) <= (front_and_rear if expected else set()), (name, number)
+
+
+def test_each_option_is_drawn() -> None:
+    rng = np.random.default_rng(0)
+    seen: Counter[tuple[str, float]] = Counter()
+    for model in CARS * 60:
+        style, kind = parametric(model).style, parametric(model).vehicle_type
+        seen.update(draw_details(style, kind, rng).items())
+    assert {option for option in OPTIONS if not seen[option]} == set()
+
+
+@pytest.mark.parametrize("model", sorted(fleet()))
+def test_jittered_vehicles_keep_their_keypoints(model: str) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        vehicle = build(model, jittered(model, rng))
+        assert_on_the_surface(vehicle)
+        assert backs_seen(vehicle, rng, 3) == 0
+        p = {name: vehicle.points[i] for name, i in keypoints.INDEX.items()}
+        assert p["headlight_inner_left"][1] < p["headlight_outer_left"][1] <= vehicle.shape.width / 2
+        assert p["taillight_inner_left"][1] < p["taillight_outer_left"][1] <= vehicle.shape.width / 2
+        assert p["bumper_front_left"][2] < p["headlight_outer_left"][2] < p["hood_front_left"][2] + 0.03
+
+
+def test_dimensions_do_not_depend_on_details() -> None:
+    shape = jittered("suv", np.random.default_rng(4))
+    again = jittered("suv", np.random.default_rng(4))
+    assert shape == again
+    rng = np.random.default_rng(4)
+    before = rng.bit_generator.state
+    jittered("suv", rng)
+    after = rng.bit_generator.state
+    other = np.random.default_rng(4)
+    other.standard_normal(10)
+    assert before != after == other.bit_generator.state
+
+
+@pytest.mark.parametrize(("load", "over"), LOADS.items())
+def test_loads_count_for_the_height(load: str, over: float) -> None:
+    number = next(i for i, (_, option) in enumerate(DETAILS["roof_load"].options) if option.get("load") == load)
+    vehicle = with_details("wagon", roof_load=float(number))
+    assert vehicle.size_lwh[2] == pytest.approx(vehicle.shape.height + over)
+    assert vehicle.mesh.vertices[:, 2].max() == pytest.approx(vehicle.size_lwh[2], abs=0.01)
+
+
+@pytest.mark.parametrize(("name", "value"), [("grille", 99.0), ("grille", 1.5), ("seams", -1.0), ("dirt", 1.2)])
+def test_unknown_options_are_named(name: str, value: float) -> None:
+    with pytest.raises(UserError, match=f"{name}: expected"):
+        with_details("sedan", **{name: value})
