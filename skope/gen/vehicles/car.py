@@ -287,11 +287,14 @@ class CarBody:
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
         lining, rim = self._lower.carve_well(polygon, self.well)
+        self._parts.append(lining)
         dark = self.style.cladding
+        if self.style.soft_seams and not dark:
+            # From 12 m away a painted lip is a white arc before the dark well.
+            return
         around, material = (axle, s.wheel_radius), "trim" if dark else "paint"
-        rise = 0.004 if self.style.soft_seams and not dark else 0.012
-        lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034, rise)
-        self._parts += [lining, lip]
+        lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034)
+        self._parts.append(lip)
 
     def _draw_livery(self) -> None:
         """A stripe along the sides of what is not private."""

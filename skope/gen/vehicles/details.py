@@ -40,6 +40,14 @@ def _may_carry(style: VehicleStyle, vehicle_type: str) -> bool:
     return style.family == "car" and not style.sign and vehicle_type in {*_HATCHES, "sedan", "van"}
 
 
+def _is_hatch(style: VehicleStyle, vehicle_type: str) -> bool:
+    return style.family == "car" and vehicle_type in _HATCHES
+
+
+def _has_rear_panes(style: VehicleStyle, vehicle_type: str) -> bool:
+    return style.family == "car" and style.glazed == 1 and style.doors == 4
+
+
 def _kinds(own: float, field: str, shares: Mapping[Any, float]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
     """The model's own part, and one option for each value of a field."""
     return (own, {}), *((share, {field: value}) for value, share in shares.items())
@@ -79,7 +87,7 @@ DETAILS: Final[dict[str, Detail]] = {
                 "narrow": 1.2, "blade": 1.2, "tall": 0.8, "pixel": 0.5, "split": 0.9,
             },
         ),
-        _is_car,
+        _is_any,
     ),
     "taillight": Detail(
         _kinds(
@@ -120,7 +128,7 @@ DETAILS: Final[dict[str, Detail]] = {
             (1, {"front_plate": "plate_yellow", "rear_plate": "plate_yellow"}),
             (0.8, {"front_plate": ""}),
         ),
-        _is_car,
+        _is_any,
     ),
     "plate_places": Detail(
         (
@@ -139,6 +147,13 @@ DETAILS: Final[dict[str, Detail]] = {
     "decal": Detail(
         _kinds(8, "decal", {"stripe": 0.3, "panel": 0.9, "letters": 1.2, "racing": 0.15}), _is_car
     ),
+    "side": Detail(_kinds(3, "soft", {True: 1, False: 1}), _is_private),
+    "hood": Detail(_kinds(3, "dome", {0.004: 1, 0.022: 1, 0.034: 1}), _is_private),
+    "panes": Detail(
+        _kinds(3, "panes", {(0.0, 1.0): 1, (0.0, 0.86, 0.89, 1.0): 1, (0.0, 0.8): 0.6, (0.0, 0.7, 0.74, 1.0): 0.6}),
+        _has_rear_panes,
+    ),
+    "spoiler": Detail(_kinds(3, "spoiler", {True: 1, False: 1}), _is_hatch),
     "spokes": Detail(_kinds(3, "spokes", {4: 0.5, 5: 3, 6: 1, 7: 1, 9: 1, 10: 2, 12: 1, 14: 1, 18: 1}), _is_car),
 }  # fmt: skip
 """Every detail by its name in `Details`."""

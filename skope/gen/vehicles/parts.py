@@ -213,17 +213,9 @@ def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
 
 
 def arch_lip(
-    edges: Array,
-    center: tuple[float, float],
-    material: str,
-    side: Callable[[Array], float],
-    width: float = 0.034,
-    rise: float = 0.012,
+    edges: Array, center: tuple[float, float], material: str, side: Callable[[Array], float], width: float = 0.034
 ) -> Mesh:
-    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z.
-
-    It is `width` wide and stands `rise` out from the body, metres.
-    """
+    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z."""
     chain = _ordered_along_arch(edges.reshape(-1, 3), center)
     axle = np.array([center[0], 0.0, center[1]])
     outward = (chain - axle) * [1, 0, 1]
@@ -231,7 +223,7 @@ def arch_lip(
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     outer = chain + width * outward
     outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
-    crest = chain + 0.012 * outward + [0, rise, 0]
+    crest = chain + 0.012 * outward + [0, 0.012, 0]
     # Chords of the arch: a little nearer to the wheel than the edge that they hide.
     inner = chain - 0.005 * outward + [0, -0.05, 0]
     # From behind the wheel around it to ahead of it, and inwards.

@@ -24,7 +24,7 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         badge = max(badge, (low + high) / 2 - 0.215)
     out = []
     if style.family == "truck":
-        out.append(parts.plate(-s.length / 2 - 0.002, plate_height(low), 0.0, -1.0))
+        out.append(parts.plate(-s.length / 2 - 0.002, plate_height(low), 0.0, -1.0, style.rear_plate))
     else:
         _draw_plate(shell, end, plate, style.rear_plate)
         place = shell.place((end, badge + 0.215), WRAP)[0] * [1, 0, 1]

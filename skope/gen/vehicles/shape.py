@@ -71,6 +71,10 @@ class Details:
     plate_places: float = 0.0
     badge: float = 0.0
     decal: float = 0.0
+    side: float = 0.0
+    hood: float = 0.0
+    panes: float = 0.0
+    spoiler: float = 0.0
     spokes: float = 0.0
     dirt: float = 0.0
     """Not an option's number: how dirty its lower half is, 0 to 1."""
@@ -200,7 +204,8 @@ class VehicleStyle:
     dual: bool = False
     """Twin tyres at the rear."""
     soft_seams: bool = False
-    """Panel gaps wide and pale enough to be whole lines 15 m away, and flat lips around the arches."""
+    """Panel gaps wide and pale enough to be whole lines 15 m away, and wheel arches without a
+    painted lip."""
     bumper: str = ""
     """Lower part of the bumpers: "black", "low" (half as high), or as the body."""
     sill: str = ""

