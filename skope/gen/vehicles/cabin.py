@@ -198,4 +198,4 @@ class Greenhouse:
         if style.antenna:
             x = np.array([rear + (0.22 if style.antenna == "fin" else 0.12)])
             top = float(self.surface.place((x.item(), 0.0), TOP, levels=(1.0, CENTER))[0][2])
-            self.parts.append(antenna(style.antenna, x.item(), top))
+            self.parts.append(antenna(style.antenna, x.item(), top, style.roof_tone or "paint"))

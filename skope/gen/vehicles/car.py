@@ -32,12 +32,14 @@ from skope.types import Array
 
 ARCH: Final = 1.13
 """Radius of a wheel arch, in radii of its wheel."""
+_ARCH_TRIM: Final = 0.07
+"""Width of the trim that is drawn around an arch, metres."""
 _WELL: Final = 0.05
 """Room between a wheel's inner face and its well, metres."""
 _SILL, _LEDGE = 0.16, 0.40
 """Rows of the sill's edge, and of the bumpers' upper edge."""
-_LOW_BUMPER: Final = 0.25
-"""Row up to which half of a bumper reaches."""
+_TRIM_TOP: Final = 0.25
+"""Row up to which cladding and low dark bumpers reach."""
 _PROFILE: Final = np.array(
     [  # row, share of the height, how far side, front and rear stand in, height over the shoulder
         [0.00, 0.00, 0.090, 0.110, 0.085, 0],
@@ -239,7 +241,7 @@ class CarBody:
         for axle in (s.front_axle_x, s.rear_axle_x):
             self._carve_wheel_well(axle)
         lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP, "under", levels=(FLOOR, BOTTOM))
-        trim = 0.25 if style.cladding else 0.07
+        trim = _TRIM_TOP if style.cladding else 0.07
         if style.sill != "paint":
             lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
         self._draw_tones()
@@ -273,7 +275,7 @@ class CarBody:
         reach = ARCH * s.wheel_radius
         ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)
         if style.bumper:
-            top = _LEDGE if style.bumper == "black" else _LOW_BUMPER
+            top = _LEDGE if style.bumper == "black" else _TRIM_TOP
             for start, stop in ((-1.0, ahead), (behind, 99.0)):
                 lower.paint(rectangle(start, stop, -0.1, top), ROWS, "trim")
         if style.sill == "chrome":
@@ -289,12 +291,23 @@ class CarBody:
         lining, rim = self._lower.carve_well(polygon, self.well)
         self._parts.append(lining)
         dark = self.style.cladding
-        if self.style.soft_seams and not dark:
-            # From 12 m away a painted lip is a white arc before the dark well.
+        if self.style.soft_seams:
+            # From 12 m away a lip that stands out is a white arc before the dark well.
+            if dark:
+                self._draw_arch_trim(np.array([(axle + radius, 0.0), *arc, (axle - radius, 0.0)]), axle)
             return
         around, material = (axle, s.wheel_radius), "trim" if dark else "paint"
         lip = parts.arch_lip(rim, around, material, self._lower.side, 0.08 if dark else 0.034)
         self._parts.append(lip)
+
+    def _draw_arch_trim(self, edge: Array, axle: float) -> None:
+        """Dark trim on the body around a wheel arch whose edge runs through points (N, 2), x and z."""
+        away = edge - [axle, self.shape.wheel_radius]
+        away[:, 1] = np.maximum(away[:, 1], 0)
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        inner, outer = edge - 0.01 * away, edge + _ARCH_TRIM * away
+        for k in range(len(edge) - 1):
+            self._lower.draw([inner[k], outer[k], outer[k + 1], inner[k + 1]], SIDE, "trim", layer=1.5)
 
     def _draw_livery(self) -> None:
         """A stripe along the sides of what is not private."""
@@ -326,7 +339,9 @@ class CarBody:
         """Gaps around the doors, the fuel flap, handles."""
         s, style, lower = self.shape, self.style, self._lower
         reach = ARCH * s.wheel_radius
-        low = s.clearance + 0.13
+        # A soft gap is pale against dark trim: it ends above.
+        dark = style.soft_seams and style.cladding
+        low = s.clearance + (_TRIM_TOP * (s.belt_height - s.clearance) + 0.03 if dark else 0.13)
         ahead = min(s.front_axle_x - reach - 0.1, s.cowl_x - 0.12)
         pillar = self._greenhouse.pillar_x
         last = s.rear_axle_x + reach * 0.55 if style.doors == 4 else pillar

@@ -158,6 +158,22 @@ DETAILS: Final[dict[str, Detail]] = {
 }  # fmt: skip
 """Every detail by its name in `Details`."""
 
+
+class _Rare(NamedTuple):
+    """Options that few vehicles have besides those for which they are usual."""
+
+    options: slice
+    factor: float
+    """What their share is multiplied by on other vehicles."""
+    usual: Callable[[VehicleStyle, str], bool]
+
+
+_RARE: Final = {
+    "decal": _Rare(slice(1, None), 0.15, lambda style, _: style.palette != "private"),
+    "sills": _Rare(slice(1, 2), 0.2, lambda _, kind: kind in ("suv", "pickup", "van", "wagon")),
+    "roof_load": _Rare(slice(3, 4), 0.15, lambda _, kind: kind == "van"),
+}
+"""The options among `DETAILS` that are rare on most vehicles, by the detail's name."""
 _DIRTY: Final = 0.45
 """Share of vehicles that are not clean."""
 
@@ -167,10 +183,8 @@ def draw_details(style: VehicleStyle, vehicle_type: str, rng: np.random.Generato
     out = {}
     for name, detail in DETAILS.items():
         shares = np.array([share for share, _ in detail.options], dtype=np.float64)
-        if name == "decal" and style.palette == "private":
-            shares[1:] *= 0.15
-        if name == "sills" and vehicle_type not in ("suv", "pickup", "van", "wagon"):
-            shares[1] *= 0.2
+        if name in _RARE and not _RARE[name].usual(style, vehicle_type):
+            shares[_RARE[name].options] *= _RARE[name].factor
         choice = float(rng.choice(len(shares), p=shares / shares.sum()))
         if choice and detail.suits(style, vehicle_type):
             out[name] = choice

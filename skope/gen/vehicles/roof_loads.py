@@ -54,12 +54,12 @@ def _ladder(span: tuple[float, float], low: float) -> list[Mesh]:
     return sides + [box((x, 0.14, low + 0.02), (x + 0.035, 0.43, low + 0.05), "chrome") for x in rungs]
 
 
-def antenna(kind: str, x: float, top: float) -> Mesh:
-    """The left half of an antenna on the middle of a roof that is `top` high at `x`, metres."""
+def antenna(kind: str, x: float, top: float, fin: str) -> Mesh:
+    """The left half of an antenna on the middle of a roof, `top` high at `x`, metres; a fin is of material `fin`."""
     if kind == "rod":
         return box((x - 0.006, 0.0, top - 0.02), (x + 0.006, 0.006, top + 0.28), "trim")
     sections = ((1.0, 0.05), (0.5, 0.4), (-0.6, 1.0), (-0.9, 0.95), (-1.0, 0.05))
-    return _shell((x, 0.0, top - 0.03), (0.1, 0.024, 0.075), sections, "paint")
+    return _shell((x, 0.0, top - 0.03), (0.1, 0.024, 0.075), sections, fin)
 
 
 def _shell(
