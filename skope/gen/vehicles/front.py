@@ -47,7 +47,11 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     plate = _stepped(plate, style.plate_steps, s.clearance + 0.06, (low + high) / 2 - 0.05)
     logo = shell.place((0.0, (low + high) / 2), WRAP)[0] * [1, 0, 1]
     # Hung before anything is sunk: in front of the skin, not in an intake.
-    hung = [parts.plate(*_plate_place(shell, plate), 1.0, style.front_plate)] if style.front_plate else []
+    hung = (
+        [parts.plate(*_plate_place(shell, plate, bent=style.soft_seams), 1.0, style.front_plate)]
+        if style.front_plate
+        else []
+    )
     _draw_grille(shell, s, style, intake[1])
     _draw_intake(shell, s, style, intake, wide)
     draw_headlight(shell, style.headlight, (inner, outer), (low, high), intake[1], points)
@@ -61,11 +65,18 @@ def _stepped(plate: float, steps: int, low: float, high: float) -> float:
     return moved if low <= moved <= high - parts.PLATE[1] else plate
 
 
-def _plate_place(shell: Surface, plate: float) -> tuple[float, float, float]:
-    """Place of a number plate at a front: x of its lower edge, height, how far it leans back."""
+def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, float, float]:
+    """Place of a number plate at a front: x of its lower edge, height, how far it leans back.
+
+    `bent`: the front may stand out between the plate's edges.
+    """
     _, high = parts.PLATE
     (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP)[0] for z in (0.0, high))
-    return max(float(low_x), float(high_x)) + 0.002, plate, float(np.clip(low_x - high_x, 0.0, 0.03))
+    tilt = float(np.clip(low_x - high_x, 0.0, 0.03))
+    ahead = max(float(low_x), float(high_x))
+    for share in np.linspace(0.1, 0.9, 9).tolist() if bent else ():
+        ahead = max(ahead, float(shell.place((0.0, plate + share * high), WRAP)[0][0]) + share * tilt)
+    return ahead + 0.002, plate, tilt
 
 
 def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> None:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -109,6 +110,25 @@ def test_the_scenery_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
     file.write_bytes(b"damaged")
     np.testing.assert_array_equal(make_renderer("gl", recording).render(0).rgb, first.rgb)
     assert file.stat().st_size > 1000
+
+
+def test_dirt_lies_low() -> None:
+    """A dirty white car is darker and browner than a clean one at its sills, and hardly at its roof."""
+    camera = Camera.looking([0, -9, 3.5], yaw=np.pi / 2, pitch_down=0.25, size=SIZE)
+    clean = standing(camera, [("wagon", 0.0, 0.0, 0.0)])
+    (car,) = clean.vehicles
+    views = []
+    for amount in (0.0, 1.0):
+        own = replace(car, color="white", shape={**car.shape, "dirt": amount})
+        views.append(make_renderer("gl", replace(clean, vehicles=(own,))).render(0))
+    (found,) = views[0].silhouettes
+    rows, columns = np.nonzero(found.mask)
+    before, after = (view.rgb[found.y + rows, found.x + columns].astype(float) for view in views)
+    white, height = before.min(axis=1) > 150, (rows - rows.min()) / np.ptp(rows)
+    change = before - after
+    assert np.abs(change[white & (height < 0.2)].mean(axis=0)).max() < 5
+    red, _, blue = change[white & (height > 0.6)].mean(axis=0)
+    assert blue > red > 8
 
 
 def test_tiles_cover_polygons() -> None:

@@ -14,7 +14,7 @@ from skope.gen.vehicles.fleet import ParametricVehicle, build, fleet, parametric
 from skope.gen.vehicles.roof_loads import LOADS
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from skope.gen.vehicles.shape_jitter import jittered
-from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen
+from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen, first_hits
 
 CARS = sorted(name for name in fleet() if parametric(name).style.family == "car")
 OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in range(1, len(detail.options))]
@@ -113,3 +113,19 @@ def test_loads_count_for_the_height(load: str, over: float) -> None:
 def test_unknown_options_are_named(name: str, value: float) -> None:
     with pytest.raises(UserError, match=f"{name}: expected"):
         with_details("sedan", **{name: value})
+
+
+@pytest.mark.parametrize("model", CARS)
+def test_front_plates_stand_before_the_front(model: str) -> None:
+    """What a ray from ahead meets in the middle of a plate is the plate."""
+    for steps in (0, 1, 2):
+        mesh = with_details(model, seams=1.0, plate_places=float(steps), grille=16.0).mesh
+        corners = mesh.vertices[mesh.triangles]
+        ahead = corners[:, :, 0].mean(axis=1) > 0
+        plate = corners[ahead & (mesh.material == mesh.materials.index("plate"))].reshape(-1, 3)
+        low, high = plate.min(axis=0), plate.max(axis=0)
+        inside = np.linspace(low + 0.02, high - 0.02, 7)[:, 2]
+        places = np.array([(0.0, y, z) for y in (0.02, 0.1) for z in inside])
+        reach, _ = first_hits(mesh, np.array([-1.0, 0.0, 0.0]), places)
+        assert (-reach > low[0] - 1e-6).all()
+        assert (-reach < high[0] + 1e-6).all(), (model, steps)
