@@ -1,7 +1,7 @@
 """Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks. Pure numpy."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +15,7 @@ from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_w
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of
-from skope.gen.vehicles.fleet import build
+from skope.gen.scene.road_user_bodies import body_of, vehicle_of
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import PAINTS
 from skope.schema import Annotation, Box3D
@@ -78,7 +77,7 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
         localizer: "rigid" (keypoints move with the chassis) or "trilateration" (from distances to the wheels).
     """
     moment = moment.labelled()
-    vehicles = tuple(build(recorded.model, recorded.shape, recurs=recorded.recurs) for recorded in moment.vehicles)
+    vehicles = tuple(map(vehicle_of, moment.vehicles))
     if not vehicles:
         return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
     wheels = moment.T_world_wheels
@@ -191,7 +190,7 @@ def annotate(
     # Vehicles that no pixel shows have no label, and are not built for one.
     extents = {i: extent for i in labelled if (extent := _measure_extent(view, i, camera))}
     seen = sorted(extents, key=lambda i: moment.vehicles[i].track_id)
-    world = locate(_taken(moment, seen), rules.localizer)
+    world = locate(moment.only(seen), rules.localizer)
     pixels, _, valid = camera.project(world.points)
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
@@ -231,18 +230,6 @@ def annotate(
             )
         )
     return out, tally
-
-
-def _taken(moment: Moment, chosen: list[int]) -> Moment:
-    """The same moment with some of its road users, by index."""
-    return replace(
-        moment,
-        vehicles=tuple(moment.vehicles[i] for i in chosen),
-        T_world_chassis=moment.T_world_chassis[chosen],
-        T_world_wheels=moment.T_world_wheels[chosen],
-        velocity=moment.velocity[chosen],
-        lamps=moment.lamps[chosen],
-    )
 
 
 def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:

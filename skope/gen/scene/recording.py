@@ -8,7 +8,7 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -152,9 +152,13 @@ class Moment:
 
     def labelled(self) -> "Moment":
         """The same moment without bystanders."""
-        n = sum(vehicle.labelled for vehicle in self.vehicles)
-        poses = (self.T_world_chassis[:n], self.T_world_wheels[:n], self.velocity[:n], self.lamps[:n])
-        return Moment(self.time_s, self.vehicles[:n], *poses, self.signals)
+        return self.only(range(sum(vehicle.labelled for vehicle in self.vehicles)))
+
+    def only(self, chosen: Sequence[int]) -> "Moment":
+        """The same moment with some of its road users, by index."""
+        rows = np.array(chosen, dtype=np.intp)
+        poses = (self.T_world_chassis[rows], self.T_world_wheels[rows], self.velocity[rows], self.lamps[rows])
+        return Moment(self.time_s, tuple(self.vehicles[i] for i in chosen), *poses, self.signals)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

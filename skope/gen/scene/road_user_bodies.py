@@ -3,11 +3,14 @@
 from skope.gen.bystanders import bystander
 from skope.gen.scene.recording import RecordedVehicle
 from skope.gen.vehicles.fleet import build
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import Body, Vehicle
 
 
 def body_of(recorded: RecordedVehicle) -> Body:
     """The body of a road user; equal ones are built once."""
-    if recorded.labelled:
-        return build(recorded.model, recorded.shape, recurs=recorded.recurs)
-    return bystander.build(recorded.model, recorded.shape)
+    return vehicle_of(recorded) if recorded.labelled else bystander.build(recorded.model, recorded.shape)
+
+
+def vehicle_of(recorded: RecordedVehicle) -> Vehicle:
+    """The body of a labelled road user; equal ones are built once."""
+    return build(recorded.model, recorded.shape, recurs=recorded.recurs)
