@@ -8,8 +8,9 @@ equidistant fisheye model of Kannala and Brandt).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
@@ -24,6 +25,8 @@ DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
 _COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
 _NEAR: Final = 1e-6
 """Points nearer than this to the camera's plane count as behind it."""
+_BLOCK: Final = 1 << 13
+"""Points that are distorted at once."""
 
 
 def _first_positive_root(coefficients: list[float]) -> float:
@@ -55,6 +58,7 @@ class Distortion:
     def _brown(self) -> Array:
         return np.array([*self.coefficients, *(0.0,) * (12 - len(self.coefficients))], dtype=np.float64)
 
+    @cached_property
     def fold(self) -> float:
         """Where the radial model stops growing: a radius tan(theta) for brown, an angle for fisheye; inf: nowhere."""
         if self.model == "none":
@@ -69,37 +73,24 @@ class Distortion:
         growth = n * d + 2 * q * (n.deriv() * d - n * d.deriv())
         return math.sqrt(min(_first_positive_root(list(growth.coef)), _first_positive_root(list(d.coef))))
 
-    def _brown_forward(self, xy: Array) -> tuple[Array, Array]:
-        """(..., 2) ideal -> (..., 2) distorted, and the (..., 2, 2) Jacobian."""
+    def _brown_forward(self, x: Array, y: Array) -> tuple[Array, Array, "_Jacobian"]:
+        """Ideal x and y (N,) -> distorted x and y (N,), and what they change by."""
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._brown()
-        x, y = xy[..., 0], xy[..., 1]
         q = x * x + y * y
         n, d = 1 + q * (k1 + q * (k2 + q * k3)), 1 + q * (k4 + q * (k5 + q * k6))
         radial = n / d
         slope = (k1 + q * (2 * k2 + 3 * q * k3) - radial * (k4 + q * (2 * k5 + 3 * q * k6))) / d  # d radial / d q
-        out = np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2),
-                y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y + q * (s3 + q * s4),
-            ],
-            axis=-1,
-        )
         prism_x, prism_y = s1 + 2 * q * s2, s3 + 2 * q * s4
         cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        jacobian = np.stack(
-            [
-                np.stack(
-                    [radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + 2 * x * prism_x, cross + 2 * y * prism_x],
-                    -1,
-                ),
-                np.stack(
-                    [cross + 2 * x * prism_y, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + 2 * y * prism_y],
-                    -1,
-                ),
-            ],
-            axis=-2,
+        jacobian = _Jacobian(
+            radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + 2 * x * prism_x,
+            cross + 2 * y * prism_x,
+            cross + 2 * x * prism_y,
+            radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + 2 * y * prism_y,
         )
-        return out, jacobian
+        distorted_x = x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2)
+        distorted_y = y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y + q * (s3 + q * s4)
+        return distorted_x, distorted_y, jacobian
 
     def _fisheye_radius(self, theta: Array) -> tuple[Array, Array]:
         """Distorted radius at an angle off the axis, and its derivative."""
@@ -110,59 +101,94 @@ class Distortion:
 
     def distort(self, xy: Array) -> tuple[Array, Mask]:
         """Ideal normalised coordinates x/z, y/z (..., 2) -> distorted ones, and where the model is monotonic."""
-        radius = np.linalg.norm(xy, axis=-1)
         if self.model == "none":
-            return xy, np.ones(radius.shape, dtype=bool)
-        if self.model == "fisheye":
-            theta = np.arctan(radius)
-            distorted, _ = self._fisheye_radius(theta)
-            scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 0)
-            return xy * scale[..., None], theta < self.fold()
-        out, jacobian = self._brown_forward(xy)
-        return out, (radius < self.fold()) & (_determinant_2x2(jacobian) > 0)
+            return xy, np.ones(xy.shape[:-1], dtype=bool)
+        return _by_blocks(self._distort_fisheye if self.model == "fisheye" else self._distort_brown, xy)
+
+    def _distort_fisheye(self, x: Array, y: Array) -> tuple[Array, Array, Mask]:
+        radius = np.hypot(x, y)
+        theta = np.arctan(radius)
+        distorted, _ = self._fisheye_radius(theta)
+        scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 0)
+        return x * scale, y * scale, theta < self.fold
+
+    def _distort_brown(self, x: Array, y: Array) -> tuple[Array, Array, Mask]:
+        distorted_x, distorted_y, jacobian = self._brown_forward(x, y)
+        return distorted_x, distorted_y, (np.hypot(x, y) < self.fold) & (jacobian.determinant > 0)
 
     def undistort(self, xy: Array) -> tuple[Array, Mask]:
         """Inverse of `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""
         if self.model == "none":
             return xy, np.ones(xy.shape[:-1], dtype=bool)
-        if self.model == "fisheye":
-            return self._undistort_fisheye(xy)
-        fold = self.fold()
-        ideal = xy.copy()
-        for _ in range(40):
-            # Staying inside the fold keeps an iterate from settling on a branch beyond it.
-            radius = np.linalg.norm(ideal, axis=-1, keepdims=True)
-            ideal = ideal * np.minimum(1.0, 0.999 * fold / np.maximum(radius, 1e-12))
-            value, jacobian = self._brown_forward(ideal)
-            regular = np.abs(_determinant_2x2(jacobian)) > 1e-9
-            step = _solve_2x2(np.where(regular[..., None, None], jacobian, np.eye(2)), value - xy)
-            ideal = ideal - step
-            if np.abs(step).max(initial=0.0) < 1e-13:
-                break
-        back, monotonic = self.distort(ideal)
-        return ideal, monotonic & (np.linalg.norm(back - xy, axis=-1) < 1e-9)
+        return _by_blocks(self._undistort_fisheye if self.model == "fisheye" else self._undistort_brown, xy)
 
-    def _undistort_fisheye(self, xy: Array) -> tuple[Array, Mask]:
-        target = np.linalg.norm(xy, axis=-1)
-        limit = min(self.fold(), math.pi / 2)
+    def _undistort_brown(self, x: Array, y: Array) -> tuple[Array, Array, Mask]:
+        ideal_x, ideal_y = x, y
+        for _ in range(40):
+            if math.isfinite(self.fold):
+                # Staying inside the fold keeps an iterate from settling on a branch beyond it.
+                within = np.minimum(1.0, 0.999 * self.fold / np.maximum(np.hypot(ideal_x, ideal_y), 1e-12))
+                ideal_x, ideal_y = ideal_x * within, ideal_y * within
+            value_x, value_y, jacobian = self._brown_forward(ideal_x, ideal_y)
+            step_x, step_y = jacobian.solve(value_x - x, value_y - y)
+            ideal_x, ideal_y = ideal_x - step_x, ideal_y - step_y
+            if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < 1e-13:
+                break
+        back_x, back_y, monotonic = self._distort_brown(ideal_x, ideal_y)
+        return ideal_x, ideal_y, monotonic & (np.hypot(back_x - x, back_y - y) < 1e-9)
+
+    def _undistort_fisheye(self, x: Array, y: Array) -> tuple[Array, Array, Mask]:
+        target = np.hypot(x, y)
+        limit = min(self.fold, math.pi / 2)
         theta = np.minimum(target, 0.999 * limit)
         for _ in range(40):
             value, slope = self._fisheye_radius(theta)
+            before = theta
             theta = np.clip(theta - (value - target) / np.where(np.abs(slope) > 1e-9, slope, 1.0), 0.0, 0.9999 * limit)
+            if np.abs(theta - before).max(initial=0.0) < 1e-14:
+                break
         value, _ = self._fisheye_radius(theta)
         scale = np.divide(np.tan(theta), target, out=np.ones_like(target), where=target > 0)
-        return xy * scale[..., None], np.abs(value - target) < 1e-9
+        return x * scale, y * scale, np.abs(value - target) < 1e-9
 
 
-def _determinant_2x2(A: Array) -> Array:
-    return np.asarray(A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0])
+@dataclass(frozen=True, eq=False)
+class _Jacobian:
+    """N matrices of two rows and columns, by their entries (N,): many times as fast as arrays of small matrices."""
+
+    xx: Array
+    xy: Array
+    yx: Array
+    yy: Array
+
+    @cached_property
+    def determinant(self) -> Array:
+        """(N,)"""
+        return self.xx * self.yy - self.xy * self.yx
+
+    def solve(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """What the matrices take to x and y (N,); where there is nothing such, x and y themselves."""
+        regular = np.abs(self.determinant) > 1e-9
+        divisor = np.where(regular, self.determinant, 1.0)
+        return (
+            np.where(regular, (self.yy * x - self.xy * y) / divisor, x),
+            np.where(regular, (self.xx * y - self.yx * x) / divisor, y),
+        )
 
 
-def _solve_2x2(A: Array, b: Array) -> Array:
-    """x (..., 2) with A x = b: for millions of small systems a hundred times as fast as LAPACK."""
-    x = A[..., 1, 1] * b[..., 0] - A[..., 0, 1] * b[..., 1]
-    y = A[..., 0, 0] * b[..., 1] - A[..., 1, 0] * b[..., 0]
-    return np.asarray(np.stack([x, y], axis=-1) / _determinant_2x2(A)[..., None])
+def _by_blocks(of: Callable[[Array, Array], tuple[Array, Array, Mask]], xy: Array) -> tuple[Array, Mask]:
+    """A function of x and y (N,), for points (..., 2).
+
+    It is given few at a time, so that all that it makes stays in the processor's cache: for the pixels of an image
+    that is three times as fast as all at once.
+    """
+    points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    out, mask = np.empty_like(points), np.empty(len(points), dtype=bool)
+    for begin in range(0, len(points), _BLOCK):
+        part = slice(begin, begin + _BLOCK)
+        x, y = np.ascontiguousarray(points[part].T)
+        out[part, 0], out[part, 1], mask[part] = of(x, y)
+    return out.reshape(xy.shape), mask.reshape(xy.shape[:-1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ def test_point_behind_the_camera_is_invalid() -> None:
 def test_point_beyond_the_fold_is_invalid() -> None:
     # x (1 - 0.2 x^2) stops growing at x^2 = 1/0.6: 52 degrees off axis.
     camera = default_camera(Distortion("brown", (-0.2, 0.0, 0.0, 0.0)))
-    assert math.degrees(math.atan(camera.distortion.fold())) == pytest.approx(52.24, abs=0.01)
+    assert math.degrees(math.atan(camera.distortion.fold)) == pytest.approx(52.24, abs=0.01)
     angles = np.radians([51.9, 52.6, 58.6, 75.0])
     points = np.stack([np.tan(angles), np.zeros(4), np.ones(4)], axis=-1)
     pixels, _, valid = camera.project(points)
@@ -63,7 +63,7 @@ def test_point_beyond_the_fold_is_invalid() -> None:
 
 def test_fisheye_fold() -> None:
     # theta (1 - 0.3 theta^2) stops growing at theta = 1 / sqrt(0.9).
-    assert Distortion("fisheye", (-0.3, 0, 0, 0)).fold() == pytest.approx(1 / math.sqrt(0.9))
+    assert Distortion("fisheye", (-0.3, 0, 0, 0)).fold == pytest.approx(1 / math.sqrt(0.9))
 
 
 @pytest.mark.parametrize("distortion", [BROWN, RATIONAL, PRISM, FISHEYE])

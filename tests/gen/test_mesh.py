@@ -1,9 +1,9 @@
-"""Simplified meshes look like what they were made from."""
+"""Simplified meshes look like what they were made from; rows and cross products as numpy has them."""
 
 import numpy as np
 import pytest
 
-from skope.gen.mesh import Mesh, box, grid, merged, simplified
+from skope.gen.mesh import Mesh, box, cross, grid, merged, numbered_rows, simplified
 from skope.gen.vehicles.fleet import fleet
 from tests.gen.rays import cast
 
@@ -48,3 +48,21 @@ def test_a_simplified_vehicle_hides_what_the_vehicle_hides(model: str) -> None:
     assert np.isfinite(hits[0]).mean() > 0.95
     assert np.isclose(*hits, rtol=0, atol=0.05).mean() > 0.95
     assert (np.isfinite(hits[0]) == np.isfinite(hits[1])).mean() > 0.98
+
+
+def test_rows_have_the_numbers_that_numpy_gives_them() -> None:
+    rng = np.random.default_rng(7)
+    # Rows of many columns and wide ranges do not fit into one 64-bit key.
+    wide = rng.normal(0, 9, (50, 8))[rng.integers(50, size=900)]
+    for rows, decimals in ((rng.integers(-3, 3, (500, 2)), 0), (rng.normal(0, 0.02, (800, 3)), 2), (wide, 9)):
+        unique, first, number = np.unique(np.round(rows, decimals), axis=0, return_index=True, return_inverse=True)
+        assert 1 < len(unique) < len(rows)
+        own, own_first = numbered_rows(rows, decimals)
+        np.testing.assert_array_equal(own, number.reshape(-1))
+        np.testing.assert_array_equal(own_first, first)
+    assert numbered_rows(np.zeros((0, 3)), 4)[0].shape == (0,)
+
+
+def test_cross_products() -> None:
+    a, b = np.random.default_rng(8).normal(size=(2, 50, 3))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))

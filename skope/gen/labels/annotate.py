@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
@@ -293,9 +294,9 @@ def _measure_extent(view: RenderedFrame, i: int, camera: Camera) -> _Extent | No
         bbox_of(inside) + corner,
         bbox_of(visible) + corner,
         _segmentation(visible, (x0, y0), (camera.width, camera.height)),
-        int(visible.sum()),
-        int(inside.sum()),
-        int(silhouette.mask.sum() + inside.sum() - whole.sum()),
+        int(np.count_nonzero(visible)),
+        int(np.count_nonzero(inside)),
+        int(np.count_nonzero(silhouette.mask) + np.count_nonzero(inside) - np.count_nonzero(whole)),
     )
 
 
@@ -317,9 +318,7 @@ def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) ->
 
 def bbox_of(mask: Mask) -> Array:
     """(4,) x, y, width, height of the tight box around a mask's (H, W) pixels."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    x, y = columns[0], rows[0]
-    return np.array([x, y, columns[-1] + 1 - x, rows[-1] + 1 - y], dtype=np.float64)
+    return np.array(cv2.boundingRect(mask.view(np.uint8)), dtype=np.float64)
 
 
 def _ignore_reason(shape: _Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:

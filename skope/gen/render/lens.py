@@ -1,7 +1,7 @@
 """Lens distortion: one warp for picture, depth, ids and silhouettes, from a view without distortion."""
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from skope.types import Array
 _LIMIT: Final = 8192
 _MARGIN: Final = 2
 """Pixels of the pinhole's image beyond what the lens shows."""
+
+_WHOLE_PIXELS: Final = np.zeros((0, 0), dtype=np.uint16)
+"""Parts of a pixel between those that OpenCV takes: none."""
 
 
 def pinhole_of(camera: Camera) -> Camera:
@@ -53,14 +56,16 @@ class Lens:
         source = rays[..., :2] * K[[0, 1], [0, 1]] + K[:2, 2]
         # Where in the pinhole's image each pixel's centre is, counted in OpenCV's way.
         self._columns, self._rows = (source[..., k].astype(np.float32) - np.float32(0.5) for k in (0, 1))
-        whole = np.floor(source).astype(np.int64)
-        self._nearest_column, self._nearest_row = (whole[..., k].astype(np.int32) for k in (0, 1))
-        self._nearest = whole[..., 1] * self.pinhole.width + whole[..., 0]
+        self._nearest = np.floor(source).astype(np.int16)
+        """(H, W, 2) column and row of the pinhole's pixel that shows each pixel's centre."""
         self._shown = _window_within(source)
-        self._off = (source - whole - 0.5).astype(np.float32)
-        """(H, W, 2) from the centre of the nearest pixel to there."""
-        self._jacobian = np.stack([np.gradient(source, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float32)
-        """(H, W, 2, 2) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
+        off = (source - self._nearest - 0.5).astype(np.float32)
+        self._off_right, self._off_down = (np.ascontiguousarray(off[..., k]) for k in (0, 1))
+        """(H, W) from the centre of the nearest pixel to there."""
+        self._jacobian = [
+            [np.gradient(source[..., k], axis=axis).astype(np.float32) for axis in (1, 0)] for k in (0, 1)
+        ]
+        """(H, W) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
 
     def straightened(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The picture of a pinhole camera, from that of the lens (`rgb`, (H, W, 3)); the rim is continued outwards."""
@@ -78,41 +83,55 @@ class Lens:
 
     def bend(self, view: RenderedFrame) -> RenderedFrame:
         """The view as the lens shows it; depth and ids are those of the nearest pixel, depth carried on its slope."""
-        depth = view.depth.reshape(-1)[self._nearest]
-        slope = view.slope.reshape(-1, 2)[self._nearest]
-        finite = np.isfinite(depth)
-        z = np.where(finite, depth, np.float32(1))
-        # Inverse depth is linear in the pixel on a plane.
-        shift = np.where(finite, (slope * self._off).sum(-1), np.float32(0))
-        moved = np.where(finite, z / np.maximum(1 - shift / z, np.float32(0.5)), depth)
+        depth = self._sampled(view.depth)
+        right, down = cv2.split(self._sampled(view.slope))
+        # Inverse depth is linear in the pixel on a plane. The sky's depth is infinite and its slope 0: it stays.
+        shift = cv2.add(cv2.multiply(right, self._off_right), cv2.multiply(down, self._off_down))
+        moved = cv2.divide(depth, np.maximum(1 - cv2.divide(shift, depth), np.float32(0.5)))
+        slope = [
+            cv2.add(cv2.multiply(right, of_right), cv2.multiply(down, of_down))
+            for of_right, of_down in zip(*self._jacobian, strict=True)
+        ]
         return RenderedFrame(
             rgb=self.bent(view.rgb),
-            depth=moved,
-            slope=np.einsum("hwi,hwij->hwj", slope, self._jacobian),
-            ids=view.ids.reshape(-1)[self._nearest],
+            depth=np.asarray(moved),
+            slope=np.asarray(cv2.merge(slope)),
+            ids=self._sampled(view.ids),
             silhouettes=tuple(map(self._bend_silhouette, view.silhouettes)),
             contrast=view.contrast,
         )
+
+    def _sampled(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What the pinhole's image has at the nearest pixels."""
+        return np.asarray(cv2.remap(values, self._nearest, _WHOLE_PIXELS, cv2.INTER_NEAREST))
 
     def _bend_silhouette(self, silhouette: Silhouette) -> Silhouette:
         """Inside the image by the same warp; beyond it, where only their number counts, pixel by pixel forwards."""
         camera, pinhole = self._camera, self.pinhole
         if not silhouette.mask.any():
             return silhouette
-        rows, columns = np.nonzero(silhouette.mask & ~self._surely_sampled(silhouette))
-        centers = np.stack([columns + silhouette.x, rows + silhouette.y], axis=-1) + 0.5
-        distorted, monotonic = camera.distortion.distort((centers - pinhole.K[:2, 2]) / pinhole.K[[0, 1], [0, 1]])
-        pixels = np.floor(distorted * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
-        size = np.array([camera.width, camera.height])
-        on_canvas = monotonic
-        for values, side in zip(pixels.T, size.tolist(), strict=True):
-            on_canvas = on_canvas & (values >= -side) & (values < 2 * side)
-        pixels = pixels[on_canvas].astype(np.int64)
-        if not len(pixels):
+        doubtful = silhouette.mask & ~self._surely_sampled(silhouette)
+        if not doubtful.any():
             return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
-        low, high = pixels.min(axis=0) - 1, pixels.max(axis=0) + 2
+        centers = cv2.findNonZero(doubtful.view(np.uint8)).reshape(-1, 2) + np.array(
+            [silhouette.x + 0.5, silhouette.y + 0.5]
+        )
+        distorted, monotonic = camera.distortion.distort((centers - pinhole.K[:2, 2]) / pinhole.K[[0, 1], [0, 1]])
+        size = np.array([camera.width, camera.height])
+        if not monotonic.all():
+            distorted = distorted[monotonic]
+        x, y = (
+            np.floor(distorted[:, k] * camera.K[k, k] + camera.K[k, 2]).clip(-side - 1, 2 * side).astype(np.int32)
+            for k, side in enumerate(size.tolist())
+        )
+        on_canvas = (x >= -size[0]) & (x < 2 * size[0]) & (y >= -size[1]) & (y < 2 * size[1])
+        if not on_canvas.any():
+            return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
+        if not on_canvas.all():
+            x, y = x[on_canvas], y[on_canvas]
+        low, high = np.array([x.min(), y.min()]) - 1, np.array([x.max(), y.max()]) + 2
         mask = np.zeros(tuple((high - low)[::-1]), dtype=bool)
-        mask[tuple((pixels - low).T[::-1])] = True
+        mask[y - low[1], x - low[0]] = True
         x0, y0 = np.maximum(low, 0)
         x1, y1 = np.minimum(high, size)
         if x0 < x1 and y0 < y1:
@@ -137,13 +156,8 @@ class Lens:
 
     def _sample_silhouette(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
         """The silhouette at the source pixels of a window of the image."""
-        window = slice(y0, y1), slice(x0, x1)
-        row, column = self._nearest_row[window] - silhouette.y, self._nearest_column[window] - silhouette.x
-        height, width = silhouette.mask.shape
-        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        out = np.zeros(there.shape, dtype=bool)
-        out[there] = silhouette.mask[row[there], column[there]]
-        return out
+        at = self._nearest[y0:y1, x0:x1] - np.array([silhouette.x, silhouette.y], dtype=np.int16)
+        return np.asarray(cv2.remap(silhouette.mask.view(np.uint8), at, _WHOLE_PIXELS, cv2.INTER_NEAREST)).view(bool)
 
 
 def _window_within(source: Array) -> Window:

@@ -68,20 +68,25 @@ def sigma_of(conditions: Conditions) -> float:
 
 
 @lru_cache(maxsize=2)
+def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float32]:
+    """(height, width, channels) independent noise of standard deviation 1, for an image and `_SLACK` pixels more."""
+    return np.random.default_rng(5).standard_normal((height + _SLACK, width + _SLACK, channels), dtype=np.float32)
+
+
+@lru_cache(maxsize=2)
 def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
     """(2, height, width, 3) what noise adds and what it takes, for an image and `_SLACK` pixels more on each axis.
 
     With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
     """
-    rng = np.random.default_rng(5)
-    noise = rng.standard_normal((height + _SLACK, width + _SLACK, 1 if mono else 3), dtype=np.float32)
+    noise = _standard_noise(height, width, 1 if mono else 3)
     if not mono and gain_db > 0:
         noise = 0.5 * noise + 0.5 * noise.mean(axis=-1, keepdims=True)
     share = min(gain_db / 80, 0.5)
     if share > 0:
         blotches = cv2.GaussianBlur(noise, (0, 0), 1.1).reshape(noise.shape)
         noise = (1 - share) * noise + share * blotches / blotches.std()
-        noise /= noise.std()
+        noise = noise / noise.std()
     noise = np.broadcast_to(np.rint(sigma * noise), (*noise.shape[:2], 3))
     # Apart they are bytes, as the image is, which OpenCV adds in half the time.
     return np.stack([np.clip(sign * noise, 0, 255).astype(np.uint8) for sign in (1, -1)])

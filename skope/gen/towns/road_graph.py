@@ -3,7 +3,7 @@
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -226,11 +226,17 @@ def half_width(edge: Any) -> float:
 def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
     """The place (2,) `s` metres along an edge and `offset` metres right of its kerb; the heading there (radians)."""
     lane = driven(edge)[0]
-    line = LineString(lane.getShape())
+    line = _line_of(lane)
     s = float(np.clip(s, 0.0, line.length - 0.5))
     a, b = (np.array(line.interpolate(t).coords[0]) for t in (s, s + 0.5))
     heading = float(np.arctan2(*(b - a)[::-1]))
     return a + right_of(heading) * (lane.getWidth() / 2 + offset), heading
+
+
+@lru_cache(maxsize=4096)
+def _line_of(lane: Any) -> LineString:
+    """The middle line of a lane."""
+    return LineString(lane.getShape())
 
 
 def along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skope.gen.mesh import Mesh, from_triangles, merged
+from skope.gen.mesh import Mesh, cross, from_triangles, merged, numbered_rows
 from skope.gen.vehicles.triangle_cuts import EDGES, ConvexPolygon, Indices, cut
 from skope.types import Array
 
@@ -120,15 +120,14 @@ class Surface:
 
     def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
         """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
-        face = np.cross(
+        face = cross(
             points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
         )
         area = np.linalg.norm(face, axis=1)
         triangles, face = triangles[area > 1e-9], face[area > 1e-9]
         unit = face / np.linalg.norm(face, axis=1, keepdims=True)
         # Rows may share points where a part of the shell has no height: normals are summed by position.
-        _, same = np.unique(np.round(points, 6), axis=0, return_inverse=True)
-        same = same.reshape(-1)
+        same, _ = numbered_rows(points, 6)
         corners = triangles.ravel()
         owner = np.repeat(np.arange(len(triangles)), 3)
         order = np.argsort(same[corners], kind="stable")
@@ -150,8 +149,8 @@ class Surface:
             normals[at] = total
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         rows = np.column_stack([points[corners], normals, place[corners]])
-        rows, index = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
-        self._vertices = rows
+        index, first = numbered_rows(rows, 9)
+        self._vertices = np.asarray(np.round(rows[first], 9), dtype=np.float64)
         self._set_triangles(index.reshape(-1, 3).astype(np.int64), np.zeros(len(triangles), dtype=np.int64))
 
     def paint(
@@ -256,7 +255,7 @@ class Surface:
         at = np.full(len(self._vertices), -1)
         at[used] = np.arange(len(used))
         corners = np.stack([self._vertices[start], self._vertices[end], floor[at[end]], floor[at[start]]], axis=1)
-        normal = np.cross(corners[:, 2, :NX] - corners[:, 0, :NX], corners[:, 3, :NX] - corners[:, 1, :NX])
+        normal = cross(corners[:, 2, :NX] - corners[:, 0, :NX], corners[:, 3, :NX] - corners[:, 1, :NX])
         corners[:, :, NX:W] = (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))[:, None]
         base = len(self._vertices)
         self._vertices = np.concatenate([self._vertices, floor, corners.reshape(-1, 8)])
@@ -271,18 +270,18 @@ class Surface:
 
     def _outward_directions(self, used: Indices) -> Array:
         """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
-        _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
+        same, _ = numbered_rows(self._vertices[used, :NX], 6)
         total = np.zeros((len(used), 3))
-        np.add.at(total, same.reshape(-1), self._vertices[used, NX:W])
-        normal = total[same.reshape(-1)] * [1, 1, 0]
+        np.add.at(total, same, self._vertices[used, NX:W])
+        normal = total[same] * [1, 1, 0]
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
     def _rim_edges(self, triangles: Indices) -> tuple[Indices, Indices]:
         """Starts and ends of the edges around triangles, counter-clockwise."""
         used, local = _renumbered(triangles)
-        _, same = np.unique(np.round(self._vertices[used, :NX], 6), axis=0, return_inverse=True)
+        same, _ = numbered_rows(self._vertices[used, :NX], 6)
         edges = triangles[:, EDGES].reshape(-1, 2)
-        keys = same.reshape(-1)[local[:, EDGES].reshape(-1, 2)]
+        keys = same[local[:, EDGES].reshape(-1, 2)]
         base = int(keys.max()) + 1
         rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
         return edges[rim, 0], edges[rim, 1]
@@ -387,7 +386,7 @@ class Surface:
         center = np.tile((a.min(axis=0) + a.max(axis=0)) / 2, (len(a), 1))
         center[:, 1] = inner
         corners = np.concatenate([np.stack([a, b, b2], 1), np.stack([a, b2, a2], 1), np.stack([a2, b2, center], 1)])
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        area = np.linalg.norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         corners = corners[area > 1e-8]
         lining = from_triangles(corners.reshape(-1, 3), np.arange(3 * len(corners)), "under")
         level = self._vertices[:, T]

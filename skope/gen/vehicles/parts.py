@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, quads
+from skope.gen.mesh import Mesh, box, cross, from_triangles, grid, lathe, merged, quads
 from skope.types import Array
 
 PLATE_STEP = 0.125
@@ -83,7 +83,7 @@ def _mirror_foot(root: tuple[float, float, float], reach: float, top: float) -> 
     sides = [[bottom[i], bottom[(i + 1) % 4], upper[(i + 1) % 4], upper[i]] for i in range(4)]
     faces = np.array([upper, bottom[::-1], *sides])
     middle = faces.reshape(-1, 3).mean(axis=0)
-    out = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    out = cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
     wrong = (out * (faces.mean(axis=1) - middle)).sum(axis=1) < 0
     return quads(np.where(wrong[:, None, None], faces[:, ::-1], faces), "trim")
 
@@ -142,7 +142,7 @@ def spoiler(rear: float, top: float, half_width: float, material: str = "paint")
 def _turned_outward(mesh: Mesh, center: Array) -> Mesh:
     """The mesh with all its triangles turned away from `center`."""
     v = mesh.vertices[mesh.triangles]
-    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    normal = cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
     wrong = ((v.mean(axis=1) - center)[:, [0, 2]] * normal[:, [0, 2]]).sum(axis=1) < 0
     triangles = np.where(wrong[:, None], mesh.triangles[:, ::-1], mesh.triangles)
     return quads(mesh.vertices[triangles][:, [0, 1, 2, 2]], mesh.materials[0])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, lathe, merged, quads
+from skope.gen.mesh import Mesh, cross, lathe, merged, quads
 from skope.types import Array
 
 _SIDES = 20
@@ -104,7 +104,7 @@ def steel_wheel(radius: float, width: float) -> Mesh:
 def _turned_to_face_left(mesh: Mesh) -> Mesh:
     """The mesh with all its triangles turned to face left."""
     v = mesh.vertices[mesh.triangles]
-    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    normal = cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
     triangles = np.where((normal[:, 1] < 0)[:, None], mesh.triangles[:, ::-1], mesh.triangles)
     normals = mesh.normals * np.sign(mesh.normals[:, 1:2])
     return Mesh(mesh.vertices, normals, triangles, mesh.materials, mesh.material)

@@ -26,7 +26,7 @@ def test_first_hits_are_those_of_every_triangle_of_every_vehicle() -> None:
 def test_patches_hold_every_triangle_and_lie_close_together() -> None:
     places = np.random.default_rng(5).uniform(0, 1, (1000, 3))
     patches = _split_in_patches(places)
-    assert patches.shape == (64, 16)
+    assert patches.shape == (63, 16)
     assert set(patches.ravel()) == set(range(1000))
     assert np.median(np.ptp(places[patches], axis=1).prod(axis=1)) < 0.03
 

@@ -330,8 +330,8 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
     They come from near to far, so that little is shaded in vain.
     """
     points = (mesh.vertices - camera.position) @ placed[:3, :3].T + placed[:3, 3]
-    frame = (points @ camera.T_camera_world[:3, :3].T)[mesh.triangles]
-    x, y, z = np.moveaxis(frame, -1, 0)
+    frame = points @ camera.T_camera_world[:3, :3].T
+    x, y, z = frame.T
     (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     # Outside when all three corners are beyond the same side of the view, which a pixel's jitter widens.
     sides = (
@@ -339,16 +339,19 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
         (camera.width + 1 - cx) * z - x * fx,
         y * fy + (cy + 1) * z,
         (camera.height + 1 - cy) * z - y * fy,
+        z,
     )
-    seen = np.flatnonzero(~np.any([(side < 0).all(axis=-1) for side in (*sides, z)], axis=0))
-    away = np.linalg.norm(frame[seen], axis=-1).min(axis=-1)
+    beyond = np.packbits([side < 0 for side in sides], axis=0)[0]
+    a, b, c = mesh.triangles.T
+    seen = np.flatnonzero(beyond[a] & beyond[b] & beyond[c] == 0)
+    away = np.linalg.norm(frame, axis=-1)[mesh.triangles[seen]].min(axis=-1)
     return np.asarray(seen[away.argsort(kind="stable")])
 
 
 def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     """Triangles that may throw shadows into the view."""
-    corners = (mesh.vertices - camera.position - _view_focus(camera))[mesh.triangles]
-    return np.asarray(np.linalg.norm(corners[..., :2], axis=-1).min(axis=-1) < 2 * SHADOW_RADIUS)
+    away = np.linalg.norm((mesh.vertices - camera.position - _view_focus(camera))[:, :2], axis=-1)
+    return np.asarray((away < 2 * SHADOW_RADIUS)[mesh.triangles].any(axis=-1))
 
 
 def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
