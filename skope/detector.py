@@ -21,6 +21,7 @@ from safetensors.torch import save as serialized
 from torch import nn
 from torch.overrides import TorchFunctionMode
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
 from torchvision.models.detection.transform import resize_boxes, resize_keypoints
@@ -32,6 +33,10 @@ from skope.files import write_bytes
 from skope.schema import Result
 
 NORMS: Final = ("frozen", "batch")
+ANCHORS: Final = (32, 64, 128, 256, 512)
+"""Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the pyramid."""
+ASPECTS: Final = (0.5, 1.0, 2.0)
+"""Heights of the anchors of a level over their widths, as in torchvision's own model."""
 MAX_DETECTIONS: Final = 300
 """Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
 MIN_SCORE: Final = 0.05
@@ -62,9 +67,12 @@ class DetectorConfig:
     """Largest long side of the image inside the network, pixels."""
     scheme: str = keypoints.SCHEME
     """What the keypoints are: a name in `keypoints.SCHEMES`."""
+    anchors: tuple[int, ...] = ANCHORS
+    """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
 
     def __post_init__(self) -> None:
         one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
+        check_anchors(self.anchors)
         one_of("norm", self.norm, NORMS)
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
@@ -83,10 +91,20 @@ class DetectorConfig:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
         names = {field.name for field in fields(cls)}
-        # Checkpoints from before there were two schemes do not name theirs.
-        if not isinstance(values, Mapping) or {"scheme", *values} != names:
+        # Older checkpoints do not name their scheme and anchors.
+        if not isinstance(values, Mapping) or {"scheme", "anchors", *values} != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
-        return cls(**values)
+        anchors = values.get("anchors", ANCHORS)
+        if not isinstance(anchors, list | tuple):
+            raise UserError(f"anchors: expected a list of pixels, got {anchors!r}")
+        return cls(**{**values, "anchors": tuple(anchors)})
+
+
+def check_anchors(anchors: Sequence[int]) -> None:
+    """Raise a UserError unless these are sides of anchors, one for each level of the pyramid, from small to large."""
+    whole = all(isinstance(side, int) and not isinstance(side, bool) and side >= 4 for side in anchors)
+    if not whole or len(anchors) != len(ANCHORS) or list(anchors) != sorted({*anchors}):
+        raise UserError(f"anchors: expected {len(ANCHORS)} rising sides from 4 pixels, got {list(anchors)}")
 
 
 def has_bfloat16(device: torch.device) -> bool:
@@ -133,6 +151,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         min_size=config.min_size,
         max_size=config.max_size,
         box_detections_per_img=MAX_DETECTIONS,
+        rpn_anchor_generator=AnchorGenerator(tuple((side,) for side in config.anchors), (ASPECTS,) * len(ANCHORS)),
     )
 
 

@@ -1,7 +1,9 @@
 """Building, initialising, saving, loading and running the detector."""
 
+import functools
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoints_to_heatmap
+from torchvision.ops import FrozenBatchNorm2d
 
 from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
@@ -18,6 +23,7 @@ from skope.errors import UserError
 from tests.train.conftest import shrink
 
 SMALL = {"min_size": 96, "max_size": 160}
+BAD_ANCHORS = [{"anchors": value} for value in (7, [16, 32, 64, 128], [32, 16, 64, 128, 256], [2, 16, 32, 64, 1e2])]
 
 
 def config(norm: str = "batch", eps: float = 1e-5) -> DetectorConfig:
@@ -102,6 +108,42 @@ def test_weights_load_strictly_into_stock_torchvision_and_back(norm: str, eps: f
     assert torch.equal(body_outputs(loaded), body_outputs(ours))
 
 
+def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
+    """A strict load into a stock model succeeds with other anchors too, but what it finds then is another thing."""
+    own = replace(config("frozen"), anchors=(8, 16, 40, 64, 96))
+    torch.manual_seed(2)
+    ours = detector.build(own)
+    path = tmp_path / "a.safetensors"
+    detector.save_weights(path, ours, own, {})
+    loaded, chosen, _ = detector.load_weights(path, "cpu")
+    assert chosen == own
+    generator = AnchorGenerator(((8,), (16,), (40,), (64,), (96,)), ((0.5, 1.0, 2.0),) * 5)
+    pixels = [torch.rand(3, 96, 128, generator=torch.Generator().manual_seed(0))]
+    found = {}
+    for name, anchors in (("same", generator), ("torchvision's", None)):
+        norm = functools.partial(FrozenBatchNorm2d, eps=1e-5)
+        backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, norm_layer=norm)
+        sizes = {"min_size": 96, "max_size": 160, "box_score_thresh": 0.0}
+        stock = KeypointRCNN(backbone, 2, num_keypoints=33, rpn_anchor_generator=anchors, **sizes).eval()
+        stock.load_state_dict(load_file(path), strict=True)
+        with torch.inference_mode():
+            found[name] = stock(pixels)[0]["boxes"]
+    loaded.roi_heads.score_thresh, loaded.roi_heads.detections_per_img = 0.0, 100
+    with torch.inference_mode():
+        (here,) = loaded(pixels)
+    assert len(here["boxes"]) > 10
+    torch.testing.assert_close(here["boxes"], found["same"])
+    assert here["boxes"].shape != found["torchvision's"].shape or (here["boxes"] != found["torchvision's"]).any()
+
+
+def test_older_checkpoints_have_the_anchors_of_torchvision(checkpoint: Path, tmp_path: Path) -> None:
+    values = {name: value for name, value in config().to_dict().items() if name not in ("anchors", "scheme")}
+    older = edited_header(checkpoint, tmp_path / "older.safetensors", config=values)
+    _, chosen, _ = detector.load_weights(older, "cpu")
+    assert chosen == config()
+    assert chosen.anchors == (32, 64, 128, 256, 512)
+
+
 def edited_header(path: Path, out: Path, **changes: Any) -> Path:
     """A copy of a checkpoint with other fields in skope's header."""
     data = path.read_bytes()
@@ -172,7 +214,7 @@ def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
         detector.find_checkpoint(tmp_path / "other")
 
 
-@pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}])
+@pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}, *BAD_ANCHORS])
 def test_a_bad_config_names_its_field(field: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=next(iter(field))):
         DetectorConfig.from_dict({**config().to_dict(), **field})

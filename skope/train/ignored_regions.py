@@ -40,13 +40,15 @@ def on_ignored(boxes: Tensor, ignored: Tensor, vehicles: Tensor) -> Tensor:
     return inside & ~on_vehicle
 
 
-def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None) -> None:
+def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None, ignore_below: float = 0.0) -> None:
     """Make `model` heed the ignored boxes of its targets from now on, and learn from so many regions an image.
 
     Of `regions` a quarter are vehicles; at most `keypoint_regions` of these enter the keypoint head, None for all.
+    Vehicles whose box has a shorter edge than `ignore_below` pixels inside the network are ignored too.
     """
     # Only methods differ, so changing the class keeps weights, settings and hooks as they are.
     model.transform.__class__ = _Transform
+    model.transform._ignore_below = ignore_below
     model.rpn.__class__ = _ProposalNetwork
     model.rpn.head.__class__ = _RPNHead
     model.roi_heads.__class__ = _RoIHeads
@@ -55,11 +57,16 @@ def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None) 
 
 
 class _Transform(GeneralizedRCNNTransform):  # type: ignore[misc]
+    _ignore_below: float
+
     def resize(self, image: Tensor, target: Target | None = None) -> tuple[Tensor, Target | None]:
         before = image.shape[-2:]
         image, target = super().resize(image, target)
         if target is not None:
             target[KEY] = resize_boxes(target[KEY], before, image.shape[-2:])
+            small = (target["boxes"][:, 2:] - target["boxes"][:, :2]).amin(dim=1) < self._ignore_below
+            target[KEY] = torch.cat([target[KEY], target["boxes"][small]])
+            target.update({name: target[name][~small] for name in ("boxes", "labels", "keypoints")})
         return image, target
 
 

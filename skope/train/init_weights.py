@@ -13,7 +13,7 @@ from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import detector, keypoints, weights
-from skope.detector import DetectorConfig
+from skope.detector import ANCHORS, DetectorConfig
 from skope.errors import UserError
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
@@ -36,6 +36,7 @@ def initialise(
     trainable_layers: int,
     seed: int,
     scheme: str = keypoints.SCHEME,
+    anchors: tuple[int, ...] | None = None,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """Build a detector with the weights from which training begins.
 
@@ -51,6 +52,7 @@ def initialise(
         trainable_layers: Stages of a trained backbone that learn on, 0 to 5 from the last.
         seed: Draws what no file gives.
         scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
+        anchors: Sides of the anchors of each level; None: those of the first weights.
 
     Returns:
         The model, its config, and the choice in words.
@@ -59,9 +61,15 @@ def initialise(
         UserError: There are no such weights, they are of another model or scheme, or cannot be downloaded.
     """
 
-    def config(given_norm: str, eps: float) -> DetectorConfig:
-        chosen = given_norm if norm == "given" else norm
-        return DetectorConfig(norm=chosen, norm_eps=eps, min_size=min_size, max_size=max_size, scheme=scheme)
+    def config(given_norm: str, eps: float, given_anchors: tuple[int, ...] = ANCHORS) -> DetectorConfig:
+        return DetectorConfig(
+            norm=given_norm if norm == "given" else norm,
+            norm_eps=eps,
+            min_size=min_size,
+            max_size=max_size,
+            scheme=scheme,
+            anchors=anchors or given_anchors,
+        )
 
     check(init)
     coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
@@ -79,8 +87,8 @@ def initialise(
             chosen = config("batch", _DEFAULT_EPS)
             return detector.build(chosen, trainable_layers=5), chosen, "random weights"
         file = weights.path(weights.REFERENCE) if shipped else detector.find_checkpoint(Path(init))
-        state, own_norm, eps = _from_file(file, scheme)
-        chosen = config(own_norm, eps)
+        state, own_norm, eps, own_anchors = _from_file(file, scheme)
+        chosen = config(own_norm, eps, own_anchors)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
         return _loaded(file, state, chosen, trainable_layers), chosen, words
 
@@ -94,11 +102,11 @@ def check(init: str) -> None:
     detector.find_checkpoint(Path(init))
 
 
-def _from_file(path: Path, scheme: str) -> tuple[State, str, float]:
-    """Weights, norm and eps of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
+def _from_file(path: Path, scheme: str) -> tuple[State, str, float, tuple[int, ...]]:
+    """Weights, norm, eps and anchors of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
-    Ours records norm and eps. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0 for
-    frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5.
+    Ours records norm, eps and anchors. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
+    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5.
     """
     if path.suffix == ".safetensors":
         if _is_ours(path):
@@ -106,14 +114,14 @@ def _from_file(path: Path, scheme: str) -> tuple[State, str, float]:
             own = DetectorConfig.from_dict(header["config"])
             if own.scheme != scheme:
                 raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme}")
-            return state, own.norm, own.norm_eps
+            return state, own.norm, own.norm_eps, own.anchors
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     else:
         state = _unpickled(path)
     counted = any(name.endswith(".num_batches_tracked") for name in state)
     coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
-    return state, "batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS
+    return state, "batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS, ANCHORS
 
 
 def _is_ours(path: Path) -> bool:

@@ -90,7 +90,12 @@ def train(
         with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
             begin = run_folder.resume if resume else run_folder.start
             training = begin(out, config, [part.fingerprint for part in parts], device)
-            ignored_regions.prepare(training.model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
+            ignored_regions.prepare(
+                training.model,
+                regions=recipe.regions,
+                keypoint_regions=recipe.keypoint_regions,
+                ignore_below=recipe.ignore_below,
+            )
             if recipe.fold_norms:
                 fold_norms(training.model)
             if processes.first:
@@ -168,10 +173,12 @@ class _Run:
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
             step.seed(seed, epoch, training.steps_done, self.processes)
-            rate = recipe.rate(epoch, self._step)
+            rate = recipe.rate(self._step, self._steps)
             losses, (stops, saves) = step.train_on_batch(
                 training, batch, recipe, rate=rate, images=len(group), processes=self.processes, votes=self._votes()
             )
+            if training.mean is not None:
+                training.mean.update_parameters(training.model)
             training.sums = {name: training.sums.get(name, 0.0) + value for name, value in losses.items()}
             training.steps_done += 1
             means = {name: value / training.steps_done for name, value in training.sums.items()}
@@ -207,7 +214,7 @@ class _Run:
         training, recipe = self.training, self.config.recipe
         row = training.history[-1]
         if self._file.images:
-            model, file = training.model, self._file
+            model, file = training.shown, self._file
             figures = validate.validate(model, file, self._paths, self.device)
             row["validation"] = figures
             self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")

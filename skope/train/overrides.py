@@ -80,10 +80,27 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
             return float(value)
         if choice in (int, str, bool) and type(value) is choice:
             return value
-        if get_origin(choice) is tuple:  # all tuples are of texts
-            items = value.split(",") if isinstance(value, str) else value
-            if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
-                return tuple(item.strip() for item in items if item.strip())
-    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): NONE}
-    expected = " or ".join(words.get(choice, "a list of texts") for choice in choices)
+        if get_origin(choice) is tuple and (items := _items(value, get_args(choice)[0])) is not None:
+            return items
+    words: dict[Any, str] = {
+        int: "a whole number",
+        float: "a number",
+        bool: "true or false",
+        str: "text",
+        type(None): NONE,
+        tuple[int, ...]: "a list of whole numbers",
+        tuple[str, ...]: "a list of texts",
+    }
+    expected = " or ".join(words[choice] for choice in choices)
     raise UserError(f"{where}: expected {expected}, got {value!r}")
+
+
+def _items(value: Any, kind: type) -> tuple[Any, ...] | None:
+    """The texts or whole numbers of a list, or of one text with commas between them; None where it is no such list."""
+    if isinstance(value, str):
+        value = [item.strip() for item in value.split(",") if item.strip()]
+        if kind is int and all(item.isdecimal() for item in value):
+            value = [int(item) for item in value]
+    if isinstance(value, list | tuple) and all(type(item) is kind for item in value):
+        return tuple(value)
+    return None

@@ -7,12 +7,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
+from skope.detector import check_anchors
 from skope.errors import UserError, one_of
 from skope.schema import VEHICLE_TYPES
 from skope.train import overrides
 from skope.train.augment import Augment
 
 SUPERVISE: Final = ("visible", "all")
+_ADDED: Final = ("anchors", "average", "cosine_to", "ignore_below")
+"""Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 NORMS: Final = ("given", "frozen", "batch")
 
 
@@ -31,6 +34,11 @@ class Recipe:
     step_size: int | None
     """The learning rate is multiplied by `gamma` after every so many epochs; None: once, after half of them."""
     gamma: float
+    cosine_to: float | None
+    """The learning rate falls along half a cosine to this share of itself instead; None: in steps."""
+    average: float | None
+    """Decay, per step, of a running mean of weights and statistics that is validated and saved in place of the last
+    ones; None: there is no mean."""
     epochs: int
     batch_size: int
     """Images that a step learns from, of all processes together."""
@@ -43,6 +51,10 @@ class Recipe:
     """Largest 2-norm of all gradients together; None leaves them alone."""
     min_size: int
     max_size: int
+    anchors: tuple[int, ...] | None
+    """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
+    ignore_below: float
+    """Vehicles whose box has a shorter edge than this inside the network are neither learnt nor background, pixels."""
     trainable_layers: int
     """Stages of a trained backbone that learn on, 0 to 5 from the last (random weights learn in all)."""
     regions: int
@@ -72,8 +84,12 @@ class Recipe:
             one_of("exclude_types", name, VEHICLE_TYPES)
         for name in ("epochs", "batch_size", "step_size", "images_at_once", "regions", "keypoint_regions"):
             self._in_range(name, 1, math.inf)
-        for name in ("warmup_steps", "weight_decay", "learning_rate", "gradient_clip"):
+        for name in ("warmup_steps", "weight_decay", "learning_rate", "gradient_clip", "ignore_below"):
             self._in_range(name, 0, math.inf)
+        for name in ("cosine_to", "average"):
+            self._in_range(name, 0, 1)
+        if self.anchors is not None:
+            check_anchors(self.anchors)
         self._in_range("trainable_layers", 0, 5)
         self._in_range("momentum", 0, 1)
         self._in_range("val_fraction", 0, 0.5)
@@ -87,13 +103,14 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values of the fields by name."""
-        return {**asdict(self), "exclude_types": list(self.exclude_types)}
+        anchors = None if self.anchors is None else list(self.anchors)
+        return {**asdict(self), "exclude_types": list(self.exclude_types), "anchors": anchors}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
         names = {field.name for field in fields(cls)}
-        if not isinstance(values, Mapping) or set(values) != names:
+        if not isinstance(values, Mapping) or {*values, *_ADDED} != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
         like: Any = RECIPES["paper"]
         return overrides.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
@@ -102,10 +119,13 @@ class Recipe:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
         return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
 
-    def rate(self, epoch: int, step: int) -> float:
-        """Learning rate in `epoch` (from 0) at `step` (from 0, counted over the whole run)."""
+    def rate(self, step: int, steps: int) -> float:
+        """Learning rate at `step` (from 0, counted over the whole run), where an epoch has `steps`."""
         warm = min(1.0, (step + 1) / self.warmup_steps) if self.warmup_steps else 1.0
-        return self.learning_rate * warm * float(self.gamma ** (epoch // self._step_size))
+        if self.cosine_to is None:
+            return self.learning_rate * warm * float(self.gamma ** (step // steps // self._step_size))
+        share = (1 + math.cos(math.pi * step / (steps * self.epochs))) / 2
+        return self.learning_rate * warm * (self.cosine_to + (1 - self.cosine_to) * share)
 
     @property
     def _step_size(self) -> int:
@@ -113,10 +133,12 @@ class Recipe:
 
     def describe(self) -> str:
         """The recipe in one line for people."""
+        falls = f"x {self.gamma:g} every {self._step_size}"
+        if self.cosine_to is not None:
+            falls = f"to {self.cosine_to * self.learning_rate:g} along a cosine"
         return (
-            f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} "
-            f"x {self.gamma:g} every {self._step_size}, short side {self.min_size} px, "
-            f"{'bfloat16' if self.bfloat16 else 'float32'}"
+            f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} {falls}, "
+            f"short side {self.min_size} px, {'bfloat16' if self.bfloat16 else 'float32'}"
         )
 
 
@@ -130,6 +152,8 @@ _PAPER: Final[dict[str, Any]] = {
     # What the paper leaves open.
     "init": "auto",
     "norm": "given",
+    "cosine_to": None,
+    "average": None,
     "weight_decay": 0.0,
     "batch_size": 2,
     "images_at_once": None,
@@ -137,6 +161,8 @@ _PAPER: Final[dict[str, Any]] = {
     "gradient_clip": None,
     "min_size": 800,
     "max_size": 1333,
+    "anchors": None,
+    "ignore_below": 0.0,
     "trainable_layers": 3,
     "regions": 512,
     "keypoint_regions": None,

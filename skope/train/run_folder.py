@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import torch
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector, keypoints
@@ -111,6 +113,13 @@ class TrainingState:
     """Mean losses and validation of the epochs so far."""
     best: list[float] | None
     """The figures that decide which epoch is best."""
+    mean: AveragedModel | None = None
+    """The running mean of the model over the steps, where the recipe asks for one."""
+
+    @property
+    def shown(self) -> KeypointRCNN:
+        """The model that is validated and saved."""
+        return self.model if self.mean is None else self.mean.module
 
     def state(self) -> dict[str, Any]:
         """The state as `resume.pt` holds it."""
@@ -118,6 +127,7 @@ class TrainingState:
             "model": self.model.state_dict(),
             "detector": self.config.to_dict(),
             "optimizer": self.optimizer.state_dict(),
+            "mean": None if self.mean is None else self.mean.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN},
         }
 
@@ -165,11 +175,11 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         trainable_layers=recipe.trainable_layers,
         seed=config.seed,
         scheme=config.scheme,
+        anchors=recipe.anchors,
     )
     model = placed(model, recipe, device)
-    return TrainingState(
-        model, detector_config, optimizer(model, recipe), origin, list(fingerprints), 0, 0, {}, [], None
-    )
+    sgd, mean = optimizer(model, recipe), running_mean(model, recipe)
+    return TrainingState(model, detector_config, sgd, origin, list(fingerprints), 0, 0, {}, [], None, mean)
 
 
 def _begun(run: Path) -> bool:
@@ -208,11 +218,14 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {done} epochs behind it already")
     model = placed(model, config.recipe, device)
     sgd = optimizer(model, config.recipe)
+    mean = running_mean(model, config.recipe)
     try:
         sgd.load_state_dict(saved["optimizer"])
-    except (ValueError, KeyError) as error:
+        if mean is not None:
+            mean.load_state_dict(saved["mean"])
+    except (ValueError, KeyError, TypeError, RuntimeError) as error:
         raise UserError(f"{path}: does not fit the run's recipe ({error})") from None
-    return TrainingState(model, detector_config, sgd, **plain)
+    return TrainingState(model, detector_config, sgd, mean=mean, **plain)
 
 
 def record(run: Path, config: RunConfig) -> None:
@@ -248,13 +261,29 @@ def save_best(run: Path, config: RunConfig, training: TrainingState) -> None:
 
 def _save_weights(path: Path, config: RunConfig, training: TrainingState) -> None:
     metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
-    detector.save_weights(path, training.model, training.config, metadata)
+    detector.save_weights(path, training.shown, training.config, metadata)
 
 
 def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
     """The model on a device, in the recipe's memory layout."""
     layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
     return model.to(device=device, memory_format=layout)
+
+
+def running_mean(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None:
+    """A mean of the model's weights and statistics over the steps to come, which forgets old ones exponentially.
+
+    In the first steps it forgets faster, or the first weights would weigh for long.
+    """
+    decay = recipe.average
+    if decay is None:
+        return None
+
+    def average(mean: Any, now: Any, steps: int | Tensor) -> None:
+        share = min(decay, (1 + int(steps)) / (10 + int(steps)))
+        get_ema_multi_avg_fn(share)(mean, now, steps)  # type: ignore[no-untyped-call]
+
+    return AveragedModel(model, multi_avg_fn=average, use_buffers=True)
 
 
 def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:

@@ -69,6 +69,24 @@ def test_an_ignored_car_yields_no_negative_anchor_on_itself(model: KeypointRCNN)
     assert torch.equal(labels[~on_it], without[~on_it])
 
 
+def test_what_is_too_small_inside_the_network_is_ignored() -> None:
+    model = detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))
+    ignored_regions.prepare(model, regions=64, keypoint_regions=2, ignore_below=8.0)
+    # Inside the network the image has half the size.
+    boxes = torch.tensor([[10.0, 10, 40, 25], [50, 50, 90, 67], [100, 20, 114, 100]])
+    target = {
+        "boxes": boxes,
+        "labels": torch.ones(3, dtype=torch.int64),
+        "keypoints": torch.arange(3 * 33 * 3, dtype=torch.float32).reshape(3, 33, 3),
+        ignored_regions.KEY: torch.tensor([[0.0, 0, 20, 20]]),
+    }
+    _, (seen,) = model.transform.train()([torch.zeros(3, 192, 256)], [target])
+    assert seen["boxes"].tolist() == [[25, 25, 45, 33.5]]
+    assert seen[ignored_regions.KEY].tolist() == [[0, 0, 10, 10], [5, 5, 20, 12.5], [50, 10, 57, 50]]
+    assert len(seen["labels"]) == 1
+    assert seen["keypoints"][0, 0].tolist() == [99 / 2, 100 / 2, 101]
+
+
 def test_points_without_a_label_are_never_negative(model: KeypointRCNN) -> None:
     """A vehicle of which one point is labelled moves nothing in the predictor but that point's channel."""
     points = torch.zeros(1, 33, 3)

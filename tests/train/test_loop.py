@@ -82,7 +82,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
     before = signal.getsignal(signal.SIGINT)
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
     often = Augment(**dict.fromkeys(STEPS, 0.5))
-    recipe = replace(TINY, batch_size=2, augment=often)
+    recipe = replace(TINY, batch_size=2, augment=often, average=0.6, cosine_to=0.1)
     state = torch.get_rng_state()
     whole = tmp_path / "whole"
     last = train(data, whole, recipe)
@@ -131,6 +131,29 @@ def test_a_run_killed_without_notice_goes_on_from_what_was_saved_last(
             train(data, tmp_path / "parts", TINY, saving=often)
     assert torch.load(tmp_path / "parts" / "resume.pt", weights_only=True)["steps_done"] == 1
     assert same_files(last, train(data, tmp_path / "parts", TINY, resume=True))
+
+
+def test_the_mean_of_the_weights_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the mean taken here of the weights after each step."""
+    data = samples.make_dataset(tmp_path / "data", images=3, splits=("train",))
+    after, take = [], step.train_on_batch
+
+    def learn(training: run_folder.TrainingState, *args: Any, **kwargs: Any) -> Any:
+        done = take(training, *args, **kwargs)
+        after.append({name: value.clone() for name, value in training.model.state_dict().items()})
+        return done
+
+    monkeypatch.setattr(step, "train_on_batch", learn)
+    last = train(data, tmp_path / "run", replace(TINY, average=0.2))
+    assert len(after) == 6
+    mean = after[0]
+    for n, weights in enumerate(after[1:], start=1):
+        keep = min(0.2, (1 + n) / (10 + n))
+        mean = {name: keep * value + (1 - keep) * weights[name] for name, value in mean.items()}
+    saved = load_file(last)
+    for name in ("backbone.body.conv1.weight", "backbone.body.bn1.running_mean", "rpn.head.bbox_pred.bias"):
+        torch.testing.assert_close(saved[name], mean[name])
+        assert not torch.allclose(saved[name], after[-1][name], rtol=1e-5, atol=1e-8)
 
 
 def test_what_a_run_leaves(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from skope.train.recipe import RECIPES, adjusted, choose
 
 
 def test_every_value_of_a_recipe_can_be_set() -> None:
+    for text in ("16,32,64,160,400", "[16, 32, 64, 160, 400]", " 16, 32,64,160,400"):
+        assert adjusted(RECIPES["paper"], [f"anchors={text}"]).anchors == (16, 32, 64, 160, 400)
     flags = ["learning_rate=1", "step_size=none", "augment.blur=0.25", "exclude_types=pickup, bus", "bfloat16=true"]
     recipe = adjusted(RECIPES["paper"], [*flags, "init=a/b.pth", "name='mine'", "keypoint_regions=8"])
     assert (recipe.learning_rate, recipe.step_size, recipe.augment.blur) == (1.0, None, 0.25)
@@ -33,6 +35,8 @@ def test_every_value_of_a_recipe_can_be_set() -> None:
         ("augment=0.1", "--set augment: expected a table, got 0.1"),
         ("augment.blur=2", "--set augment.blur: expected a probability from 0 to 1, got 2.0"),
         ("exclude_types=car", "--set exclude_types: 'car' is not one of"),
+        ("anchors=16,big", "--set anchors: expected a list of whole numbers or none, got '16,big'"),
+        ("anchors=[16, 3.5]", "--set anchors: expected a list of whole numbers or none, got"),
         ("momentum=2", "--set momentum: expected 0 to 1, got 2"),
         ("learning_rate=-1", "--set learning_rate: expected at least 0, got -1"),
     ],

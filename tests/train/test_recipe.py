@@ -1,5 +1,6 @@
 """Recipes: the paper's values, the schedule, and the choice."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -29,16 +30,28 @@ def test_the_rate_is_torchs_step_schedule() -> None:
     optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=paper.learning_rate)
     schedule = torch.optim.lr_scheduler.StepLR(optimizer, step_size=paper.step_size, gamma=paper.gamma)
     for epoch in range(paper.epochs):
-        assert paper.rate(epoch, epoch * 100) == pytest.approx(schedule.get_last_lr()[0])
+        assert paper.rate(epoch * 100, 100) == pytest.approx(schedule.get_last_lr()[0])
         optimizer.step()
         schedule.step()
 
 
 def test_warm_up_and_a_drop_after_half_of_the_epochs() -> None:
     recipe = replace(RECIPES["scratch"], epochs=5, warmup_steps=10, learning_rate=1.0, gamma=0.2, step_size=None)
-    assert recipe.rate(0, 0) == pytest.approx(0.1)
-    assert recipe.rate(0, 9) == recipe.rate(2, 50) == 1.0
-    assert recipe.rate(3, 60) == recipe.rate(4, 90) == pytest.approx(0.2)
+    assert recipe.rate(0, 20) == pytest.approx(0.1)
+    assert recipe.rate(9, 20) == recipe.rate(59, 20) == 1.0
+    assert recipe.rate(60, 20) == recipe.rate(99, 20) == pytest.approx(0.2)
+
+
+def test_a_rate_that_falls_along_a_cosine() -> None:
+    recipe = replace(RECIPES["scratch"], epochs=4, warmup_steps=10, learning_rate=0.8, cosine_to=0.25)
+    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=0.8)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=100, eta_min=0.2)
+    for step in range(100):
+        warm = min(1.0, (step + 1) / 10)
+        assert recipe.rate(step, 25) == pytest.approx(warm * schedule.get_last_lr()[0])
+        optimizer.step()
+        schedule.step()
+    assert "to 0.2 along a cosine" in recipe.describe()
 
 
 def test_choice() -> None:
@@ -52,7 +65,15 @@ def test_choice() -> None:
 def test_recipes_survive_a_round_trip() -> None:
     for recipe in RECIPES.values():
         assert Recipe.from_dict(recipe.to_dict()) == recipe
+    own = replace(RECIPES["scratch"], anchors=(16, 32, 64, 160, 400), average=0.99, cosine_to=0.05, ignore_below=8.0)
+    assert Recipe.from_dict(json.loads(json.dumps(own.to_dict()))) == own
+    older = {name: value for name, value in own.to_dict().items() if name not in ("anchors", "average", "cosine_to")}
+    assert Recipe.from_dict(older) == replace(own, anchors=None, average=None, cosine_to=None)
     with pytest.raises(UserError, match="recipe: expected the fields"):
         Recipe.from_dict({"name": "x"})
     with pytest.raises(UserError, match="epochs: expected at least 1, got 0"):
         replace(RECIPES["paper"], epochs=0)
+    with pytest.raises(UserError, match=r"anchors: expected 5 rising sides from 4 pixels, got \[16, 32\]"):
+        replace(RECIPES["paper"], anchors=(16, 32))
+    with pytest.raises(UserError, match="average: expected 0 to 1, got 2"):
+        replace(RECIPES["paper"], average=2.0)
