@@ -185,15 +185,21 @@ def checkpoint_bytes(
         "config": config.to_dict(),
         "metadata": dict(metadata),
     }
-    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
-    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always there suits both.
-    for name in [name for name in state if name.endswith(".running_var")]:
-        state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
+    state = full_state(model)
     if packed:
         state, header[_PACKED] = compact_weights.pack(state)
         header[_CHECKSUM] = compact_weights.digest(state, header)
     # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
     return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
+
+
+def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
+    """The model's tensors, which load strictly into torchvision's own model, whichever normalisation it has."""
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always there suits both.
+    for name in [name for name in state if name.endswith(".running_var")]:
+        state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
+    return state
 
 
 def load_weights(

@@ -130,7 +130,7 @@ def export(
     checkpoint: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or a checkpoint file.")] = RUN,
     to: Annotated[
         str,
-        option(choices=("torchscript", "onnx", "compact"), help="Form; onnx needs the extra `onnx`."),
+        option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Form; onnx needs the extra `onnx`."),
         Formerly("--format"),
     ] = "torchscript",
     out: Annotated[
@@ -140,7 +140,8 @@ def export(
     """Write a checkpoint in another form.
 
     compact: a seventh of the bytes, for every command that takes a checkpoint. torchscript and onnx run without skope:
-    image in (3, H, W, 0 to 1), boxes, scores and keypoints out.
+    image in (3, H, W, 0 to 1), boxes, scores and keypoints out. state_dict: tensors for torchvision's own model, with
+    the lines of Python that build it.
     """
     from skope.train.export import export as write
 

@@ -1,6 +1,7 @@
-"""Other forms of a checkpoint: compact, which every command takes, and TorchScript or ONNX, which run without skope.
+"""Other forms of a checkpoint: compact, which every command takes, and three for programs without skope.
 
-The latter two take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
+`state_dict` is a file of tensors for torchvision's own Keypoint R-CNN, which `torchvision_code` builds. TorchScript and
+ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
 that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
 from 0 to 1.
 """
@@ -9,7 +10,7 @@ import importlib.util
 import io
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -18,16 +19,23 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import detector, weights
+from skope import detector, keypoints, weights
 from skope.console import Console
+from skope.detector import DetectorConfig
 from skope.errors import UserError, one_of
 from skope.output_folders import check_file, write_new
 
-FORMATS: Final = {"torchscript": ".torchscript.pt", "onnx": ".onnx", "compact": ".compact.safetensors"}
+FORMATS: Final = {
+    "torchscript": ".torchscript.pt",
+    "onnx": ".onnx",
+    "compact": ".compact.safetensors",
+    "state_dict": ".pth",
+}
 _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
     "torchscript": lambda head: head.startswith(b"PK\x03\x04"),
     "onnx": lambda head: head.startswith(b"\x08"),
     "compact": lambda head: head[8:9] == b"{",
+    "state_dict": lambda head: head.startswith(b"PK\x03\x04"),
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
@@ -76,12 +84,45 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
         frozen = replace(config, norm="frozen")
         write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True))
         return out
+    if to == "state_dict":
+        write_new(out, _pickled(detector.full_state(model)))
+        console.say(torchvision_code(out, config))
+        return out
     model.roi_heads.score_thresh = detector.MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about tracing and the old exporter; tests compare the results
         write_new(out, _torchscript(model) if to == "torchscript" else _onnx(model))
     return out
+
+
+def torchvision_code(path: Path, config: DetectorConfig) -> str:
+    """Lines of Python that build torchvision's own model as `model` and load an exported state dict into it.
+
+    Its anchors are no weights: with others a strict load succeeds as well, and the detections are wrong.
+    """
+    sizes = ", ".join(f"({side},)" for side in config.anchors)
+    return f"""\
+import torch
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.ops import FrozenBatchNorm2d
+backbone = resnet_fpn_backbone(
+    backbone_name="resnet50", weights=None, norm_layer=lambda width: FrozenBatchNorm2d(width, eps={config.norm_eps}))
+anchors = AnchorGenerator(({sizes}), ({detector.ASPECTS},) * {len(config.anchors)})
+model = KeypointRCNN(
+    backbone, num_classes=2, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
+    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={detector.MAX_DETECTIONS})
+model.load_state_dict(torch.load({str(path)!r}))
+model.eval()"""
+
+
+def _pickled(state: Mapping[str, Tensor]) -> bytes:
+    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    return buffer.getvalue()
 
 
 def _torchscript(model: KeypointRCNN) -> bytes:

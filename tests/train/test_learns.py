@@ -3,10 +3,12 @@
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, detector
 from skope.console import Console
@@ -117,6 +119,27 @@ def test_torchscript(learnt: tuple[Path, Path], expected: list[Answer]) -> None:
     model = torch.jit.load(str(path))  # type: ignore[no-untyped-call]
     with torch.inference_mode():
         check([model(image) for image in images(data)], expected)
+
+
+def test_state_dict(learnt: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines that are printed build torchvision's own model, whose detections are the same."""
+    data, checkpoint = learnt
+    path = tmp_path / "other anchors.safetensors"
+    model, config, _ = detector.load_weights(checkpoint, "cpu")
+    config = replace(config, anchors=(12, 24, 48, 96, 192))
+    detector.save_weights(path, model, config, {})
+    expected, _, _ = detector.load_weights(path, "cpu")
+    export(path, "state_dict", tmp_path / "it's.pth", console=Console())
+    names: dict[str, Any] = {}
+    exec(capsys.readouterr().out, names)
+    assert type(names["model"]) is KeypointRCNN
+    expected.roi_heads.score_thresh = 0.05
+    for image in images(data):
+        with torch.inference_mode():
+            (own,), (stock,) = expected([image]), names["model"]([image])
+        assert len(own["boxes"])
+        for name in ("boxes", "scores", "keypoints"):
+            torch.testing.assert_close(stock[name], own[name], rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("onnx") is None, reason="needs the extra `onnx`")
