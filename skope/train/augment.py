@@ -11,15 +11,24 @@ from typing import Final
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.train.targets import Vehicles
+from skope.types import Array
 
 Pixels = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 _LEVELS: Final = np.arange(256, dtype=np.uint8)
 """Each value that a pixel can have: what changes values alone is looked up."""
+
+_MARGIN_ROWS: Final = 5
+"""Rows that the picture is reduced to for the margin around it: nothing in it can be made out any more."""
+_CUTTING: Final = 0.25
+"""Share of the parts that are chosen so that an edge passes through a vehicle, and enlarged by 1.5 at least for it."""
+_WORTH_CUTTING: Final = 0.05
+"""Least height of a vehicle that is cut so, in heights of the image."""
 
 Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]]
 
@@ -31,13 +40,17 @@ class Augment:
     flip: float = 0.5
     """Mirror the image: left and right exchanged."""
     crop: float = 0.0
-    """Scale between 0.6 and 1.6 and another part of the view; the image keeps its size."""
+    """Scale between 0.3 and 2.5 and another part of the view, whose edge may cut vehicles; the image keeps its size."""
     occluders: float = 0.0
     """Flat rectangles before parts of vehicles: the points under them are hidden."""
     color: float = 0.0
     """Change saturation, hue and white balance."""
     brightness: float = 0.0
-    """Exposure within two stops, and gamma: from glare to night."""
+    """Exposure from -2.5 to 1.5 stops, and gamma: from glare to night."""
+    spectrum: float = 0.0
+    """Change how strong each spatial frequency is, fine ones most: what differs between drawn and real surfaces."""
+    filters: float = 0.0
+    """Mix in what a random filter of 3x3 pixels makes of the image."""
     infrared: float = 0.0
     """Make the image grey, as night cameras see."""
     rain: float = 0.0
@@ -47,11 +60,13 @@ class Augment:
     noise: float = 0.0
     """Noise of the sensor, of its own in each channel or alike in all."""
     resample: float = 0.0
-    """Scale the image down and up again."""
+    """Scale the image down, to a fifth at least, and up again, sharpened with halos half of the time."""
     jpeg: float = 0.0
-    """Compress as JPEG of quality 15 to 70."""
+    """Compress as JPEG of quality 8 to 80."""
     video: float = 0.0
     """Blocks of a video encoder that saves bits: some macroblocks much coarser than others."""
+    clean: float = 0.0
+    """Leave light, optics and compression as they are, whatever the others say."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -61,10 +76,11 @@ class Augment:
 
     def apply(self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
         """The image and its vehicles after the steps that the generator picks."""
+        clean = rng.random() < self.clean
         for name, step in STEPS.items():
             # Drawn for every step, so that one step's probability changes no other step.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
-            if chosen:
+            if chosen and (name in _GEOMETRY or not clean):
                 pixels, vehicles = step(pixels, vehicles, step_rng)
         return pixels, vehicles
 
@@ -78,16 +94,56 @@ def _flip(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
 
 def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
     height, width = pixels.shape[:2]
-    scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.6))))
-    room = np.array([width, height]) * (1 - 1 / scale)  # negative: the image leaves a margin
+    cutting = rng.random() < _CUTTING
+    scale = float(np.exp(rng.uniform(np.log(1.5 if cutting else 0.3), np.log(2.5))))
+    part = np.array([width, height]) / scale
+    room = [width, height] - part  # negative: the image leaves a margin
     corner = np.minimum(room, 0) + rng.random(2) * np.abs(room)
+    if cutting:
+        corner = _cutting(corner, part, room, vehicles.boxes_xyxy, rng)
     # OpenCV counts a pixel's centre as i, skope as i + 0.5.
     shift = -corner * scale + 0.5 * scale - 0.5
     matrix = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
-    grey = rng.integers(0, 256, 3).tolist()
-    moved = cv2.warpAffine(pixels, matrix, (width, height), flags=cv2.INTER_LINEAR, borderValue=grey)
+    tiny = cv2.resize(
+        pixels, (max(1, round(_MARGIN_ROWS * width / height)), _MARGIN_ROWS), interpolation=cv2.INTER_AREA
+    )
+    moved = cv2.resize(tiny, (width, height), interpolation=cv2.INTER_CUBIC)
+    if scale < 1:  # or every other pixel would be left out
+        pixels = _pixels(cv2.GaussianBlur(pixels, (0, 0), 0.5 * (scale**-2 - 1) ** 0.5 + 1e-3))
+    cv2.warpAffine(
+        pixels, matrix, (width, height), dst=moved, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+    )
     cropped = vehicles.cropped((float(corner[0]), float(corner[1])), (scale, scale), width, height)
     return _pixels(moved), cropped
+
+
+def _cutting(corner: Array, part: Array, room: Array, boxes_xyxy: Array, rng: np.random.Generator) -> Array:
+    """Another corner (2,) for a part of the image, so that one of its edges passes through a vehicle, if one is large.
+
+    Args:
+        corner: (2,) the corner as drawn, from 0 to `room`.
+        part: (2,) width and height of the part.
+        room: (2,) width and height of the image that the part leaves.
+        boxes_xyxy: (N, 4) boxes of the vehicles.
+        rng: Draws vehicle and edge.
+    """
+    height = part[1] + room[1]
+    high = boxes_xyxy[boxes_xyxy[:, 3] - boxes_xyxy[:, 1] >= _WORTH_CUTTING * height]
+    if not len(high):
+        return corner
+    box = rng.choice(high)
+    through = box[:2] + rng.uniform(0.2, 0.8, 2) * (box[2:] - box[:2])
+    # Near and far edge of either axis, where the image reaches far enough.
+    ways = [(axis, through[axis] - far * part[axis]) for axis in (0, 1) for far in (0, 1)]
+    ways = [(axis, at) for axis, at in ways if 0 <= at <= room[axis]]
+    out = corner.copy()
+    if ways:
+        axis, at = ways[rng.integers(len(ways))]
+        out[axis] = at
+        # Along the other axis the vehicle is in the part.
+        other = 1 - axis
+        out[other] = np.clip(through[other] - rng.random() * part[other], 0, room[other])
+    return out
 
 
 def _occluders(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
@@ -113,16 +169,42 @@ def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Ste
 
 def _color(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     levels = _LEVELS.astype(np.float32)
-    hue = (levels + rng.uniform(-8, 8)) % 180  # OpenCV's hue has half degrees
-    turned = np.stack([hue, levels * rng.uniform(0.4, 1.5), levels], axis=-1)
+    hue = (levels + rng.uniform(-12, 12)) % 180  # OpenCV's hue has half degrees
+    turned = np.stack([hue, levels * rng.uniform(0, 1.6), levels], axis=-1)
     hsv = cv2.LUT(cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV), _bytes(turned)[None])
-    balance = _bytes(_LEVELS[:, None] * rng.uniform(0.88, 1.12, 3))
+    balance = _bytes(_LEVELS[:, None] * rng.uniform(0.8, 1.2, 3))
     return _pixels(cv2.LUT(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), balance[None]))
 
 
 def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    linear = (_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2, 1))
-    return _pixels(cv2.LUT(pixels, _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.75, 1.35) / 2.2))))
+    linear = (_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2.5, 1.5))
+    return _pixels(cv2.LUT(pixels, _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.6, 1.6) / 2.2))))
+
+
+def _spectrum(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    """PASTA (Chattopadhyay et al., ICCV 2023): the finer a frequency, the more may its amplitude change.
+
+    Its constants: alpha 3, here at most, k 2, beta 0.25. The mean colour stays, brightness being a step of its own.
+    """
+    height, width = pixels.shape[:2]
+    down, right = np.fft.fftfreq(height), np.fft.rfftfreq(width)
+    away = np.hypot(*np.meshgrid(down, right, indexing="ij")) / np.hypot(0.5, 0.5)
+    sigma = (rng.uniform(0, 3) * away) ** 2 + 0.25
+    gain = np.maximum(1 + sigma * rng.standard_normal(away.shape), 0)
+    gain[0, 0] = 1
+    spectrum = torch.fft.rfft2(torch.as_tensor(pixels.transpose(2, 0, 1)).float())
+    changed = torch.fft.irfft2(spectrum * torch.as_tensor(gain, dtype=torch.float32), s=(height, width))
+    return _bytes(changed.numpy().transpose(1, 2, 0))
+
+
+def _filters(pixels: Pixels, rng: np.random.Generator) -> Pixels:
+    kernel = rng.standard_normal((3, 3))
+    kernel += kernel[::-1, ::-1]  # the same on opposite sides, so that nothing shifts
+    kernel /= np.sign(kernel.sum()) * max(abs(kernel.sum()), 0.5)
+    share = rng.uniform(0, 0.6)
+    kernel *= share
+    kernel[1, 1] += 1 - share
+    return _pixels(cv2.filter2D(pixels, -1, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
 def _infrared(pixels: Pixels, rng: np.random.Generator) -> Pixels:
@@ -146,8 +228,8 @@ def _rain(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 def _blur(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     reach = 2 + pixels.shape[0] / 360
     if rng.random() < 0.5:
-        return _pixels(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.5 * reach)))
-    size = 2 * int(rng.integers(1, 1 + reach)) + 1  # odd, so that the kernel has a middle and nothing shifts
+        return _pixels(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.75 * reach)))
+    size = 2 * int(rng.integers(1, 1 + 1.75 * reach)) + 1  # odd, so that the kernel has a middle and nothing shifts
     turn = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), rng.uniform(0, 180), 1)
     row = np.zeros((size, size), np.float32)
     row[size // 2] = 1
@@ -158,7 +240,7 @@ def _blur(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 def _noise(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     channels = 3 if rng.random() < 0.5 else 1
     grain = rng.standard_normal((*pixels.shape[:2], channels), dtype=np.float32)
-    return _bytes(pixels + grain * np.float32(rng.uniform(2, 16)))
+    return _bytes(pixels + grain * np.float32(rng.uniform(2, 25)))
 
 
 # ---------------------------------------------------------------------------------------------------------- compression
@@ -166,13 +248,17 @@ def _noise(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 
 def _resample(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     height, width = pixels.shape[:2]
-    factor = rng.uniform(0.35, 0.85)
+    factor = rng.uniform(0.2, 0.9)
     small = cv2.resize(pixels, (round(width * factor), round(height * factor)), interpolation=cv2.INTER_AREA)
-    return _pixels(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
+    large = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    if rng.random() < 0.5:
+        halo = rng.uniform(0, 1.5)
+        large = cv2.addWeighted(large, 1 + halo, cv2.GaussianBlur(large, (0, 0), 1 / factor), -halo, 0)
+    return _pixels(large)
 
 
 def _jpeg(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    return _recoded(pixels, int(rng.integers(15, 71)))
+    return _recoded(pixels, int(rng.integers(8, 81)))
 
 
 def _video(pixels: Pixels, rng: np.random.Generator) -> Pixels:
@@ -207,6 +293,8 @@ STEPS: Final = MappingProxyType(
         "occluders": _occluders,
         "color": _photometric(_color),
         "brightness": _photometric(_brightness),
+        "spectrum": _photometric(_spectrum),
+        "filters": _photometric(_filters),
         "infrared": _photometric(_infrared),
         "rain": _photometric(_rain),
         "blur": _photometric(_blur),
@@ -217,4 +305,6 @@ STEPS: Final = MappingProxyType(
     }
 )
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
-assert tuple(STEPS) == tuple(field.name for field in fields(Augment))
+assert (*STEPS, "clean") == tuple(field.name for field in fields(Augment))
+_GEOMETRY: Final = ("flip", "crop", "occluders")
+"""Steps that move pixels or cover them, which images that stay clean take too."""
