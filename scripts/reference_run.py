@@ -1,12 +1,14 @@
-"""Train a detector from random weights in one of two ways, pack its weights, and measure them before and after.
+"""Train a detector from random weights in one of three ways, pack its weights, and measure them before and after.
 
-    skope gen simulate --preset paper --no-depth --out data/paper       # varied and extra: the same
+    skope gen simulate --preset paper --no-depth --out data/paper       # varied, world and extra: the same
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
+    python scripts/reference_run.py world                 # after `varied`, from whose weights it goes on
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
-(reference.toml). What is finished is not done again, and what was interrupted goes on: with --minutes, in commands of
-limited time. `make paper` is the paper's own experiment.
+(reference.toml); `world` goes on from there with images of that preset (world.toml). What is finished is not done
+again, and what was interrupted goes on: with --minutes, in commands of limited time. `make paper` is the paper's own
+experiment.
 """
 
 import argparse
@@ -17,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -31,19 +33,28 @@ LIVELY: Final = {
     **{"crop": 0.7, "occluders": 0.3, "color": 0.5, "brightness": 0.5, "infrared": 0.1, "rain": 0.1},
     **{"blur": 0.3, "noise": 0.3, "resample": 0.3, "jpeg": 0.3, "video": 0.2},
 }
+PACKED: Final = "packed.safetensors"
 GRACE_S: Final = 25
 """For a training to save its state when time is up."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """What one of the two detectors learns from, and how its images are changed."""
+    """What a detector learns from, and how."""
 
     presets: Sequence[str]
-    augment: Mapping[str, float]
+    recipe: str = "reference.toml"
+    augment: Mapping[str, float] = field(default_factory=dict)
+    """Changes of the images besides the recipe's."""
+    after: str | None = None
+    """The training that it goes on from; None: random weights."""
 
 
-TRAININGS: Final = {"paper": Training(("paper",), {}), "varied": Training(("paper", "varied"), LIVELY)}
+TRAININGS: Final = {
+    "paper": Training(("paper",)),
+    "varied": Training(("paper", "varied"), augment=LIVELY),
+    "world": Training(("world",), "world.toml", after="varied"),
+}
 
 
 class TimeIsUpError(Exception):
@@ -100,9 +111,11 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
     run = options.out / "run"
     if (run / ".trained").is_file():
         return run
-    new = ["--recipe", str(HERE / "reference.toml"), "--max-images", str(options.images // len(training.presets))]
+    new = ["--recipe", str(HERE / training.recipe), "--max-images", str(options.images // len(training.presets))]
     new += [flag for name, value in training.augment.items() for flag in ("--set", f"augment.{name}={value}")]
     new += [flag for preset in training.presets for flag in ("--data", str(options.data / preset))]
+    if training.after:
+        new += ["--init", str(options.out.parent / training.after / PACKED)]
     always = ["--out", str(run), "--workers", str(options.workers), "--save-minutes", "3"]
     clock.train([*always, *(["--resume"] if resumable(run) else new)])
     (run / ".trained").touch()
@@ -135,7 +148,7 @@ def main() -> None:
     training, clock = TRAININGS[options.training], Clock(options.minutes, options.gpus.split(","))
     try:
         render(clock, options.data, training.presets)
-        full, packed = find_checkpoint(train(clock, options, training)), options.out / "packed.safetensors"
+        full, packed = find_checkpoint(train(clock, options, training)), options.out / PACKED
         if not packed.is_file():
             clock.run(["train", "export", str(full), "--to", "compact", "--out", str(packed)])
         render(clock, options.data, tuple(SPLITS))

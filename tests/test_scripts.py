@@ -19,6 +19,7 @@ import torch
 
 from skope import coco, detector
 from skope.schema import Result
+from skope.train.recipe import choose
 from tests.eval.sightings import drive
 from tests.samples import make_dataset
 from tests.train.conftest import shrink
@@ -159,7 +160,10 @@ def apart(name: str, *arguments: str) -> tuple[int, str, str]:
 def test_every_script_is_listed() -> None:
     assert sorted({run.script for run in RUNS}) == PYTHON
     files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
-    assert [path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")] == ["reference.toml"]
+    others = {path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")}
+    assert others == {"reference.toml", "world.toml"}
+    for name in others:
+        assert choose(str(SCRIPTS / name), gpu=True, bfloat16=True).name == Path(name).stem
 
 
 @pytest.mark.parametrize("name", PYTHON)
