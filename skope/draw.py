@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pycocotools import mask as coco_mask
 
-from skope import keypoints
 from skope.boxes import xywh_to_xyxy
 from skope.camera import Camera
 from skope.errors import UserError
@@ -40,6 +39,13 @@ PALETTE: Final[tuple[Color, ...]] = (
 IGNORED: Final[Color] = (200, 200, 200)
 _DARK: Final[Color] = (16, 16, 16)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_SURE: Final = 0.5
+_FAINT: Final = 0.15
+"""Keypoints of a lower probability are not drawn; from here to `_SURE` they are faint."""
+_FAINTNESS: Final = 0.4
+"""Share of a faint keypoint's colour in the picture."""
+_SMALL: Final = 36
+"""Longer side of a box that is small, pixels of the enlarged image at 960x540."""
 _SHIFT: Final = 4
 """OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
 
@@ -86,14 +92,17 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
 def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
     """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
-    Keypoints are filled from a probability of 0.5 and hollow below. The label is the score.
+    Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
+    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score.
     """
     canvas = _Canvas(image, scale, scheme)
-    for i, result in enumerate(sorted(found, key=lambda r: r.score)):
+    ordered = sorted(found, key=lambda r: r.score)
+    canvas.faint_points(ordered)
+    for i, result in enumerate(ordered):
         color = PALETTE[i % len(PALETTE)]
-        shown = np.ones(keypoints.K, dtype=bool)
-        canvas.vehicle(result.bbox, result.keypoints, shown, result.keypoints[:, 2] >= 0.5, color)
-        canvas.label(result.bbox, f"{result.score:.2f}", color)
+        canvas.prediction(result.bbox, result.keypoints, color)
+        if not canvas.is_small(result.bbox):
+            canvas.label(result.bbox, f"{result.score:.2f}", color)
     return canvas.pixels
 
 
@@ -214,14 +223,49 @@ class _Canvas:
         """A box, the skeleton between shown points (dimmer where an end is not sure), and the points."""
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)
         self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, self._line)
+        self._skeleton(points, shown, sure, color)
+        self._points(bbox, points, shown, sure)
+
+    def prediction(self, bbox: ArrayLike, points: NDArray[np.float64], color: Color) -> None:
+        """A predicted vehicle: a box, and of keypoints (33, 3: x, y, probability) and skeleton what is sure."""
+        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
+        sure = points[:, 2] >= _SURE
+        line = max(1, self._line // 2) if self.is_small(bbox) else self._line
+        self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, line)
+        if not self.is_small(bbox):
+            self._skeleton(points, sure, sure, color)
+        self._points(bbox, points, sure, sure)
+
+    def is_small(self, bbox: ArrayLike) -> bool:
+        """Whether what is drawn in a box would cover all of it."""
+        return bool(max(np.asarray(bbox)[2:]) * self._scale < _SMALL * self._unit)
+
+    def faint_points(self, found: Iterable[Result]) -> None:
+        """The keypoints of predicted vehicles that are not sure, but not improbable either."""
+        before = self.pixels.copy()
+        for result in found:
+            probability = result.keypoints[:, 2]
+            faint = (probability >= _FAINT) & (probability < _SURE)
+            self._points(result.bbox, result.keypoints, faint, ~faint)
+        cv2.addWeighted(self.pixels, _FAINTNESS, before, 1 - _FAINTNESS, 0, dst=self.pixels)
+
+    def _skeleton(
+        self, points: NDArray[np.float64], shown: NDArray[np.bool_], sure: NDArray[np.bool_], color: Color
+    ) -> None:
+        """The skeleton between shown points, dimmer where an end is not sure."""
         dim = tuple(c // 2 for c in color)
         for a, b in self._scheme.skeleton:
             if shown[a] and shown[b]:
                 edge = color if sure[a] and sure[b] else dim
                 self._polyline([points[a, :2], points[b, :2]], edge, max(1, self._line // 2))
+
+    def _points(
+        self, bbox: ArrayLike, points: NDArray[np.float64], shown: NDArray[np.bool_], sure: NDArray[np.bool_]
+    ) -> None:
+        """The shown points: filled where they are sure, else hollow."""
         # Small vehicles get small points, so that they do not merge into a blot.
-        extent = max(x1 - x0, y1 - y0) * self._scale
-        radius = float(np.clip(extent / 50, 1.5, 2.25 * self._unit))
+        least = 0.8 if self.is_small(bbox) else 1.5
+        radius = float(np.clip(max(np.asarray(bbox)[2:]) * self._scale / 50, least, 2.25 * self._unit))
         for i in np.flatnonzero(shown):
             self._point(points[i, :2], radius, self._scheme.colors[i], filled=bool(sure[i]))
 

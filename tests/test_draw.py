@@ -83,6 +83,35 @@ def test_results_are_drawn_and_stray_ones_do_no_harm() -> None:
     assert np.array_equal(draw.results(GREY, []), GREY)
 
 
+def prediction(probability: float, side: float = 100.0) -> Result:
+    """A vehicle with all keypoints on a grid, at the same probability."""
+    points = np.full((keypoints.K, 3), probability)
+    points[:, 0], points[:, 1] = 100 + side * (np.arange(33) % 6 + 0.5) / 6, 100 + side * (np.arange(33) // 6 + 0.5) / 6
+    return Result(image_id=1, score=0.9, bbox=np.array([100, 100, side, side]), keypoints=points)
+
+
+def test_predicted_points_are_as_strong_as_they_are_sure() -> None:
+    inside = slice(104, 197), slice(104, 197)
+    change = [
+        np.abs(draw.results(GREY, [prediction(p)])[inside].astype(int) - 100).max(axis=2) for p in (0.1, 0.3, 0.9)
+    ]
+    assert not change[0].any()
+    assert 40 < change[1].max() < 0.6 * change[2].max()
+    assert (change[1] > 0).sum() < 0.7 * (change[2] > 0).sum()  # no skeleton between them
+
+
+def test_small_predictions_have_no_skeleton() -> None:
+    a, b = keypoints.SKELETON[0]
+    for side, lines in ((30.0, False), (90.0, True)):
+        left = np.tile([100 + 0.2 * side, 100 + side / 2, 0.9], (keypoints.K, 1))
+        left[b, 0] = 100 + 0.8 * side
+        one = Result(image_id=1, score=0.9, bbox=np.array([100, 100, side, side]), keypoints=left)
+        pixels = draw.results(GREY, [one])
+        middle = int(100 + side / 2)
+        between = pixels[middle - 2 : middle + 2, middle - 2 : middle + 2]
+        assert bool((between != 100).any()) is lines, (side, a)
+
+
 def test_lines_grow_with_the_image() -> None:
     small, large = GREY, np.full((2160, 3840, 3), 100, dtype=np.uint8)
     for image, least, most in ((small, 1, 3), (large, 4, 7)):
