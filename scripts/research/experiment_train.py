@@ -145,7 +145,10 @@ def named_folder(text: str) -> tuple[str, Path]:
 
 def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
     common = [f"init={options.init}", *([f"epochs={options.epochs}"] if options.epochs else []), *options.set]
-    recipe = adjusted(RECIPES[options.recipe], [*common, *VARIANTS[name].settings])
+    variant = VARIANTS[name]
+    # What a variant is, no flag changes; where it is its images, --set may change everything else.
+    settings = [*variant.settings, *common] if variant.images else [*common, *variant.settings]
+    recipe = adjusted(RECIPES[options.recipe], settings)
     return recipe.with_min_size(options.min_size) if options.min_size else recipe
 
 
