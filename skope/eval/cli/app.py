@@ -186,10 +186,20 @@ def calibrate_scores(
     ] = None,
     score: Annotated[float, option(help="Fit on the keypoints of detections above this.")] = 0.9,
     max_images: Annotated[int | None, option(least=1, help="Take only so many images.")] = None,
+    out: Annotated[
+        Path | None,
+        option(
+            metavar=FILE,
+            help="Checkpoint to write whose own scores are probabilities, vehicles' too.",
+            show_default="keypoint scores alone, in a file beside the weights",
+        ),
+    ] = None,
     hardware: MachineOptions,
     console: Console,
 ) -> None:
     """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+
+    With --out, vehicle scores into probabilities that there is one, too.
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
@@ -204,10 +214,11 @@ def calibrate_scores(
         last=last,
         score=score,
         max_images=max_images,
+        out=out,
         settings=hardware.settings(),
     )
     path = calibrate(job, console)
-    console.result(f"Wrote {path}; `skope eval` uses it from now on")
+    console.result(f"Wrote {path}" if out else f"Wrote {path}; `skope eval` uses it from now on")
 
 
 app.command(name="predict")(footage.predict)

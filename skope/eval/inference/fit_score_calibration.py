@@ -1,23 +1,28 @@
-"""`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its keypoint scores to the truth."""
+"""`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import detector
 from skope.console import Console
 from skope.detector import find_checkpoint
 from skope.errors import UserError
-from skope.eval.inference import score_calibration
-from skope.eval.inference.predictor import Predictor
+from skope.eval.inference import calibrated_weights, score_calibration
+from skope.eval.inference.predictor import CALIBRATED, Predictor
 from skope.eval.inference.score_calibration import ALPHA, IOU
 from skope.eval.inference.settings import Settings
 from skope.image_selection import held_back, ignoring, last_frames
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
-from skope.output_folders import work_of
+from skope.output_folders import check_file, work_of, write_new
 from skope.schema import AnnotationFile
+from skope.types import Array
 from skope.weights import shipped
 
 TRAIN: Final = "train"
@@ -36,22 +41,29 @@ class CalibrationJob:
     """Detections above this are learnt from: those whose keypoints will be used."""
     settings: Settings
     max_images: int | None = None
+    out: Path | None = None
+    """Checkpoint to write with vehicles' and keypoints' scores calibrated; None: only keypoints', in a file beside the
+    weights."""
 
 
 def calibrate(job: CalibrationJob, console: Console) -> Path:
-    """Fit and write the calibration beside the weights; returns its path.
+    """Fit the calibration and write it beside the weights, or as part of other weights; returns the path.
 
-    Raises UserError where another calibration lies there: of other weights, data or options.
+    Raises UserError where another calibration lies there, of other weights, data or options, or another file.
     """
     weights = find_checkpoint(job.checkpoint)
-    if shipped(weights):
+    if job.out:
+        check_file(job.out, lambda head: head[8:9] == b"{")
+    elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
-    predictor = Predictor(weights, replace(job.settings, calibrated=False, min_score=job.score), console)
+    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST)
+    predictor = Predictor(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)
     work = _work(job, [weights, *truth.sources], share)
-    score_calibration.check_free(weights, work)
+    if job.out is None:
+        score_calibration.check_free(weights, work)
     file = read_inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
@@ -77,12 +89,25 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         "score": job.score,
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
-    path = score_calibration.write(weights, fitted, work, predictor.scheme.name)
-    after = fitted(points)
-    for words, p in (("before", points[..., 2]), ("after", after[..., 2])):
+    _tell("keypoints", points[..., 2], fitted(points)[..., 2], right, console)
+    if job.out is None:
+        return score_calibration.write(weights, fitted, work, predictor.scheme.name)
+    scores, hits = calibrated_weights.vehicle_outcomes(file, results)
+    vehicles = calibrated_weights.fit_vehicles(scores, hits)
+    _tell("vehicles", scores, calibrated_weights.calibrated(scores, *vehicles), hits, console)
+    model, config, metadata = detector.load_weights(weights, "cpu")
+    calibrated_weights.fold(model, vehicles, fitted)
+    content = detector.checkpoint_bytes(model, config, {**metadata, CALIBRATED: fitted_on})
+    write_new(job.out, content)
+    return job.out
+
+
+def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
+    """Say what scores were worth before and after."""
+    for words, p in (("before", before), ("after", after)):
         error = score_reliability.calibration_error(score_reliability.reliability(p.ravel(), right.ravel()))
-        console.say(f"{words}: log loss {score_calibration.log_loss(p, right):.3f}, calibration error {error:.3f}")
-    return path
+        loss = score_calibration.log_loss(p, right)
+        console.say(f"{what}, {words}: log loss {loss:.3f}, calibration error {error:.3f}")
 
 
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:

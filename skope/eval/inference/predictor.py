@@ -25,6 +25,8 @@ from skope.weights import shipped
 Pixels = NDArray[np.uint8]
 T = TypeVar("T")
 
+CALIBRATED: Final = "calibrated"
+"""Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
 GPU_BATCH: Final = 8
 """Images that go through the network together on a GPU; a CPU gains nothing from batches."""
 _DECODERS: Final = 2
@@ -64,13 +66,14 @@ class Predictor:
 
     @property
     def calibrated(self) -> bool:
-        """Whether keypoint scores are probabilities that were fitted for these weights."""
-        return self._calibration is not None
+        """Whether keypoint scores are probabilities that were fitted for these weights, or by these weights."""
+        return self._calibration is not None or CALIBRATED in self.metadata
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
-        return (self.weights, score_calibration.path_beside(self.weights)) if self.calibrated else (self.weights,)
+        beside = () if self._calibration is None else (score_calibration.path_beside(self.weights),)
+        return (self.weights, *beside)
 
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
         """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""

@@ -75,6 +75,12 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
     return ScoreCalibration(scale=scale, offset=offset, fitted_on=fitted_on)
 
 
+def fit_one(raw: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
+    """Scale, never negative, and offset of one logistic regression of outcomes (N,) on raw scores (N,)."""
+    ab = _logistic(raw.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
+    return max(float(ab[0, 0]), 0.0), float(ab[1, 0])
+
+
 def _targets(right: NDArray[np.bool_]) -> Array:
     """Platt's targets for (N, M) outcomes: not quite 0 and 1, so that a clean separation gives a finite fit."""
     n = right.sum(axis=0)

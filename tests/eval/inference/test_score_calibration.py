@@ -1,6 +1,4 @@
 import json
-import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +7,12 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from skope import coco
-from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
-from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.image_selection import last_frames
 from skope.metrics.score_reliability import calibration_error, reliability
 from skope.schema import AnnotationFile, Image
-from tests.samples import make_annotation, make_dataset
+from tests.samples import make_annotation
 
 SCALE, OFFSET = np.linspace(0.3, 2.0, 33), np.linspace(-4.0, 1.0, 33)
 
@@ -126,24 +120,6 @@ def test_the_last_part_of_each_recording() -> None:
 
 
 # ---------------------------------------------------------------------------------------------------------- the command
-
-
-@pytest.fixture
-def own_truth(random_run: Path, tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of the run, and a dataset whose vehicles are what it finds; the left half of the points is hidden."""
-    run = tmp_path / "run"
-    shutil.copytree(random_run, run, ignore=shutil.ignore_patterns("eval"))
-    root = make_dataset(tmp_path / "data", images=2, splits=("train",))
-    predictor = Predictor(run, Settings(device="cpu"), Console(quiet=True))
-    path = root / "annotations" / "train.json"
-    file = coco.read(path)
-    vehicles = []
-    for i, found in enumerate(predictor.split(file, root), start=1):
-        points = found.keypoints.copy()
-        points[:, 2] = np.where(points[:, 0] < found.bbox[0] + found.bbox[2] / 2, 1, 2)
-        vehicles.append(replace(make_annotation(i, found.image_id, tuple(found.bbox)), keypoints=points))
-    coco.write(path, replace(file, annotations=tuple(vehicles)))
-    return run, root
 
 
 def test_a_calibrated_checkpoint_says_so_and_scores_by_it(skope: Any, own_truth: tuple[Path, Path]) -> None:

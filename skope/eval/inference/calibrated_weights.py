@@ -1,0 +1,68 @@
+"""Calibrated scores as part of the weights: the last layers of a detector, scaled and shifted.
+
+A vehicle's score is the sigmoid of the difference of its two logits, a keypoint's that of its heat map's maximum, and
+from the last layers to there everything is linear. So a checkpoint whose scores are probabilities is a checkpoint like
+any other, for torchvision's own model too.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torchvision.models.detection import KeypointRCNN
+
+from skope.eval.inference.score_calibration import ScoreCalibration, fit_one, raw_maxima, sigmoid
+from skope.metrics.match import match
+from skope.schema import AnnotationFile, Result
+from skope.types import Array
+
+LEAST: Final = 0.02
+"""Detections above this score are learnt from."""
+IOU: Final = 0.5
+"""A vehicle is found by a detection whose box overlaps its own by so much."""
+_LARGEST: Final = 16.0
+"""Largest difference of logits that a score in float32 still tells."""
+_FLATTEST: Final = 1e-3
+"""Least scale: with 0 the place of a heat map's maximum would be lost, and the order of the vehicles."""
+
+
+def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
+    """Scores of detections above `LEAST` and whether each found a vehicle, (D,) each.
+
+    A second detection of a vehicle found none; those on ignored vehicles are left out.
+    """
+    matches = match(file, results, score=LEAST, thresholds=(IOU,))
+    right = matches.taken[IOU] >= 0
+    counts = right | ~matches.det_on_ignored
+    return matches.det_score[counts], right[counts]
+
+
+def fit_vehicles(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
+    """Scale and offset of the difference of a vehicle's logits, from scores and outcomes (D,)."""
+    scale, offset = fit_one(_logits(scores), right)
+    return max(scale, _FLATTEST), offset
+
+
+def calibrated(scores: Array, scale: float, offset: float) -> Array:
+    """The scores of vehicles after calibration."""
+    return sigmoid(scale * _logits(scores) + offset)
+
+
+def _logits(scores: Array) -> Array:
+    return np.clip(raw_maxima(scores), -_LARGEST, _LARGEST)
+
+
+def fold(model: KeypointRCNN, vehicles: tuple[float, float], points: ScoreCalibration) -> None:
+    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones."""
+    scale, offset = vehicles
+    box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
+    steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)
+    with torch.no_grad():
+        for parameter in (box.weight, box.bias):
+            half = scale * (parameter[1] - parameter[0]) / 2
+            parameter.copy_(torch.stack([-half, half]))
+        box.bias += torch.tensor([-offset / 2, offset / 2])
+        maps.weight *= steepness[:, None, None]
+        maps.bias.copy_(maps.bias * steepness + torch.as_tensor(points.offset, dtype=torch.float32))

@@ -1,0 +1,95 @@
+"""Scores that the weights themselves make probabilities."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skope import detector
+from skope.eval.inference import calibrated_weights
+from skope.eval.inference.score_calibration import ScoreCalibration, path_beside
+from skope.metrics.score_reliability import calibration_error, reliability
+from skope.schema import AnnotationFile, Image, Result
+from tests.samples import make_annotation
+
+
+def test_the_two_numbers_are_found_again() -> None:
+    rng = np.random.default_rng(0)
+    logits = rng.normal(0, 4, 40_000)
+    right = rng.random(40_000) < 1 / (1 + np.exp(-(0.6 * logits - 1.3)))
+    scores = 1 / (1 + np.exp(-logits))
+    fitted = calibrated_weights.fit_vehicles(scores, right)
+    assert fitted == (pytest.approx(0.6, abs=0.02), pytest.approx(-1.3, abs=0.04))
+    after = calibrated_weights.calibrated(scores, *fitted)
+    assert calibration_error(reliability(scores, right)) > 0.1
+    assert calibration_error(reliability(after, right)) < 0.01
+    sure = after > 0.9
+    assert right[sure].mean() == pytest.approx(after[sure].mean(), abs=0.01)
+
+
+def test_scores_that_float32_calls_1_do_not_flatten_the_rest() -> None:
+    """A score of exactly 1 has no logit; taken for a very large one it would weigh more than all others."""
+    rng = np.random.default_rng(1)
+    logits = rng.normal(2, 3, 20_000)
+    right = rng.random(20_000) < 1 / (1 + np.exp(-logits))
+    scores = (1 / (1 + np.exp(-logits))).astype(np.float32).astype(np.float64)
+    scores[np.flatnonzero(right)[:200]] = 1.0
+    assert calibrated_weights.fit_vehicles(scores, right)[0] > 0.85
+
+
+def test_what_counts_as_found() -> None:
+    images = (Image(id=1, file_name="a.png", width=400, height=300),)
+    vehicle, ignored = make_annotation(1, 1, (10, 10, 100, 80)), make_annotation(2, 1, (200, 10, 100, 80), iscrowd=1)
+    file = AnnotationFile(images=images, annotations=(vehicle, ignored))
+    boxes = {
+        0.9: (12, 10, 100, 80),
+        0.8: (10, 12, 100, 80),
+        0.7: (205, 12, 90, 70),
+        0.6: (10, 150, 60, 60),
+        0.01: (0, 0, 9, 9),
+    }
+    results = [
+        Result(image_id=1, score=score, bbox=np.array(box, dtype=float), keypoints=np.zeros((33, 3)))
+        for score, box in boxes.items()
+    ]
+    scores, right = calibrated_weights.vehicle_outcomes(file, results)
+    # Found, found a second time, (on an ignored vehicle), nothing there, (too faint).
+    assert scores.tolist() == [0.9, 0.8, 0.6]
+    assert right.tolist() == [True, False, False]
+
+
+def test_folded_weights_give_the_calibrated_scores(random_run: Path) -> None:
+    model, _, _ = detector.load_weights(detector.find_checkpoint(random_run), "cpu")
+    image = np.random.default_rng(2).integers(0, 256, (96, 128, 3), dtype=np.uint8)
+    (before,) = detector.detect(model, [image], "cpu", min_score=0.0, max_detections=20)
+    points = ScoreCalibration(scale=np.linspace(0.2, 1.7, 33), offset=np.linspace(-3, 2, 33), fitted_on={})
+    folded = copy.deepcopy(model)
+    calibrated_weights.fold(folded, (0.7, -0.4), points)
+    (after,) = detector.detect(folded, [image], "cpu", min_score=0.0, max_detections=20)
+    assert len(before) == len(after) == 20
+    np.testing.assert_allclose(after.boxes_xyxy, before.boxes_xyxy, atol=1e-3)
+    np.testing.assert_allclose(after.scores, calibrated_weights.calibrated(before.scores, 0.7, -0.4), atol=1e-5)
+    np.testing.assert_allclose(after.keypoints[..., :2], before.keypoints[..., :2], atol=1e-3)
+    np.testing.assert_allclose(after.keypoints[..., 2], points(before.keypoints)[..., 2], atol=1e-4)
+
+
+def test_a_checkpoint_of_its_own(skope: Any, own_truth: tuple[Path, Path], tmp_path: Path) -> None:
+    run, root = own_truth
+    out = tmp_path / "calibrated.safetensors"
+    common = ("--data", root, "--device", "cpu", "--score", "0.05", "--split", "train")
+    code, said, err = skope("eval", "calibrate", *common, "--checkpoint", run, "--last", "1", "--out", out)
+    assert code == 0, err
+    assert said.splitlines()[-1] == f"Wrote {out}"
+    assert "vehicles, after: log loss" in said
+    assert not path_beside(run / "epoch_001.safetensors").exists()
+    written = out.read_bytes()
+    assert skope("eval", "calibrate", *common, "--checkpoint", run, "--last", "1", "--out", out)[0] == 0
+    assert out.read_bytes() == written
+    assert skope("eval", *common, "--checkpoint", out, "--out", "after")[0] == 0
+    assert json.loads(Path("after", "metrics.json").read_text())["calibrated"] is True
+    out.write_bytes(b"something of mine")
+    code, _, err = skope("eval", "calibrate", *common, "--checkpoint", run, "--last", "1", "--out", out)
+    assert (code, err) == (2, f"skope: {out}: is there already, with other content; choose another file, or remove it\n")
