@@ -92,4 +92,5 @@ def test_a_checkpoint_of_its_own(skope: Any, own_truth: tuple[Path, Path], tmp_p
     assert json.loads(Path("after", "metrics.json").read_text())["calibrated"] is True
     out.write_bytes(b"something of mine")
     code, _, err = skope("eval", "calibrate", *common, "--checkpoint", run, "--last", "1", "--out", out)
-    assert (code, err) == (2, f"skope: {out}: is there already, with other content; choose another file, or remove it\n")
+    said = "is there already, with other content; choose another file, or remove it"
+    assert (code, err) == (2, f"skope: {out}: {said}\n")
