@@ -149,7 +149,13 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
 
 
 def _find_hidden(
-    moment: Moment, world: WorldKeypoints, camera: Camera, inside: Mask, gap: Array, shown: NDArray[np.int32]
+    moment: Moment,
+    world: WorldKeypoints,
+    view: RenderedFrame,
+    camera: Camera,
+    inside: Mask,
+    gap: Array,
+    shown: NDArray[np.int32],
 ) -> Mask:
     """(N, 33) which keypoints are hidden, from what `behind` says of them: `gap` and `shown` (4, N, 33).
 
@@ -168,6 +174,10 @@ def _find_hidden(
         away = np.linalg.norm(points - camera.position, axis=-1)
         hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
         hidden[doubtful] = away - hits > POINT_TOLERANCE
+    if beyond.any():
+        # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
+        to_center, at_center = behind(view, camera, world.points[beyond])
+        hidden[beyond] |= (at_center[0] == STATIC) & (to_center[0] > VEHICLE_TOLERANCE)
     return hidden
 
 
@@ -196,7 +206,7 @@ def annotate(
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
-    v = np.where(inside, np.where(_find_hidden(moment, world, camera, inside, gap, shown), 1, 2), 0)
+    v = np.where(inside, np.where(_find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K

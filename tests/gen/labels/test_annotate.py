@@ -238,6 +238,25 @@ def test_a_wheel_whose_face_is_beyond_the_images_edge_is_hidden_by_the_body_all_
     assert annotation.keypoints[k, 2] == v
 
 
+def test_scenery_hides_a_wheel_whose_face_is_beyond_the_images_edge() -> None:
+    """A post that covers the wheel's centre: no ray to the road users would notice it."""
+    recording = standing(CAMERA, [("sedan", 0.0, 3.0, math.radians(30))])
+    k, world = keypoints.INDEX["wheel_front_right"], locate(recording.moment(0), "rigid")
+    (center, _), (face, _) = (CAMERA.project(points[0, k])[0] for points in (world.points, world.tested))
+    edge = CAMERA.width if face > center else 0
+    K = CAMERA.K.copy()
+    K[0, 2] += edge - (center + face) / 2
+    cut = replace(recording, camera=replace(CAMERA, K=K))
+    view = make_renderer("gl", cut).render(0)
+    (before,), _ = annotate(cut.moment(0), view, cut.camera, Rules(), 1)
+    column, row = np.floor(cut.camera.project(world.points[0, k])[0]).astype(int)
+    depth, ids = view.depth.copy(), view.ids.copy()
+    depth[row - 2 : row + 3, max(column - 2, 0) : column + 3] = 2.0
+    ids[row - 2 : row + 3, max(column - 2, 0) : column + 3] = STATIC
+    (behind_post,), _ = annotate(cut.moment(0), replace(view, depth=depth, ids=ids), cut.camera, Rules(), 1)
+    assert (before.keypoints[k, 2], behind_post.keypoints[k, 2]) == (2, 1)
+
+
 def agreement(name: str, recording: Recording, frames: Sequence[int]) -> Counter[tuple[str, bool]]:
     """Points within 100 m and beyond by whether v is what a ray to each of them says, and the number of vehicles."""
     renderer, count = make_renderer(name, recording), Counter[tuple[str, bool]]()
