@@ -180,6 +180,10 @@ WRITERS = {
         lost=without("*.calibration.json"),
         foreign="not a safetensors file|no checkpoint in",
     ),
+    "eval calibrate --out": Row(
+        own=f"eval calibrate --checkpoint IN/run --data IN/found {_FIT} --out OUT.safetensors",
+        other=f"eval calibrate --checkpoint IN/rerun --data IN/found {_FIT} --out OUT.safetensors",
+    ),
     "eval predict": Row(
         own="eval predict IN/frames --checkpoint IN/run --device cpu --overlay --out OUT",
         other="eval predict IN/others --checkpoint IN/run --device cpu --out OUT",
