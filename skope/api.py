@@ -103,7 +103,12 @@ class Detector:
 
 
 def load_detector(
-    checkpoint: str | Path = REFERENCE, *, device: str = "auto", precision: str = "float32", min_score: float = 0.05
+    checkpoint: str | Path = REFERENCE,
+    *,
+    device: str = "auto",
+    precision: str = "float32",
+    min_score: float = 0.05,
+    tiles: str = "none",
 ) -> Detector:
     """Load a detector.
 
@@ -112,6 +117,7 @@ def load_detector(
         device: "auto" (a GPU where there is one), "cpu", "cuda" or "cuda:1".
         precision: "float32", "bfloat16", or "auto": bfloat16 where the processor has it.
         min_score: Vehicles with lower scores are not reported, and cost no time.
+        tiles: "auto" to look at parts of an image too where it is larger than the network takes it.
 
     Returns:
         The detector, to be called with an image.
@@ -123,7 +129,7 @@ def load_detector(
     from skope.eval.inference.predictor import Predictor
     from skope.eval.inference.settings import Settings
 
-    settings = Settings(device=device, precision=precision, min_score=min_score)
+    settings = Settings(device=device, precision=precision, min_score=min_score, tiles=tiles)
     return Detector(Predictor(Path(checkpoint), settings, Console(quiet=True)))
 
 

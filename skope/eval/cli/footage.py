@@ -13,6 +13,7 @@ from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
+from skope.eval.inference.settings import TILES
 from skope.output_folders import claim_output
 from skope.weights import REFERENCE
 
@@ -114,6 +115,10 @@ def predict(
     every: Annotated[int, data(help="Take every so many-th frame.")] = 1,
     start: Annotated[float, data(help="Begin at this second of a video.")] = 0.0,
     end: Annotated[float | None, data(help="End at this second of a video.", show_default="its end")] = None,
+    tiles: Annotated[
+        str,
+        counts(choices=TILES, help="auto: look at parts too where the image is larger than in the network."),
+    ] = "none",
     score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
     overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
     blur: Annotated[bool, output("--blur", help="Blur plates and glass in the overlay.")] = False,
@@ -134,7 +139,7 @@ def predict(
         raise UserError("--blur is for the overlay: give --overlay too")
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
-    settings = hardware.settings(min_score=score)
+    settings = hardware.settings(min_score=score, tiles=tiles)
     out = out or PREDICTED / (Path(footage.name).stem or "images")
     fixed = read_camera(camera)[0] if camera else None
 

@@ -109,6 +109,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
         "score": job.score,
         "precision": settings.precision,
+        "tiles": settings.tiles,
         "camera": job.camera.to_dict() if job.camera else None,
     }
     claim_output(job.out, "skope eval predict", files, options)

@@ -18,6 +18,7 @@ from skope.console import Console, minutes
 from skope.errors import UserError
 from skope.eval.inference import bfloat16, score_calibration
 from skope.eval.inference.settings import Settings
+from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.weights import shipped
@@ -42,7 +43,8 @@ class Predictor:
         self._batch = settings.batch_size or (GPU_BATCH if self._device.type == "cuda" else 1)
         self.weights = detector.find_checkpoint(checkpoint)
         self._model: KeypointRCNN
-        self._model, config, self.metadata = detector.load_weights(self.weights, self._device)
+        self._model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
+        config = self.config
         self.scheme = keypoints.SCHEMES[config.scheme]
         self._calibration = score_calibration.read(self.weights, config.scheme) if settings.calibrated else None
         low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
@@ -130,11 +132,31 @@ class Predictor:
 
     def _detect(self, batch: Sequence[Pixels]) -> list[detector.Detections]:
         """One pass of images of one size through the network."""
-        least = self._settings.min_score
-        answers = detector.detect(
-            self._model, batch, self._device, min_score=detector.MIN_SCORE if least is None else least
-        )
+        answers = self._run(batch)
+        if self._settings.tiles == "auto" and (parts := self._tiles(batch[0])):
+            answers = [self._with_tiles(image, whole, parts) for image, whole in zip(batch, answers, strict=True)]
         return [replace(found, keypoints=self._scored(found.keypoints)) for found in answers]
+
+    def _tiles(self, image: Pixels) -> list[Tile]:
+        height, width = image.shape[:2]
+        return tiles_of(width, height, short=self.config.min_size, long=self.config.max_size)
+
+    def _with_tiles(self, image: Pixels, whole: detector.Detections, parts: list[Tile]) -> detector.Detections:
+        """What the whole image and its tiles show together."""
+        batches = _batches(((part, part.of(image)) for part in parts), self._batch)
+        found = [pair for batch in batches for pair in self._on_tiles(batch)]
+        return joined(whole, found)
+
+    def _on_tiles(self, batch: Sequence[tuple[Tile, Pixels]]) -> list[tuple[Tile, detector.Detections]]:
+        found = self._run([pixels for _, pixels in batch])
+        return [(tile, one) for (tile, _), one in zip(batch, found, strict=True)]
+
+    def _run(self, images: Sequence[Pixels]) -> list[detector.Detections]:
+        """Images of one size through the network, with keypoint scores as they are."""
+        least = self._settings.min_score
+        return detector.detect(
+            self._model, images, self._device, min_score=detector.MIN_SCORE if least is None else least
+        )
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.

@@ -1,0 +1,92 @@
+"""Vehicles that are too small in the whole image: parts of it that overlap go through the network unscaled too.
+
+The idea is that of slicing-aided inference (Akyon et al., 2022).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torchvision.ops import nms
+
+from skope import boxes
+from skope.detector import Detections
+
+_WORTH: Final = 1.25
+"""An image is cut into tiles where it is larger than inside the network by more than this."""
+_OVERLAP: Final = 0.15
+"""Neighbours have at least this share of their sides in common."""
+_EDGE_PX: Final = 3.0
+"""A box that ends so near to an edge of its tile is one that the tile cuts."""
+_SAME_IOU: Final = 0.5
+"""Boxes that overlap more are of one vehicle, as inside the network."""
+_PART: Final = 0.7
+"""A box of which this share lies inside a vehicle that its tile cuts is a part of that."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of an image, pixels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def of(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The part of (H, W, 3) pixels."""
+        return image[self.y : self.y + self.height, self.x : self.x + self.width]
+
+
+def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
+    """Tiles that cover an image and overlap; none where the image enters the network nearly unscaled.
+
+    Args:
+        width: Of the image, pixels.
+        height: Of the image, pixels.
+        short: Short side of images inside the network, pixels.
+        long: Most that their long side has there, pixels.
+    """
+    if min(width, height) <= _WORTH * short and max(width, height) <= _WORTH * long:
+        return []
+    across, down = (long, short) if width >= height else (short, long)
+    w, h = min(across, width), min(down, height)
+    return [Tile(x, y, w, h) for y in _begins(height, h) for x in _begins(width, w)]
+
+
+def _begins(whole: int, part: int) -> list[int]:
+    """Where parts begin that cover a side evenly, each a share of `_OVERLAP` or more over the next one."""
+    count = max(1, math.ceil((whole - _OVERLAP * part) / ((1 - _OVERLAP) * part)))
+    return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
+
+
+def joined(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> Detections:
+    """Detections in the whole image and in its tiles, (in pixels of the tiles), as those of one image.
+
+    Vehicles that a tile cuts are left to the others; of several boxes on a vehicle the best one stays.
+    """
+    found = [whole, *(_whole_vehicles(tile, part, whole) for tile, part in parts)]
+    rectangles = np.concatenate([one.boxes_xyxy for one in found])
+    scores = np.concatenate([one.scores for one in found])
+    kept = nms(torch.from_numpy(rectangles), torch.from_numpy(scores), _SAME_IOU).numpy()
+    points = np.concatenate([one.keypoints for one in found])
+    return Detections(rectangles[kept], scores[kept], points[kept], whole.size)
+
+
+def _whole_vehicles(tile: Tile, part: Detections, whole: Detections) -> Detections:
+    """What a tile shows uncut, in pixels of the whole image."""
+    corner = np.array([tile.x, tile.y], dtype=np.float64)
+    rectangles = part.boxes_xyxy + np.tile(corner, 2)
+    end = corner + (tile.width, tile.height)
+    inner = np.concatenate([corner > 0, end < whole.size])
+    cut = (np.abs(rectangles - np.concatenate([corner, end])) < _EDGE_PX) & inner
+    beyond = np.concatenate([whole.boxes_xyxy[:, :2] < corner, whole.boxes_xyxy[:, 2:] > end], axis=1).any(axis=1)
+    inside = boxes.share_inside(rectangles, whole.boxes_xyxy[beyond])
+    better = whole.scores[beyond] > part.scores[:, None]
+    kept = ~cut.any(axis=1) & ~((inside > _PART) & better).any(axis=1)
+    points = part.keypoints + np.array([*corner, 0.0])
+    return replace(part, boxes_xyxy=rectangles[kept], scores=part.scores[kept], keypoints=points[kept])
