@@ -60,7 +60,7 @@ def run(
         training(
             metavar="[auto|coco|imagenet|random|FILE]",
             help="First weights. coco and imagenet are downloaded when missing, FILE may be a run folder; auto: COCO "
-            "weights if torchvision's cache has them, else random.",
+            "weights if torchvision's cache has them, else the detector that comes with skope.",
             show_default=_RECIPES,
         ),
     ] = None,

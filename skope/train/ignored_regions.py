@@ -86,7 +86,7 @@ class _ProposalNetwork(RegionProposalNetwork):  # type: ignore[misc]
     ) -> tuple[list[Tensor], list[Tensor]]:
         labels, matched = super().assign_targets_to_anchors(anchors, targets)
         for label, boxes, target in zip(labels, anchors, targets, strict=True):
-            label[on_ignored(boxes, target[KEY], target["boxes"])] = _DISCARD
+            label.masked_fill_(on_ignored(boxes, target[KEY], target["boxes"]), _DISCARD)
         return labels, matched
 
 
@@ -99,7 +99,7 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
     ) -> tuple[list[Tensor], list[Tensor]]:
         matched, labels = super().assign_targets_to_proposals(proposals, gt_boxes, gt_labels)
         for label, boxes, ignored, vehicles in zip(labels, proposals, self._ignored, gt_boxes, strict=True):
-            label[on_ignored(boxes, ignored, vehicles)] = _DISCARD
+            label.masked_fill_(on_ignored(boxes, ignored, vehicles), _DISCARD)
         return matched, labels
 
     def forward(
