@@ -120,6 +120,9 @@ def predict(
         counts(choices=TILES, help="auto: look at parts too where the image is larger than in the network."),
     ] = "none",
     score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
+    unconfirmed: Annotated[
+        bool, output("--unconfirmed", help="On video, keep also what no other frame confirms.")
+    ] = False,
     overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
     blur: Annotated[bool, output("--blur", help="Blur plates and glass in the overlay.")] = False,
     out: Annotated[
@@ -139,7 +142,7 @@ def predict(
         raise UserError("--blur is for the overlay: give --overlay too")
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
-    settings = hardware.settings(min_score=score, tiles=tiles)
+    settings = hardware.settings(tiles=tiles)
     out = out or PREDICTED / (Path(footage.name).stem or "images")
     fixed = read_camera(camera)[0] if camera else None
 
@@ -154,6 +157,7 @@ def predict(
         camera=fixed,
         overlay=overlay,
         blur=blur,
+        unconfirmed=unconfirmed,
     )
     for path in predict(job, console):
         console.result(f"wrote {path}")

@@ -1,13 +1,16 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
 import hashlib
+import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from skope import coco, draw
 from skope.camera import Camera
@@ -15,6 +18,7 @@ from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.inference.anonymize import blurred
+from skope.eval.inference.confirmation import FARTHEST_S, WEAK, Confirmation
 from skope.eval.inference.footage import Footage, Pixels
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
@@ -30,6 +34,9 @@ _PROGRESS: Final = ".predict.jsonl"
 OVERLAY: Final = "overlay.mp4"
 OVERLAYS: Final = "overlays"
 
+Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
+"""The results of a frame, of its row in the file of progress, that stay."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PredictJob:
@@ -44,6 +51,14 @@ class PredictJob:
     camera: Camera | None = None
     overlay: bool = False
     blur: bool = False
+    unconfirmed: bool = False
+    """Whether detections in a video are kept that its other frames do not confirm."""
+
+    @property
+    def confirms(self) -> bool:
+        """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
+        dense = self.footage.fps is None or self.footage.fps * FARTHEST_S >= 1
+        return self.footage.clip is not None and dense and not self.unconfirmed
 
 
 def predict(job: PredictJob, console: Console) -> list[Path]:
@@ -59,7 +74,8 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     Raises:
         UserError: No image can be read, or the output folder holds other work.
     """
-    predictor = Predictor(job.checkpoint, job.settings, console)
+    least = min(job.score, WEAK) if job.confirms else job.score
+    predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least), console)
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped"))
     images = []
@@ -86,15 +102,16 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         progress.end()
         why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
         raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
+    kept = _kept(job, progress, images)
     written = [job.out / PREDICTIONS, job.out / FRAMES]
-    coco.write_result_rows(written[0], (result for row in progress.rows() for result in row["results"]))
+    coco.write_result_rows(written[0], (result for row in progress.rows() for result in kept(row)))
     info = {"source": job.footage.name, "fps": job.footage.fps}
     frames_file = AnnotationFile(
         images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
     coco.write(written[1], frames_file)
     if job.overlay:
-        written.append(_overlay(job, progress, len(images), predictor.scheme, console))
+        written.append(_overlay(job, progress, kept, len(images), predictor.scheme, console))
     progress.end()
     return written
 
@@ -110,6 +127,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
         "score": job.score,
         "precision": settings.precision,
         "tiles": settings.tiles,
+        "unconfirmed": job.unconfirmed,
         "camera": job.camera.to_dict() if job.camera else None,
     }
     claim_output(job.out, "skope eval predict", files, options)
@@ -126,9 +144,22 @@ def _content(footage: Footage) -> str:
     return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
 
 
-def _overlay(job: PredictJob, progress: Progress, count: int, scheme: Scheme, console: Console) -> Path:
+def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
+    """What gives the results of a frame that stay: those above the score, in a video those that others confirm."""
+    times = [image.time_s for image in images if image.time_s is not None]
+    interval = float(np.median(np.diff(times))) if job.confirms and len(times) > 1 else math.inf
+    if interval > FARTHEST_S:
+        return lambda row: [result for result in row["results"] if result["score"] > job.score]
+    confirmation = Confirmation(job.score)
+    for row, time_s in zip(progress.rows(), times, strict=True):
+        confirmation.add(time_s, list(map(coco.result_from_dict, row["results"])))
+    of_frame = dict(zip([image.id for image in images], confirmation.confirmed(), strict=True))
+    return lambda row: list(itertools.compress(row["results"], of_frame[row["image"]["id"]]))
+
+
+def _overlay(job: PredictJob, progress: Progress, kept: Kept, count: int, scheme: Scheme, console: Console) -> Path:
     """Draw what was found: a video of a video, images of images."""
-    drawn = console.bar(_drawn(job, progress, scheme), total=count, unit="image", label="overlay")
+    drawn = console.bar(_drawn(job, progress, kept, scheme), total=count, unit="image", label="overlay")
     if job.footage.clip is None:
         folder = job.out / OVERLAYS
         shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
@@ -142,13 +173,13 @@ def _overlay(job: PredictJob, progress: Progress, count: int, scheme: Scheme, co
     return path
 
 
-def _drawn(job: PredictJob, progress: Progress, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
+def _drawn(job: PredictJob, progress: Progress, kept: Kept, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
     rows = progress.rows()
     row = next(rows, None)
     for image, pixels in job.footage.frames():
         if row is None:
             return
         if row["image"]["id"] == image.id:  # other images could not be read, and have no row
-            found = [coco.result_from_dict(result) for result in row["results"]]
+            found = [coco.result_from_dict(result) for result in kept(row)]
             yield image, draw.results(blurred(pixels, found) if job.blur else pixels, found, scheme=scheme)
             row = next(rows, None)
