@@ -1,21 +1,22 @@
 """Tiles cover an image; what they show and what the whole image shows becomes one list of vehicles."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
-from skope import boxes
+from skope import boxes, coco
 from skope.console import Console
 from skope.dataset import read_image
 from skope.detector import Detections
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
-from tests.eval.inference.test_predict_footage import picture
 
 WIDE = {"short": 640, "long": 1138}
 
@@ -88,27 +89,56 @@ def test_a_part_of_what_the_tile_cuts_is_no_vehicle() -> None:
     assert len(joined(whole, [(Tile(0, 0, 600, 400), uncut)])) == 2
 
 
-def test_a_predictor_joins_what_it_finds_in_each(random_run: Path, tmp_path: Path) -> None:
-    image = read_image(picture(tmp_path / "a.png", (100, 150, 3)))
-    settings, quiet = Settings(device="cpu", min_score=0.2), Console(quiet=True)
-    plain = Predictor(random_run, settings, quiet)
-    (whole,) = plain.detections([image])
-    tiles = tiles_of(150, 100, short=plain.config.min_size, long=plain.config.max_size)
-    assert len(tiles) == 4
-    expected = joined(whole, [(tile, plain.detections([tile.of(image)])[0]) for tile in tiles])
+@pytest.fixture
+def patches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have detectors find bright patches, of 6 px and more inside a network whose short side is 64 px."""
+
+    def run(self: Predictor, images: Sequence[np.ndarray]) -> list[Detections]:
+        found = []
+        for image in images:
+            height, width = image.shape[:2]
+            scale = min(self.config.min_size / min(height, width), self.config.max_size / max(height, width), 1.0)
+            _, _, parts, _ = cv2.connectedComponentsWithStats((image[..., 0] > 200).astype(np.uint8))
+            corners = np.array([[x, y, x + w, y + h] for x, y, w, h, _ in parts[1:] if scale * min(w, h) >= 6])
+            rectangles = corners.reshape(-1, 4).astype(float)
+            points = np.ones((len(rectangles), 33, 3))
+            found.append(Detections(rectangles, np.full(len(rectangles), 0.9), points, (width, height)))
+        return found
+
+    monkeypatch.setattr(Predictor, "_run", run)
+
+
+def patched(path: Path) -> list[list[float]]:
+    """Writes an image of 150 x 100 px with patches of 8 px and a large one; returns their boxes, sorted."""
+    rectangles = [[x, y, x + 8, y + 8] for x in range(2, 140, 21) for y in range(3, 60, 13)] + [[20, 66, 130, 96]]
+    image = np.zeros((100, 150, 3), dtype=np.uint8)
+    for left, top, right, bottom in rectangles:
+        image[top:bottom, left:right] = 255
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), image)
+    return sorted([float(edge) for edge in one] for one in rectangles)
+
+
+@pytest.mark.usefixtures("patches")
+def test_a_predictor_looks_at_tiles_too(random_run: Path, tmp_path: Path) -> None:
+    truth = patched(tmp_path / "a.png")
+    image = read_image(tmp_path / "a.png")
+    settings, quiet = Settings(device="cpu"), Console(quiet=True)
+    (plain,) = Predictor(random_run, settings, quiet).detections([image])
+    assert plain.boxes_xyxy.tolist() == [[20, 66, 130, 96]]
     for batch_size in (1, 3):
         tiled = Predictor(random_run, replace(settings, tiles="auto", batch_size=batch_size), quiet)
-        (found,) = tiled.detections([image])
-        assert len(found) == len(expected) != len(whole)
-        # Those of equal scores come in either order.
-        assert np.sort(found.boxes_xyxy, axis=0) == pytest.approx(np.sort(expected.boxes_xyxy, axis=0), abs=0.05)
+        for found in tiled.detections([image, image]):
+            assert sorted(found.boxes_xyxy.tolist()) == truth
 
 
+@pytest.mark.usefixtures("patches")
 def test_tiles_are_an_option(skope: Any, random_run: Path) -> None:
-    picture(Path("in/a.png"), (100, 150, 3))
-    common = ("eval", "predict", "in", "--checkpoint", random_run, "--score", "0.2", "-q", "--out")
+    truth = patched(Path("in/a.png"))
+    common = ("eval", "predict", "in", "--checkpoint", random_run, "-q", "--out")
     assert skope(*common, "plain")[0] == skope(*common, "tiled", "--tiles", "auto")[0] == 0
-    assert Path("plain/predictions.json").read_bytes() != Path("tiled/predictions.json").read_bytes()
+    assert len(coco.read_results(Path("plain/predictions.json"))) == 1
+    assert len(coco.read_results(Path("tiled/predictions.json"))) == len(truth)
     code, _, error = skope(*common, "plain", "--tiles", "auto")
     assert (code, error.count("\n")) == (2, 1)
     assert "tiles = none, now auto" in error
