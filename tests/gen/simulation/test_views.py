@@ -173,5 +173,5 @@ def test_town_jitter_without_views_keeps_the_sites_camera() -> None:
 
 
 def test_sites_that_are_tested_on_keep_their_cameras() -> None:
-    made = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=24, sites=("t01_school_lane",))
+    made = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=12, sites=("t01_school_lane",))
     assert [plan.views for plan in made.plans()] == [0]
