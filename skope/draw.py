@@ -221,17 +221,14 @@ class _Canvas:
         color: Color,
     ) -> None:
         """A box, the skeleton between shown points (dimmer where an end is not sure), and the points."""
-        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
-        self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, self._line)
+        self._box(bbox, color, self._line)
         self._skeleton(points, shown, sure, color)
         self._points(bbox, points, shown, sure)
 
     def prediction(self, bbox: ArrayLike, points: NDArray[np.float64], color: Color) -> None:
         """A predicted vehicle: a box, and of keypoints (33, 3: x, y, probability) and skeleton what is sure."""
-        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
         sure = points[:, 2] >= _SURE
-        line = max(1, self._line // 2) if self.is_small(bbox) else self._line
-        self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, line)
+        self._box(bbox, color, max(1, self._line // 2) if self.is_small(bbox) else self._line)
         if not self.is_small(bbox):
             self._skeleton(points, sure, sure, color)
         self._points(bbox, points, sure, sure)
@@ -248,6 +245,10 @@ class _Canvas:
             faint = (probability >= _FAINT) & (probability < _SURE)
             self._points(result.bbox, result.keypoints, faint, ~faint)
         cv2.addWeighted(self.pixels, _FAINTNESS, before, 1 - _FAINTNESS, 0, dst=self.pixels)
+
+    def _box(self, bbox: ArrayLike, color: Color, thickness: int) -> None:
+        x0, y0, x1, y1 = xywh_to_xyxy(bbox)
+        self._polyline([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], color, thickness)
 
     def _skeleton(
         self, points: NDArray[np.float64], shown: NDArray[np.bool_], sure: NDArray[np.bool_], color: Color

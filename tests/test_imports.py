@@ -83,7 +83,7 @@ GEN = (
     {"cli"},
 )
 """Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
-EVAL = ({"pose", "report"}, {"inference"}, {"tracking", "evaluate"}, {"cli"})
+EVAL = ({"assignment"}, {"pose", "report"}, {"inference"}, {"tracking", "evaluate"}, {"cli"})
 
 
 @pytest.mark.parametrize(("group", "order"), [("gen", GEN), ("eval", EVAL)])

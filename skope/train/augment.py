@@ -286,25 +286,22 @@ def _bytes(values: NDArray[np.generic]) -> Pixels:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)  # type: ignore[no-any-return]
 
 
-STEPS: Final = MappingProxyType(
-    {
-        "flip": _flip,
-        "crop": _crop,
-        "occluders": _occluders,
-        "color": _photometric(_color),
-        "brightness": _photometric(_brightness),
-        "spectrum": _photometric(_spectrum),
-        "filters": _photometric(_filters),
-        "infrared": _photometric(_infrared),
-        "rain": _photometric(_rain),
-        "blur": _photometric(_blur),
-        "noise": _photometric(_noise),
-        "resample": _photometric(_resample),
-        "jpeg": _photometric(_jpeg),
-        "video": _photometric(_video),
-    }
-)
+_GEOMETRY: Final[dict[str, Step]] = {"flip": _flip, "crop": _crop, "occluders": _occluders}
+"""Steps that move pixels or cover them, which images that stay clean take too."""
+_PHOTOMETRIC: Final = {
+    "color": _color,
+    "brightness": _brightness,
+    "spectrum": _spectrum,
+    "filters": _filters,
+    "infrared": _infrared,
+    "rain": _rain,
+    "blur": _blur,
+    "noise": _noise,
+    "resample": _resample,
+    "jpeg": _jpeg,
+    "video": _video,
+}
+"""Changes that leave every pixel where it is."""
+STEPS: Final = MappingProxyType({**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}})
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
 assert (*STEPS, "clean") == tuple(field.name for field in fields(Augment))
-_GEOMETRY: Final = ("flip", "crop", "occluders")
-"""Steps that move pixels or cover them, which images that stay clean take too."""

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
+from skope.eval.assignment import cheapest_pairs
 from skope.eval.inference.expected_sizes import ExpectedSizes, Sample
 from skope.schema import Result
 from skope.types import Array
@@ -36,8 +36,6 @@ _FIRST_REACH: Final = 1.5
 """The same while its speed is not known."""
 _ALIKE: Final = 1.8
 """Boxes of one vehicle in two frames differ in size by this factor at most."""
-_FAR: Final = 1e6
-"""Cost of a link that cannot be, in place of infinity, which the assignment does not take."""
 _STANDS: Final = 0.3
 """What never moves by more of its size stands."""
 _DRIVES: Final = 1.0
@@ -48,10 +46,8 @@ _DRIVES: Final = 1.0
 class _Vehicle:
     """What was seen of a vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
 
-    last: int
-    """Number of its last frame."""
     time_s: float
-    """Of that."""
+    """Of its last frame."""
     box: Array
     """(4,) x0, y0, x1, y1 in its last frame."""
     velocity: Array = field(default_factory=lambda: np.zeros(4))
@@ -80,11 +76,11 @@ class _Vehicle:
         """(4,) its box at a later time."""
         return self.box + self.velocity * (time_s - self.time_s)
 
-    def see(self, frame: int, time_s: float, box: Array, *, sure: bool) -> None:
+    def see(self, time_s: float, box: Array, *, sure: bool) -> None:
         if self.seen:
             now = (box - self.box) / (time_s - self.time_s)
             self.velocity = now if self.seen == 1 else (self.velocity + now) / 2
-        self.last, self.time_s, self.box = frame, time_s, box
+        self.time_s, self.box = time_s, box
         self.seen += 1
         self.sure += sure
         middle, size = (box[:2] + box[2:]) / 2, _size(box)
@@ -109,21 +105,20 @@ class Confirmation:
         """The vehicles that the detections of each frame belong to, and which of these are sure."""
 
     def add(self, time_s: float, found: Sequence[Result]) -> None:
-        """Take the detections of the next frame; sure ones choose their vehicles first."""
-        frame = len(self._of)
+        """Take the detections of the next frame, which is later; sure ones choose their vehicles first."""
         rectangles = box_math.xywh_to_xyxy(np.array([one.bbox for one in found]).reshape(-1, 4))
         sure = np.array([one.score > self._sure for one in found], dtype=bool)
         self._forget(time_s)
         numbers = np.full(len(found), -1, dtype=np.int32)
         for group in (np.flatnonzero(sure), np.flatnonzero(~sure)):
-            free = [i for i in self._live if self._vehicles[i].last < frame]
+            free = [i for i in self._live if self._vehicles[i].time_s < time_s]
             for vehicle, detection in self._links(free, rectangles[group], time_s):
-                numbers[group[detection]] = vehicle
                 here = group[detection]
-                self._vehicles[vehicle].see(frame, time_s, rectangles[here], sure=sure[here])
+                numbers[here] = vehicle
+                self._vehicles[vehicle].see(time_s, rectangles[here], sure=sure[here])
         for i in np.flatnonzero(numbers < 0):
-            numbers[i], new = self._count, _Vehicle(frame, time_s, rectangles[i])
-            new.see(frame, time_s, rectangles[i], sure=sure[i])
+            numbers[i], new = self._count, _Vehicle(time_s, rectangles[i])
+            new.see(time_s, rectangles[i], sure=sure[i])
             self._vehicles[self._count] = new
             self._live.append(self._count)
             self._count += 1
@@ -131,15 +126,15 @@ class Confirmation:
 
     def _forget(self, time_s: float) -> None:
         """End vehicles that were lost."""
-        lost = [i for i in self._live if time_s - self._vehicles[i].time_s > _LOST_S]
-        self._live = [i for i in self._live if i not in set(lost)]
+        lost = {i for i in self._live if time_s - self._vehicles[i].time_s > _LOST_S}
+        self._live = [i for i in self._live if i not in lost]
         for i in lost:
             if self._vehicles[i].sure < _FEWEST:
                 del self._vehicles[i]
 
     def _links(self, vehicles: Sequence[int], rectangles: Array, time_s: float) -> list[tuple[int, int]]:
         """Pairs of vehicle and detection that belong together."""
-        if not len(vehicles) or not len(rectangles):
+        if not vehicles or not len(rectangles):
             return []
         known = [self._vehicles[i] for i in vehicles]
         expected = np.array([one.expected(time_s) for one in known])
@@ -147,18 +142,15 @@ class Confirmation:
         reach = np.array([_REACH if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
         away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
         ratio = np.sqrt(box_math.area(rectangles))[None] / size
-        cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, _FAR)
-        pairs = zip(*linear_sum_assignment(cost), strict=True)
-        return [(vehicles[v], int(d)) for v, d in pairs if cost[v, d] < _FAR]
+        cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, np.inf)
+        return [(vehicles[v], d) for v, d in cheapest_pairs(cost, np.inf)]
 
     def confirmed(self) -> list[list[bool]]:
         """For each frame, which of its detections stay."""
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= _FEWEST}
         sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES])
-        stay = {
-            i: one for i, one in seen.items() if one.moved > _STANDS or sizes.allow((*one.samples[0][:2], one.size))
-        }
-        constant = {i for i, one in stay.items() if one.sure > _NEARLY_ALWAYS * one.seen}
+        stay = {i for i, one in seen.items() if one.moved > _STANDS or sizes.allow((*one.samples[0][:2], one.size))}
+        constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].seen}
         return [
             [i in stay and (sure or i in constant) for i, sure in zip(numbers.tolist(), flags, strict=True)]
             for numbers, flags in self._of

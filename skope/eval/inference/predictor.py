@@ -44,15 +44,14 @@ class Predictor:
         self.weights = detector.find_checkpoint(checkpoint)
         self._model: KeypointRCNN
         self._model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
-        config = self.config
-        self.scheme = keypoints.SCHEMES[config.scheme]
-        self._calibration = score_calibration.read(self.weights, config.scheme) if settings.calibrated else None
+        self.scheme = keypoints.SCHEMES[self.config.scheme]
+        self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
         low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
         if low:
             bfloat16.convert(self._model)
             if not detector.has_bfloat16(self._device):
                 console.say(f"{self._device} has no instructions for bfloat16: float32 would be faster")
-        sides = f"short side {config.min_size}, long side at most {config.max_size} px"
+        sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
         number = "bfloat16" if low else "float32"
         name = self.weights.stem if shipped(self.weights) else self.weights
@@ -144,12 +143,8 @@ class Predictor:
     def _with_tiles(self, image: Pixels, whole: detector.Detections, parts: list[Tile]) -> detector.Detections:
         """What the whole image and its tiles show together."""
         batches = _batches(((part, part.of(image)) for part in parts), self._batch)
-        found = [pair for batch in batches for pair in self._on_tiles(batch)]
-        return joined(whole, found)
-
-    def _on_tiles(self, batch: Sequence[tuple[Tile, Pixels]]) -> list[tuple[Tile, detector.Detections]]:
-        found = self._run([pixels for _, pixels in batch])
-        return [(tile, one) for (tile, _), one in zip(batch, found, strict=True)]
+        found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
+        return joined(whole, list(zip(parts, found, strict=True)))
 
     def _run(self, images: Sequence[Pixels]) -> list[detector.Detections]:
         """Images of one size through the network, with keypoint scores as they are."""

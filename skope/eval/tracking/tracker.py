@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
+from skope.eval.assignment import cheapest_pairs
 from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside
@@ -35,8 +36,6 @@ _SWERVE: Final = 6.0
 """How suddenly a vehicle may have turned or braked since its last pose, m/s^2."""
 _SWERVE_S: Final = 1.0
 """For how long at most it may have done so, seconds."""
-_OUT_OF_REACH: Final = 1e6
-"""Cost of a pose that a track cannot have, in place of infinity, which the assignment does not take."""
 _OVERLAP: Final = 0.3
 """Least IoU by which a box without a pose continues a track."""
 _JUMP_OVERLAP: Final = 0.5
@@ -97,10 +96,9 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
     posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
     cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
     left = dict(enumerate(posed))
-    for t, s in zip(*linear_sum_assignment(np.minimum(cost, _OUT_OF_REACH)), strict=True):
-        if cost[t, s] < _NEW:
-            live[t].update(*posed[s])
-            del left[s]
+    for t, s in cheapest_pairs(cost, _NEW):
+        live[t].update(*posed[s])
+        del left[s]
     _by_box(live, [detection for detection in image if detection.pose is None], _OVERLAP, time_s)
     for given in _by_box(live, [detection for detection, _ in left.values()], _JUMP_OVERLAP, time_s):
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
