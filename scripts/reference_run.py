@@ -1,14 +1,17 @@
-"""Train a detector from random weights in one of three ways, pack its weights, and measure them before and after.
+"""Make the detector that comes with skope from nothing: train in stages, pack the weights, measure before and after.
 
-    skope gen simulate --preset paper --no-depth --out data/paper       # varied, world and extra: the same
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
-    python scripts/reference_run.py world                 # after `varied`, from whose weights it goes on
+    python scripts/reference_run.py road33 --gpus 0,1     # after `varied`, from whose weights it goes on
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
-(reference.toml); `world` goes on from there with images of that preset (world.toml). What is finished is not done
-again, and what was interrupted goes on: with --minutes, in commands of limited time. `make paper` is the paper's own
-experiment.
+(reference.toml): both from random weights. `road33` goes on from `varied` with 960 places of the preset `world` and
+some of the other two (world.toml), once for each of two seeds on a GPU of its own; the mean of both runs' weights, its
+scores calibrated on places that neither has seen, is the detector (`make reference`).
+
+Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
+of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what
+was interrupted goes on: with --minutes, in commands of limited time. `make paper` is the paper's own experiment.
 """
 
 import argparse
@@ -20,15 +23,49 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+import torch
+
+from skope import detector
 from skope.dataset import CARD
 from skope.detector import find_checkpoint
+from skope.gen.towns.sites import sites
 from skope.train.run_folder import resumable
 
 HERE: Final = Path(__file__).parent
-SPLITS: Final = {"paper": ("easy", "medium", "hard"), "extra": ("extra",), "varied": ("easy", "medium", "hard")}
+
+
+def of_splits(*splits: str) -> str:
+    """The names of their sites."""
+    return ",".join(name for name, site in sites().items() if site.split in splits)
+
+
+TRAIN, TESTED, EXTRA = of_splits("train"), of_splits("easy", "medium", "hard"), of_splits("extra")
+DATASETS: Final = {
+    "paper": "--preset paper",
+    "varied": "--preset varied",
+    "world_31": "--preset world --frames 576 --seed 31",
+    "world_51": "--preset world --frames 576 --seed 51",
+    "paper_21": f"--preset paper --frames 144 --seed 21 --sites {TRAIN}",
+    "varied_21": f"--preset varied --frames 144 --seed 21 --sites {TRAIN}",
+    "world_777": "--preset world --frames 192 --seed 777",
+    "paper_7": f"--preset paper --frames 150 --seed 7 --sites {TESTED}",
+    "varied_7": f"--preset varied --frames 120 --seed 7 --sites {TESTED}",
+    "extra_7": "--preset extra --frames 12 --seed 7",
+    "world_7": f"--preset world --frames 12 --views 0 --seed 7 --sites {EXTRA}",
+}
+"""Folders under --data, and how `skope gen simulate` makes their recordings."""
+TESTS: Final = {
+    "paper_7": "easy,medium,hard",
+    "varied_7": "easy,medium,hard",
+    "extra_7": "extra",
+    "world_7": "extra",
+}
+"""Dataset -> splits that are measured."""
+CALIBRATION: Final = "world_777"
 LIVELY: Final = {
     **{"crop": 0.7, "occluders": 0.3, "color": 0.5, "brightness": 0.5, "infrared": 0.1, "rain": 0.1},
     **{"blur": 0.3, "noise": 0.3, "resample": 0.3, "jpeg": 0.3, "video": 0.2},
@@ -42,18 +79,25 @@ GRACE_S: Final = 25
 class Training:
     """What a detector learns from, and how."""
 
-    presets: Sequence[str]
-    recipe: str = "reference.toml"
+    datasets: Sequence[str]
+    recipe: str
+    images: int | None = None
+    """Images with vehicles that are learnt from, each seen in every epoch; None: all, those without vehicles too."""
     augment: Mapping[str, float] = field(default_factory=dict)
     """Changes of the images besides the recipe's."""
     after: str | None = None
     """The training that it goes on from; None: random weights."""
+    seeds: Sequence[int] = (0,)
+    """Several: a run for each on one GPU, and the mean of their weights. One: a run on all GPUs."""
+    calibrated: bool = False
 
 
 TRAININGS: Final = {
-    "paper": Training(("paper",)),
-    "varied": Training(("paper", "varied"), augment=LIVELY),
-    "world": Training(("world",), "world.toml", after="varied"),
+    "paper": Training(("paper",), "reference.toml", images=10_500),
+    "varied": Training(("paper", "varied"), "reference.toml", images=10_500, augment=LIVELY),
+    "road33": Training(
+        ("world_31", "world_51", "paper_21", "varied_21"), "world.toml", after="varied", seeds=(0, 1), calibrated=True
+    ),
 }
 
 
@@ -68,10 +112,13 @@ class Clock:
         self._end = time.monotonic() + 60 * minutes
         self._gpus = gpus
 
-    def train(self, command: Sequence[str]) -> None:
-        """Run `skope train` in one process a GPU."""
+    def train(self, *commands: Sequence[str]) -> None:
+        """Run one `skope train` in a process on each GPU, or several side by side, each on one GPU."""
+        if len(commands) > 1:
+            self.run(*(("train", *command) for command in commands))
+            return
         several = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(len(self._gpus)), "-m"]
-        self._run([[*several, "skope", "train", *command]], [",".join(self._gpus)])
+        self._run([[*several, "skope", "train", *commands[0]]], [",".join(self._gpus)])
 
     def run(self, *commands: Sequence[str]) -> None:
         """Run `skope ...` side by side, each on one GPU."""
@@ -100,58 +147,94 @@ class Clock:
             sys.exit(f"{' '.join(failed[0])}: failed")
 
 
-def render(clock: Clock, data: Path, presets: Sequence[str]) -> None:
-    for preset in presets:
-        if not (data / preset / CARD).is_file():
-            clock.run(["gen", "render", str(data / preset)])
+def make(clock: Clock, data: Path, names: Sequence[str]) -> None:
+    """Simulate what is not simulated, on a machine that can, and draw what has no images."""
+    for name in names:
+        if (data / name / CARD).is_file():
+            continue
+        if find_spec("pybullet"):
+            clock.run(["gen", "simulate", *DATASETS[name].split(), "--no-depth", "--out", str(data / name)])
+        clock.run(["gen", "render", str(data / name)])
 
 
 def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
-    """Train, or go on; returns the run folder."""
-    run = options.out / "run"
-    if (run / ".trained").is_file():
-        return run
-    new = ["--recipe", str(HERE / training.recipe), "--max-images", str(options.images // len(training.presets))]
-    new += [flag for name, value in training.augment.items() for flag in ("--set", f"augment.{name}={value}")]
-    new += [flag for preset in training.presets for flag in ("--data", str(options.data / preset))]
-    if training.after:
-        new += ["--init", str(options.out.parent / training.after / PACKED)]
-    always = ["--out", str(run), "--workers", str(options.workers), "--save-minutes", "3"]
-    clock.train([*always, *(["--resume"] if resumable(run) else new)])
-    (run / ".trained").touch()
-    return run
+    """Train, or go on; returns the weights."""
+    runs = [options.out / f"run{seed}" for seed in training.seeds]
+    if not all((run / ".trained").is_file() for run in runs):
+        new = ["--recipe", str(HERE / training.recipe)]
+        if training.images:
+            new += ["--max-images", str((options.images or training.images) // len(training.datasets))]
+        new += [flag for name, value in training.augment.items() for flag in ("--set", f"augment.{name}={value}")]
+        new += [flag for name in training.datasets for flag in ("--data", str(options.data / name))]
+        if training.after:
+            new += ["--init", str(options.out.parent / training.after / PACKED)]
+        always = ["--workers", str(options.workers), "--save-minutes", "3"]
+        clock.train(
+            *(
+                [*always, "--out", str(run), *(["--resume"] if resumable(run) else [*new, "--seed", str(seed)])]
+                for run, seed in zip(runs, training.seeds, strict=True)
+            )
+        )
+        for run in runs:
+            (run / ".trained").touch()
+    weights = [find_checkpoint(run) for run in runs]
+    return weights[0] if len(weights) == 1 else mean_of(weights, options.out / "mean.safetensors")
+
+
+def mean_of(files: Sequence[Path], out: Path) -> Path:
+    """Write the mean of several runs' weights, with the first one's config and description."""
+    if not out.is_file():
+        (model, config, metadata), *others = [detector.load_weights(file, "cpu") for file in files]
+        states = [model.state_dict(), *(other.state_dict() for other, _, _ in others)]
+        mean = {
+            name: torch.stack([state[name].double() for state in states]).mean(0).to(tensor.dtype)
+            for name, tensor in states[0].items()
+        }
+        model.load_state_dict(mean)
+        detector.save_weights(out, model, config, metadata)
+    return out
+
+
+def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:
+    """Give the scores their meaning on places of their own."""
+    out: Path = options.out / "calibrated.safetensors"
+    if not out.is_file():
+        make(clock, options.data, [CALIBRATION])
+        what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "0.17", "--score", "0.5"]
+        clock.run(["eval", "calibrate", "--checkpoint", str(full), *what, "--out", str(out)])
+    return out
 
 
 def measure(clock: Clock, options: argparse.Namespace, forms: Mapping[str, Path]) -> None:
-    """All test splits of all presets with all forms of the weights side by side: one leaves most of a GPU idle."""
+    """All tests with all forms of the weights side by side: one leaves most of a GPU idle."""
     commands = []
-    for form, preset in itertools.product(forms, SPLITS):
-        for split in SPLITS[preset]:
-            out = options.out / form / preset / split
-            if not (out / "metrics.json").is_file():
-                what = ["--data", str(options.data / preset), "--checkpoint", str(forms[form]), "--split", split]
-                commands.append(["eval", *what, "--out", str(out), "--batch-size", "4"])
+    for form, name in itertools.product(forms, TESTS):
+        out = options.out / form / name
+        if not (out / "metrics.json").is_file():
+            what = ["--data", str(options.data / name), "--checkpoint", str(forms[form]), "--split", TESTS[name]]
+            commands.append(["eval", *what, "--out", str(out), "--batch-size", "8"])
     clock.run(*commands)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("training", choices=tuple(TRAININGS))
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the presets' folders")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the datasets' folders")
     parser.add_argument("--out", type=Path, help="by default runs/reference/TRAINING")
     parser.add_argument("--gpus", default="0", help="numbers, separated by commas")
-    parser.add_argument("--images", type=int, default=10_500, help="images to learn from, each seen in every epoch")
+    parser.add_argument("--images", type=int, help="of `paper` and `varied`: images to learn from (10500)")
     parser.add_argument("--workers", type=int, default=8, help="processes that load images, a GPU")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop, resumably, after so many")
     options = parser.parse_args()
     options.out = options.out or Path("runs/reference") / options.training
     training, clock = TRAININGS[options.training], Clock(options.minutes, options.gpus.split(","))
     try:
-        render(clock, options.data, training.presets)
-        full, packed = find_checkpoint(train(clock, options, training)), options.out / PACKED
+        make(clock, options.data, training.datasets)
+        full, packed = train(clock, options, training), options.out / PACKED
+        full = calibrate(clock, options, full) if training.calibrated else full
         if not packed.is_file():
             clock.run(["train", "export", str(full), "--to", "compact", "--out", str(packed)])
-        render(clock, options.data, tuple(SPLITS))
+        make(clock, options.data, tuple(TESTS))
         measure(clock, options, {"full": full, "packed": packed})
     except TimeIsUpError:
         print("time is up: the same command goes on")

@@ -1,18 +1,34 @@
-"""The tables of docs/results.md, from the metrics that scripts/reference_run.py brings back.
+"""The tables of docs/results.md, from what scripts/reference_run.py brings back.
 
-python scripts/reference_table.py runs/reference/eval
+    python scripts/reference_table.py runs/reference/road33/packed
+    python scripts/reference_table.py runs/reference/road33/packed --beside runs/reference/varied/packed --data data
+
+A folder holds one of `skope eval` for each dataset. The second command sets two detectors beside each other: the most
+boxes that each finds where nine (or nineteen of twenty) of its detections are right, and what it finds of small and of
+large vehicles from the score on that gives nine of ten.
 """
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from score_photographs import recall_at_precision
+
+from skope import coco
 from skope.files import read_json
+from skope.metrics.counts import Options, outcomes_at, ratio
+from skope.metrics.match import match
+from skope.metrics.read_inputs import read_results
+from skope.schema import AnnotationFile, Result
 
 PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published_results.json"
-SPLITS = ("easy", "medium", "hard", "extra")
-IOU = "0.6"
+IOU = 0.6
+AT_PRECISION = (0.90, 0.95)
+BANDS_PX = {"12 to 30 px high": (12, 30), "200 px and more": (200, math.inf)}
+"""Heights of ground-truth boxes, from and below."""
 BY = ("distance", "height", "occlusion", "truncation", "unoccluded_within_40_m", "weather", "vehicle_type", "model")
 
 Metrics = Mapping[str, Any]
@@ -43,7 +59,7 @@ def divided(found: Mapping[str, Metrics]) -> str:
     for key in BY:
         bins = dict.fromkeys(name for metrics in found.values() for name in metrics["by"].get(key, {}))
         for name in bins:
-            cells = [_cell(metrics["by"].get(key, {}).get(name, {}).get(IOU)) for metrics in found.values()]
+            cells = [_cell(metrics["by"].get(key, {}).get(name, {}).get(str(IOU))) for metrics in found.values()]
             lines.append(f"| {key.replace('_', ' ')} | {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -67,15 +83,68 @@ def _cell(row: Mapping[str, Any] | None) -> str:
     return _share(row["box_recall"]) + (f", {_percent(row['pck'])}" if row["pck"] is not None else "")
 
 
+def evaluated(folder: Path) -> Iterator[tuple[str, str, Metrics]]:
+    """Dataset, split and metrics of everything that was measured."""
+    for path in sorted(folder.glob("*/metrics.json")):
+        for split, metrics in read_json(path)["splits"].items():
+            yield path.parent.name, split, metrics
+
+
+def label(dataset: str, split: str) -> str:
+    """What the tables call a split: those of the preset `paper` by their own names, others by the preset's too."""
+    preset = dataset.split("_")[0]
+    return split if preset in ("paper", split) else f"{preset} {split}"
+
+
+def beside(folders: Sequence[Path], data: Path) -> str:
+    """A line for each dataset, split and detector."""
+    names = ["PCK@0.1 %", *(f"recall at precision {p:.2f}" for p in AT_PRECISION), *BANDS_PX]
+    lines = ["| | | " + " | ".join(names) + " |", "|---" * (len(names) + 2) + "|"]
+    for dataset, split, _ in evaluated(folders[0]):
+        file = coco.read(data / dataset / "annotations" / f"{split}.json")
+        for folder in folders:
+            results = read_results(folder / dataset / f"predictions_{split}.json", file)
+            lines.append(f"| {label(dataset, split)} | {folder} | " + " | ".join(detector_cells(file, results)) + " |")
+    return "\n".join(lines)
+
+
+def detector_cells(file: AnnotationFile, results: Sequence[Result]) -> list[str]:
+    """PCK above a score of 0.9, box recalls at fixed precision, and recall and PCK of the bands of heights."""
+    everything = match(file, results, score=0.0, thresholds=(IOU,))
+    hit = everything.taken[IOU] >= 0
+    counted = hit | ~everything.det_on_ignored
+    truth = len(everything.vehicles)
+    recalls = [recall_at_precision(everything.det_score[counted], hit[counted], truth, p) for p in AT_PRECISION]
+    cells = [_found(file, results, 0.9)[1], *(_share(one["recall"]) for one in recalls)]
+    if (least := recalls[0]["score"]) is None:
+        return [*cells, *("-" for _ in BANDS_PX)]
+    return [*cells, *(", ".join(_found(file, results, np.nextafter(least, 0.0), band)) for band in BANDS_PX.values())]
+
+
+def _found(
+    file: AnnotationFile, results: Sequence[Result], score: float, band: tuple[float, float] = (0, math.inf)
+) -> tuple[str, str]:
+    """Box recall, and PCK in per cent, of vehicles whose box is from and below so many pixels high."""
+    matches = match(file, results, score=score, thresholds=(IOU,))
+    outcomes = outcomes_at(matches, IOU, Options())
+    height = matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]
+    part = (band[0] <= height) & (height < band[1])
+    found = part & outcomes.found
+    return _share(ratio(found.sum(), part.sum())), _percent(
+        ratio(outcomes.correct(0.1)[found].sum(), outcomes.labelled[found].sum())
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="with a folder for each split")
+    parser.add_argument("folder", type=Path, help="with a folder for each dataset")
+    parser.add_argument("--beside", type=Path, help="the same of another detector")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the datasets")
     options = parser.parse_args()
-    found = {
-        split: read_json(path)["splits"][split]
-        for split in SPLITS
-        if (path := options.folder / split / "metrics.json").is_file()
-    }
+    if options.beside:
+        print(beside([options.beside, options.folder], options.data))
+        return
+    found = {label(dataset, split): metrics for dataset, split, metrics in evaluated(options.folder)}
     print(overall(found), divided(found), sep="\n\n")
 
 

@@ -1,7 +1,7 @@
 """Every script and every make target runs: with --help, at its smallest, and with the flags that it has today."""
 
 import argparse
-import json
+import importlib
 import os
 import re
 import runpy
@@ -91,7 +91,8 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
-    Run("reference_table.py", "{metrics}", says="| easy | 0.6 |"),
+    Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
+    Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
@@ -182,22 +183,17 @@ def test_smallest_run(
     given = dict(inputs)
     if "{metrics}" in run.arguments:
         given["metrics"] = tmp_path / "metrics"
-        scored = ["--annotations", inputs["labels"], "--predictions", inputs["predictions"]]
-        assert skope("eval", *scored, "--out", given["metrics"] / "easy", "--quiet")[0] == 0
-        rename_split(given["metrics"] / "easy" / "metrics.json", "easy")
+        out = given["metrics"] / "dataset"
+        scored = ["--data", inputs["dataset"], "--split", "easy", "--predictions", inputs["predictions"]]
+        assert skope("eval", *scored, "--out", out, "--quiet")[0] == 0
+        shutil.copy(inputs["predictions"], out / "predictions_easy.json")
+        shutil.copytree(inputs["dataset"], tmp_path / "dataset")
     given["out"] = tmp_path / "out"
     given["out"].mkdir()
     arguments = run.arguments.format_map(given).split()
     code, out, error = (apart if run.apart else script)(run.script, *arguments)
     assert code == run.code, error
     assert run.says in out + error
-
-
-def rename_split(path: Path, name: str) -> None:
-    """Give the only split of a metrics file another name."""
-    metrics = json.loads(path.read_text())
-    metrics["splits"] = {name: next(iter(metrics["splits"].values()))}
-    path.write_text(json.dumps(metrics))
 
 
 @pytest.mark.parametrize("name", SHELL)
@@ -221,7 +217,7 @@ esac
 
 COMMANDS: Final[Mapping[str, int]] = {
     **{"setup": 0, "demo": 5, "paper": 5, "real": 1, "test": 1, "test-slow": 1, "lint": 3, "data": 1, "model": 2},
-    **{"report": 3, "bench": 8, "clean": 0},
+    **{"report": 3, "reference": 2, "bench": 8, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 
@@ -284,6 +280,32 @@ def test_targets_call_what_there_is(
         elif program == "python" and words[0] != "-m":
             code, _, error = script(Path(words[0]).name, *words[1:])
             assert (code, error) == (0, "")
+
+
+def test_recordings_of_the_reference_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    reference = importlib.import_module("reference_run")
+    for words in reference.DATASETS.values():
+        code, _, error = skope("gen", "simulate", *words.split(), "--help")
+        assert code == 0, error
+    for training in reference.TRAININGS.values():
+        assert set(training.datasets) <= set(reference.DATASETS)
+
+
+def test_the_mean_of_weights_lies_between_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    reference = importlib.import_module("reference_run")
+    shrink(monkeypatch)
+    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
+    model = detector.build(config)
+    first = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    detector.save_weights(tmp_path / "a.safetensors", model, config, {})
+    model.load_state_dict({name: tensor + 2 for name, tensor in first.items()})
+    detector.save_weights(tmp_path / "b.safetensors", model, config, {})
+    out = reference.mean_of([tmp_path / "a.safetensors", tmp_path / "b.safetensors"], tmp_path / "mean.safetensors")
+    mean = detector.read_checkpoint(out)[1]
+    for name, tensor in first.items():
+        torch.testing.assert_close(mean[name], tensor + 1)
 
 
 def understand_only(monkeypatch: pytest.MonkeyPatch) -> None:
