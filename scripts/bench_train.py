@@ -10,7 +10,7 @@ stages. Both contenders start from the same weights, learn the same images in th
 processes of their own, in turns, so that neither has the other's memory or a quieter moment.
 
 How many proposals lie on vehicles decides how much the keypoint head has to do, so both start from a trained detector,
-the reference unless `--checkpoint` names another; its mean number of regions on vehicles an image is printed.
+the package's unless `--checkpoint` names another; its mean number of regions on vehicles an image is printed.
 """
 
 import argparse

@@ -49,8 +49,8 @@ DATASETS: Final = {
     "varied": "--preset varied",
     "world_31": "--preset world --frames 576 --seed 31",
     "world_51": "--preset world --frames 576 --seed 51",
-    "paper_21": f"--preset paper --frames 144 --seed 21 --sites {TRAIN}",
-    "varied_21": f"--preset varied --frames 144 --seed 21 --sites {TRAIN}",
+    "paper_21": f"--preset paper --frames 72 --seed 21 --sites {TRAIN}",
+    "varied_21": f"--preset varied --frames 72 --seed 21 --sites {TRAIN}",
     "world_777": "--preset world --frames 192 --seed 777",
     "paper_7": f"--preset paper --frames 150 --seed 7 --sites {TESTED}",
     "varied_7": f"--preset varied --frames 120 --seed 7 --sites {TESTED}",
@@ -233,7 +233,8 @@ def main() -> None:
         full, packed = train(clock, options, training), options.out / PACKED
         full = calibrate(clock, options, full) if training.calibrated else full
         if not packed.is_file():
-            clock.run(["train", "export", str(full), "--to", "compact", "--out", str(packed)])
+            seen = ["--data", str(options.data / training.datasets[0])]
+            clock.run(["train", "export", str(full), "--to", "compact", *seen, "--out", str(packed)])
         make(clock, options.data, tuple(TESTS))
         measure(clock, options, {"full": full, "packed": packed})
     except TimeIsUpError:

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset
+from skope import coco, dataset, weights
 from skope.camera import Camera
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
-from skope.weights import REFERENCE
 
 if TYPE_CHECKING:
     from skope.detector import Detections
@@ -103,7 +102,7 @@ class Detector:
 
 
 def load_detector(
-    checkpoint: str | Path = REFERENCE,
+    checkpoint: str | Path = weights.DEFAULT,
     *,
     device: str = "auto",
     precision: str = "float32",

@@ -18,6 +18,8 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
+from skope.compensated_rounding import CompensatedRounding
+
 BYTES: Final = 33_500_000
 """Bytes that the rounded weights of a detector take at most."""
 
@@ -53,12 +55,16 @@ class DamagedError(ValueError):
 # -------------------------------------------------------------------------------------------------------------- packing
 
 
-def pack(state: State, most_bytes: int = BYTES) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def pack(
+    state: State, most_bytes: int = BYTES, *, moments: State | None = None
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors to store for a state dict, and how each weight is kept.
 
     Args:
         state: float32 tensors (and whole numbers, which are kept) by name.
         most_bytes: what all rounded weights take at most; what is kept otherwise adds about a megabyte.
+        moments: by weight, (N, N) mean of x x^T over the inputs x of its layer, in the order of `weight.flatten(1)`:
+            these are rounded by `skope.compensated_rounding`, others to what is nearest.
 
     Returns:
         Tensors by name, and for each name {"kept": one of `WAYS`, "shape": [...]}. Integers are stored as deflated
@@ -69,7 +75,7 @@ def pack(state: State, most_bytes: int = BYTES) -> tuple[dict[str, Tensor], dict
     rounded = {name: tensor.float() for name, tensor in state.items() if kept[name]["kept"] == "integers"}
     out = {name: tensor for name, tensor in state.items() if kept[name]["kept"] == "exact"}
     out |= {name: tensor.half() for name, tensor in state.items() if kept[name]["kept"] == "half"}
-    for name, (data, steps) in _deflated(rounded, most_bytes).items():
+    for name, (data, steps) in _deflated(rounded, most_bytes, moments or {}).items():
         out[name], out[name + _STEPS] = torch.frombuffer(bytearray(data), dtype=torch.uint8), steps
     return out, kept
 
@@ -83,8 +89,9 @@ def _way(name: str, tensor: Tensor) -> str:
 class _Weight:
     """A weight of C channels, and what its steps are made from."""
 
-    def __init__(self, tensor: Tensor, relative: float) -> None:
+    def __init__(self, tensor: Tensor, relative: float, moments: Tensor | None) -> None:
         self._tensor = tensor
+        self._rounding = None if moments is None else CompensatedRounding(moments)
         self._sample = tensor.flatten(1)[:, ::_SAMPLED].contiguous()
         self._mean_square = relative * tensor.flatten(1).square().mean(1).sqrt()
         self._finest = tensor.flatten(1).abs().amax(1) / _LARGEST
@@ -95,7 +102,14 @@ class _Weight:
 
     def integers(self, factor: float) -> Tensor:
         """The weights rounded to multiples of the steps: int8 of the weights' shape."""
-        return _integers(self._tensor, self.steps(factor))
+        steps = self.steps(factor)
+        if self._rounding is None:
+            return _integers(self._tensor, steps)
+
+        def nearest(column: Tensor) -> Tensor:
+            return _integers(column, steps.to(column.device)) * steps.to(column.device)
+
+        return _integers(self._rounding(self._tensor.flatten(1), nearest).view(self._tensor.shape), steps)
 
     def bits(self, factor: float) -> float:
         """Entropy of all integers, estimated from a sample."""
@@ -110,11 +124,14 @@ def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
     return (tensor * inverse).round().clamp(-_LARGEST, _LARGEST).to(torch.int8)
 
 
-def _deflated(weights: State, most_bytes: int) -> dict[str, tuple[bytes, Tensor]]:
+def _deflated(weights: State, most_bytes: int, moments: State) -> dict[str, tuple[bytes, Tensor]]:
     """Deflated integers and steps of each weight, with the finest factor that `most_bytes` allow."""
     count = sum(tensor.numel() for tensor in weights.values())
     largest = max(tensor.numel() for tensor in weights.values())
-    prepared = {name: _Weight(tensor, math.sqrt(tensor.numel() / largest)) for name, tensor in weights.items()}
+    prepared = {
+        name: _Weight(tensor, math.sqrt(tensor.numel() / largest), moments.get(name))
+        for name, tensor in weights.items()
+    }
     factor = _finest_factor(prepared.values(), most_bytes)
     while True:
         out = {name: (_deflate(weight.integers(factor)), weight.steps(factor)) for name, weight in prepared.items()}

@@ -171,12 +171,17 @@ def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metada
 
 
 def checkpoint_bytes(
-    model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any], *, packed: bool = False
+    model: KeypointRCNN,
+    config: DetectorConfig,
+    metadata: Mapping[str, Any],
+    *,
+    packed: bool = False,
+    moments: Mapping[str, torch.Tensor] | None = None,
 ) -> bytes:
     """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
 
     The tensors are the model's, or, `packed`, what `skope.compact_weights` makes of them: a seventh of the bytes, with
-    a checksum. The same model gives the same bytes.
+    a checksum, where `moments` are those that `pack` takes. The same model gives the same bytes.
     """
     header: dict[str, Any] = {
         "version": _FORMAT_VERSION,
@@ -187,7 +192,7 @@ def checkpoint_bytes(
     }
     state = full_state(model)
     if packed:
-        state, header[_PACKED] = compact_weights.pack(state)
+        state, header[_PACKED] = compact_weights.pack(state, moments=moments)
         header[_CHECKSUM] = compact_weights.digest(state, header)
     # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
     return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})

@@ -95,6 +95,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
+    Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 |"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )
@@ -115,6 +116,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
     road = drive(0.2, 10)
     road = replace(road, annotations=tuple(replace(a, distance=20.0) for a in road.annotations))
     coco.write(folder / "road.json", road)
+    seen = [Result(image_id=a.image_id, score=0.95, bbox=a.bbox, keypoints=a.keypoints) for a in road.annotations]
+    (folder / "clip" / "seen" / "road").mkdir(parents=True)
+    coco.write(folder / "clip" / "road.json", road)
+    coco.write_results(folder / "clip" / "seen" / "road" / "predictions.json", seen)
     config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
@@ -125,6 +130,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
         "labels": dataset / "labels.json",
         "predictions": folder / "predictions.json",
         "road": folder / "road.json",
+        "clip": folder / "clip",
         "checkpoint": random_run,
         "small": folder / "small.safetensors",
     }

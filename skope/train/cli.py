@@ -136,6 +136,10 @@ def export(
     out: Annotated[
         Path | None, option(metavar=FILE, help="File to write.", show_default="beside the checkpoint")
     ] = None,
+    data: Annotated[
+        Path | None,
+        option(metavar=DIR, help="Round compact weights so that on this dataset the layers' outputs change least."),
+    ] = None,
 ) -> None:
     """Write a checkpoint in another form.
 
@@ -145,5 +149,5 @@ def export(
     """
     from skope.train.export import export as write
 
-    path = write(checkpoint, to, out, console=console)
+    path = write(checkpoint, to, out, data=data, console=console)
     console.result(f"wrote {path}")

@@ -19,11 +19,13 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import detector, keypoints, weights
+from skope import dataset, detector, image_selection, keypoints, weights
 from skope.console import Console
 from skope.detector import DetectorConfig
 from skope.errors import UserError, one_of
 from skope.output_folders import check_file, write_new
+from skope.train import input_moments
+from skope.train.splits import SPLIT
 
 FORMATS: Final = {
     "torchscript": ".torchscript.pt",
@@ -39,6 +41,8 @@ _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
+IMAGES: Final = 64
+"""Of a dataset, that tell what the layers' inputs are."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 
 _OPSET: Final = 17
@@ -69,9 +73,26 @@ def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]
     return found["boxes"], found["scores"], found["keypoints"][:, :, :2], found["keypoints_scores"].sigmoid()
 
 
-def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> Path:
-    """Write `checkpoint` (a file or a run folder) in a format of `FORMATS`; returns the file."""
+def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = None, console: Console) -> Path:
+    """Write a checkpoint in another form.
+
+    Args:
+        checkpoint: A file or a run folder.
+        to: One of `FORMATS`.
+        out: The file; None: beside the checkpoint.
+        data: A dataset, whose training images tell what the layers' inputs are: a compact file's weights are rounded so
+            that the layers' outputs change least.
+        console: Says what is done.
+
+    Returns:
+        The file.
+
+    Raises:
+        UserError: The checkpoint or the dataset cannot be read, or something else is in the file's place.
+    """
     one_of("--to", to, tuple(FORMATS))
+    if data and to != "compact":
+        raise UserError("--data is for --to compact")
     if to == "onnx" and importlib.util.find_spec("onnx") is None:
         raise UserError("--to onnx: needs the package onnx: pip install 'skope[onnx]'")
     path = detector.find_checkpoint(checkpoint)
@@ -82,7 +103,8 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
     if to == "compact":
         # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
         frozen = replace(config, norm="frozen")
-        write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True))
+        moments = _moments(model, data, console) if data else None
+        write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
     if to == "state_dict":
         write_new(out, _pickled(detector.full_state(model)))
@@ -94,6 +116,19 @@ def export(checkpoint: Path, to: str, out: Path | None, *, console: Console) -> 
         warnings.simplefilter("ignore")  # about tracing and the old exporter; tests compare the results
         write_new(out, _torchscript(model) if to == "torchscript" else _onnx(model))
     return out
+
+
+def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Tensor]:
+    """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
+    opened = dataset.open_dataset(data)
+    images = image_selection.take(opened.read(SPLIT), IMAGES).images
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    pixels = (dataset.read_image(data / image.file_name, (image.width, image.height)) for image in images)
+    seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
+    try:
+        return input_moments.gather(model.to(device), seen)
+    finally:
+        model.cpu()
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:

@@ -41,8 +41,8 @@ def initialise(
     """Build a detector with the weights from which training begins.
 
     Args:
-        init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the reference detector
-            where it comes with skope and has the same keypoints, else random ones; never from the network. `coco` and
+        init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the detector that
+            comes with skope where it has the same keypoints, else random ones; never from the network. `coco` and
             `imagenet`: downloaded where they are not there. `random`. Anything else is what `detector.find_checkpoint`
             takes: a checkpoint of skope or of torchvision.
         norm: Normalisation, one of `recipe.NORMS`. `given` is frozen for trained weights and learns for random ones, as
@@ -82,11 +82,11 @@ def initialise(
         if init == "imagenet":
             chosen = config("frozen", _DEFAULT_EPS)
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
-        shipped = init == "auto" and scheme == keypoints.SCHEME and weights.REFERENCE in weights.names()
+        shipped = init == "auto" and scheme == keypoints.SCHEME and weights.DEFAULT in weights.names()
         if init in INITS and not shipped:
             chosen = config("batch", _DEFAULT_EPS)
             return detector.build(chosen, trainable_layers=5), chosen, "random weights"
-        file = weights.path(weights.REFERENCE) if shipped else detector.find_checkpoint(Path(init))
+        file = weights.path(weights.DEFAULT) if shipped else detector.find_checkpoint(Path(init))
         state, own_norm, eps, own_anchors = _from_file(file, scheme)
         chosen = config(own_norm, eps, own_anchors)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Final
 
-REFERENCE: Final = "reference"
+DEFAULT: Final = "reference"
+"""The detector that runs where none is named, and from which training begins where COCO's weights are not at hand."""
 
 FOLDER: Final = Path(__file__).parent
 

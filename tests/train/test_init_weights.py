@@ -57,9 +57,9 @@ def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, m
     assert initialise("auto")[2] == "random weights"  # while there are none
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
     packed = detector.checkpoint_bytes(detector.build(config), config, {}, packed=True)
-    weights.path(weights.REFERENCE).write_bytes(packed)
+    weights.path(weights.DEFAULT).write_bytes(packed)
     (model, chosen, words), (named, _, _) = initialise("auto"), initialise("reference")
-    own, _, _ = detector.load_weights(weights.path(weights.REFERENCE), "cpu")
+    own, _, _ = detector.load_weights(weights.path(weights.DEFAULT), "cpu")
     assert chosen == config
     assert words == "weights `reference` of the package"
     assert torch.equal(body_outputs(model), body_outputs(own))

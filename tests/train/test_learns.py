@@ -1,6 +1,7 @@
 """It learns: overfitted to an image it finds what it was shown, and exported it answers alike."""
 
 import importlib.util
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, detector
@@ -15,7 +17,7 @@ from skope.console import Console
 from skope.dataset import open_dataset, read_image
 from skope.errors import UserError
 from skope.schema import Annotation
-from skope.train import configure
+from skope.train import configure, input_moments
 from skope.train.augment import Augment
 from skope.train.export import OUTPUTS, Deployed, export
 from skope.train.recipe import RECIPES
@@ -121,6 +123,30 @@ def test_torchscript(learnt: tuple[Path, Path], expected: list[Answer]) -> None:
         check([model(image) for image in images(data)], expected)
 
 
+def test_compact_weights_are_rounded_for_a_dataset(
+    learnt: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, checkpoint = learnt
+    name = "backbone.body.layer4.1.conv2.weight"
+    seen = []
+
+    def gather(model: KeypointRCNN, images: Iterable[NDArray[np.uint8]]) -> dict[str, torch.Tensor]:
+        seen.extend(images)
+        size = model.state_dict()[name].flatten(1).shape[1]
+        return {name: torch.full((size, size), 0.5) + torch.eye(size)}
+
+    monkeypatch.setattr(input_moments, "gather", gather)
+    files = [tmp_path / "plain.safetensors", tmp_path / "rounded.safetensors"]
+    export(checkpoint, "compact", files[0], console=Console(quiet=True))
+    export(checkpoint, "compact", files[1], data=data, console=Console(quiet=True))
+    (image,) = seen
+    assert np.array_equal(image, read_image(next((data / "images").rglob("*.png"))))
+    full, plain, rounded = (detector.read_checkpoint(path)[1] for path in (checkpoint, *files))
+    # Inputs that all move together: the sum of the weights is what counts.
+    sums = [(state[name] - full[name]).flatten(1).sum(1).abs().mean() for state in (plain, rounded)]
+    assert sums[1] < 0.2 * sums[0]
+
+
 def test_state_dict(learnt: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines that are printed build torchvision's own model, whose detections are the same."""
     data, checkpoint = learnt
@@ -157,6 +183,8 @@ def test_onnx(learnt: tuple[Path, Path], expected: list[Answer], tmp_path: Path)
 def test_mistakes_in_an_export_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match="--to: 'coreml' is not one of torchscript, onnx"):
         export(tmp_path, "coreml", None, console=Console(quiet=True))
+    with pytest.raises(UserError, match="--data is for --to compact"):
+        export(tmp_path, "onnx", None, data=tmp_path, console=Console(quiet=True))
     with pytest.raises(UserError, match="no checkpoint in this folder"):
         export(tmp_path, "torchscript", None, console=Console(quiet=True))
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
+from skope import weights
 from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.cli import footage
 from skope.eval.cli.options import MachineOptions, machine
-from skope.weights import names
 
 GIVEN = "given"
 PAPER = "paper"
@@ -36,7 +36,11 @@ def run(
     ] = None,
     checkpoint: Annotated[
         Path | None,
-        data_option(metavar="PATH", help="Checkpoint file, or run folder for its newest one.", show_default=str(RUN)),
+        data_option(
+            metavar="PATH",
+            help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
+            show_default=f"{RUN} where it is there, else {weights.DEFAULT}",
+        ),
     ] = None,
     annotations: Annotated[
         Path | None,
@@ -124,7 +128,8 @@ def run(
         raise UserError("--fast is for running a checkpoint that detects vehicles")
     if scheme and not predictions:
         raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
-    out = out or _default_out(checkpoint, predictions)
+    checkpoint = None if predictions else checkpoint or (RUN if RUN.exists() else Path(weights.DEFAULT))
+    out = out or _default_out(checkpoint)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
     truth = read_inputs.read_annotations(annotations) if annotations else read_inputs.read_dataset(data or DATA, splits)
@@ -136,7 +141,7 @@ def run(
             out=out,
             options=options,
             protocol=protocol or (PAPER if compare else "pooled"),
-            checkpoint=None if predictions else checkpoint or RUN,
+            checkpoint=checkpoint,
             predictions=predictions,
             settings=hardware.settings(given=boxes == GIVEN),
             fast=fast,
@@ -262,10 +267,9 @@ def _refuse_mixtures(
         raise UserError("--predictions with a dataset needs exactly one --split, the one that was predicted")
 
 
-def _default_out(checkpoint: Path | None, predictions: Path | None) -> Path:
-    if predictions:
+def _default_out(checkpoint: Path | None) -> Path:
+    if not checkpoint:
         return Path("eval")
-    run = checkpoint or RUN
-    if str(run) in names() and not run.exists():
-        run = RUN.parent / run
+    shipped = str(checkpoint) in weights.names() and not checkpoint.exists()
+    run = RUN.parent / checkpoint if shipped else checkpoint
     return (run.parent if run.is_file() else run) / "eval"

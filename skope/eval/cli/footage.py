@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from skope import weights
 from skope.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
@@ -15,7 +16,6 @@ from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
 from skope.eval.inference.settings import TILES
 from skope.output_folders import claim_output
-from skope.weights import REFERENCE
 
 if TYPE_CHECKING:
     from skope.eval.pose.views import Scene
@@ -110,7 +110,7 @@ def predict(
     checkpoint: Annotated[
         Path,
         data(metavar="PATH", help="Checkpoint file, run folder for its newest one, or weights that come with skope."),
-    ] = Path(REFERENCE),
+    ] = Path(weights.DEFAULT),
     camera: CameraOption = None,
     every: Annotated[int, data(help="Take every so many-th frame.")] = 1,
     start: Annotated[float, data(help="Begin at this second of a video.")] = 0.0,

@@ -1,0 +1,71 @@
+"""What the layers of a detector get as inputs, gathered from images: second moments, for rounding its weights."""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torchvision.models.detection import KeypointRCNN
+
+_SAMPLES: Final = 256
+"""Positions, or regions, that each call of a layer gives."""
+
+
+def gather(model: KeypointRCNN, images: Iterable[NDArray[np.uint8]]) -> dict[str, Tensor]:
+    """Second moments of the inputs of all convolutions and linear layers, by the names of their weights.
+
+    Args:
+        model: In evaluation mode, on the CPU or a GPU.
+        images: (H, W, 3) RGB, dozens of what the detector is for.
+
+    Returns:
+        Weight's name -> (N, N) float32 mean of x x^T, where N is the number of weights of an output channel and x lie
+        in the order of `weight.flatten(1)`. Layers that no image reached are left out.
+    """
+    layers = {name: module for name, module in model.named_modules() if isinstance(module, nn.Conv2d | nn.Linear)}
+    sums: dict[str, Tensor] = {}
+    counts = dict.fromkeys(layers, 0)
+    generator = torch.Generator().manual_seed(0)
+
+    def add(name: str, module: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        x = _sample(module, inputs[0].float(), generator)
+        counts[name] += len(x)
+        sums[name] = sums[name].addmm_(x.T, x) if name in sums else x.T @ x
+
+    def watch(name: str, module: nn.Module) -> Any:
+        return module.register_forward_pre_hook(lambda module, inputs: add(name, module, inputs))
+
+    hooks = [watch(name, module) for name, module in layers.items()]
+    try:
+        with torch.inference_mode():
+            for pixels in images:
+                device = next(model.parameters()).device
+                model([torch.from_numpy(pixels).to(device).permute(2, 0, 1) / 255])
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return {f"{name}.weight": total / counts[name] for name, total in sums.items() if counts[name]}
+
+
+def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:
+    """(M, N) inputs of some of the layer's outputs."""
+    if not isinstance(module, nn.Conv2d):
+        return x[_some(len(x), generator).to(x.device)]
+    height, width = module.kernel_size
+    stride, pad = module.stride[0], int(module.padding[0])
+    across = (x.shape[3] + 2 * pad - width) // stride + 1
+    down = (x.shape[2] + 2 * pad - height) // stride + 1
+    chosen = _some(len(x) * down * across, generator).to(x.device)
+    image, at = chosen // (down * across), chosen % (down * across)
+    top, left = at // across * stride, at % across * stride
+    padded = nn.functional.pad(x, (pad,) * 4)
+    parts = [padded[image, :, top + i, left + j] for i in range(height) for j in range(width)]
+    return torch.stack(parts, dim=2).flatten(1)
+
+
+def _some(count: int, generator: torch.Generator) -> Tensor:
+    if count <= _SAMPLES:
+        return torch.arange(count)
+    return torch.randint(count, (_SAMPLES,), generator=generator)

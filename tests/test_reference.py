@@ -1,0 +1,87 @@
+"""The detector that comes with skope: small, whole, the default, and a detector of vehicles."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from skope import coco, detector, keypoints, weights
+from skope.dataset import PREDICTIONS
+from skope.detector import Detections, detect
+from tests.samples import make_dataset
+
+PICTURE = Path(__file__).parents[1] / "docs" / "noon.jpg"
+"""A generated junction by day; six of its vehicles stand clear of one another."""
+REFERENCE = weights.path(weights.DEFAULT)
+
+
+@pytest.fixture(scope="module")
+def picture() -> NDArray[np.uint8]:
+    return cv2.imread(str(PICTURE))[:, :, ::-1].copy()
+
+
+@pytest.fixture(scope="module")
+def found(picture: NDArray[np.uint8]) -> Detections:
+    model, _, _ = detector.load_weights(REFERENCE, "cpu")
+    return detect(model, [picture], "cpu")[0]
+
+
+def test_it_is_small_enough_to_travel_and_says_where_it_is_from() -> None:
+    assert REFERENCE.stat().st_size <= 35_000_000
+    header, state = detector.read_checkpoint(REFERENCE)
+    assert header["scheme"] == keypoints.SCHEME
+    assert header["metadata"]["run"]["data"] == ["data/paper", "data/varied"]
+    assert header["config"]["norm"] == "frozen"  # small batches of who goes on from it have no statistics
+    assert sum(tensor.numel() for tensor in state.values()) > 59_000_000
+    assert REFERENCE.with_suffix(".md").read_text().startswith("# The reference detector\n")
+
+
+def test_it_finds_vehicles_and_their_visible_keypoints(found: Detections) -> None:
+    sure = found.scores > 0.9
+    assert sure.sum() == 6
+    left, top, right, bottom = found.boxes_xyxy[0]
+    assert (right - left) > 150  # the car in front
+    assert (np.median(found.keypoints[sure, :, 2], axis=1) > 0.9).all()
+    at = dict(zip(keypoints.NAMES, found.keypoints[0, :, :2], strict=True))
+    assert at["roof_front_left"][1] < at["windscreen_base_left"][1] < at["bumper_front_left"][1]
+    assert left < at["front_logo"][0] < right
+    assert top < at["front_logo"][1] < bottom
+
+
+def test_a_stock_torchvision_model_with_its_tensors_finds_the_same(
+    picture: NDArray[np.uint8], found: Detections, skope: Any, tmp_path: Path
+) -> None:
+    """It is built by the lines that the export prints."""
+    code, lines, error = skope(
+        "train", "export", "reference", "--to", "state_dict", "--out", tmp_path / "reference.pth"
+    )
+    assert (code, error) == (0, "")
+    made: dict[str, Any] = {}
+    exec(lines[lines.index("import torch") : lines.index("model.eval()")], made)
+    with torch.inference_mode():
+        own = made["model"].eval()([torch.from_numpy(picture).permute(2, 0, 1) / 255])[0]
+    sure = own["scores"] > 0.5
+    assert sure.sum() == (found.scores > 0.5).sum() >= 6
+    np.testing.assert_allclose(own["boxes"][sure].numpy(), found.boxes_xyxy[: int(sure.sum())], atol=0.01)
+    np.testing.assert_allclose(own["scores"][sure].numpy(), found.scores[: int(sure.sum())], atol=1e-4)
+
+
+def test_predict_runs_it_where_no_checkpoint_is_named(skope: Any, tmp_path: Path, found: Detections) -> None:
+    code, _, error = skope("eval", "predict", str(PICTURE), "--out", "seen", "--quiet")
+    assert (code, error) == (0, "")
+    written = coco.read_results(tmp_path / "seen" / PREDICTIONS)
+    np.testing.assert_allclose([one.score for one in written], found.scores[found.scores > 0.5], atol=1e-4)
+
+
+def test_eval_runs_it_where_there_is_no_run(skope: Any, tmp_path: Path) -> None:
+    data = make_dataset(tmp_path / "data", images=1)
+    assert skope("eval", "--data", data, "--split", "easy", "--device", "cpu")[0] == 0
+    assert Path("runs/reference/eval/report.html").is_file()
+    Path("runs/skope").mkdir()
+    code, _, error = skope("eval", "--data", data, "--split", "easy")
+    assert code == 2
+    assert "runs/skope: no checkpoint in this folder" in error
