@@ -5,9 +5,10 @@
     python scripts/reference_run.py road33 --gpus 0,1     # after `varied`, from whose weights it goes on
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
-(reference.toml): both from random weights. `road33` goes on from `varied` with 960 places of the preset `world` and
-some of the other two (world.toml), once for each of two seeds on a GPU of its own; the mean of both runs' weights, its
-scores calibrated on places that neither has seen, is the detector (`make reference`).
+(reference.toml): both from random weights. `road33` goes on from `varied` with 960 places of the preset `world`, while
+a fifth of the images are still of `paper` with its small vehicles (world.toml): once for each of two seeds, on a GPU
+of its own. The mean of both runs' weights, its scores calibrated on places that neither has seen, is the detector
+(`make reference`).
 
 Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
 of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what
@@ -83,6 +84,8 @@ class Training:
     recipe: str
     images: int | None = None
     """Images with vehicles that are learnt from, each seen in every epoch; None: all, those without vehicles too."""
+    mix: float | None = None
+    """Share of the first dataset in each epoch; None: as large as it is."""
     augment: Mapping[str, float] = field(default_factory=dict)
     """Changes of the images besides the recipe's."""
     after: str | None = None
@@ -96,7 +99,12 @@ TRAININGS: Final = {
     "paper": Training(("paper",), "reference.toml", images=10_500),
     "varied": Training(("paper", "varied"), "reference.toml", images=10_500, augment=LIVELY),
     "road33": Training(
-        ("world_31", "world_51", "paper_21", "varied_21"), "world.toml", after="varied", seeds=(0, 1), calibrated=True
+        ("paper_21", "world_31", "world_51", "varied_21"),
+        "world.toml",
+        mix=0.2,
+        after="varied",
+        seeds=(0, 1),
+        calibrated=True,
     ),
 }
 
@@ -164,6 +172,8 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
         new = ["--recipe", str(HERE / training.recipe)]
         if training.images:
             new += ["--max-images", str((options.images or training.images) // len(training.datasets))]
+        if training.mix:
+            new += ["--mix", str(training.mix)]
         new += [flag for name, value in training.augment.items() for flag in ("--set", f"augment.{name}={value}")]
         new += [flag for name in training.datasets for flag in ("--data", str(options.data / name))]
         if training.after:
@@ -233,7 +243,8 @@ def main() -> None:
         full, packed = train(clock, options, training), options.out / PACKED
         full = calibrate(clock, options, full) if training.calibrated else full
         if not packed.is_file():
-            seen = ["--data", str(options.data / training.datasets[0])]
+            make(clock, options.data, [CALIBRATION])
+            seen = ["--data", str(options.data / CALIBRATION)]
             clock.run(["train", "export", str(full), "--to", "compact", *seen, "--out", str(packed)])
         make(clock, options.data, tuple(TESTS))
         measure(clock, options, {"full": full, "packed": packed})
