@@ -350,7 +350,7 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     plain = np.zeros((54, 96, 3), dtype=np.uint8)
     shrink(monkeypatch)
     plainly = detector.checkpoint_bytes
-    monkeypatch.setattr(detector, "checkpoint_bytes", lambda *of, packed=False: plainly(*of))  # packing takes seconds
+    monkeypatch.setattr(detector, "checkpoint_bytes", lambda *of, **_: plainly(*of))  # packing takes seconds
     # Before the renderer: what is imported for the first time would keep the one of the tests.
     monkeypatch.setattr("skope.gen.inspect.vehicle_sheets.sheet", lambda *_: plain)
     for module in ("pipeline.workers", "pipeline.write_footage", "render.choose_renderer"):
