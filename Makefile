@@ -6,7 +6,7 @@
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
 #   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) reference,
 #                    SCORED=folder to write to
-#   make reference   the detector that comes with skope, from nothing: hours on GPUS=0,1
+#   make reference   the detector that comes with skope and its successor, from nothing: hours on GPUS=0,1
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/

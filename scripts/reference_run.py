@@ -1,4 +1,4 @@
-"""Make the detector that comes with skope from nothing: train in stages, pack the weights, measure before and after.
+"""Make the detector that comes with skope, and its successor, from nothing: train, pack the weights, measure.
 
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
@@ -7,7 +7,7 @@
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
 (reference.toml): both from random weights. `road33` goes on from `varied` with 960 places of the preset `world`, while
 a fifth of the images are still of `paper` with its small vehicles (world.toml): once for each of two seeds, on a GPU
-of its own. The mean of both runs' weights, its scores calibrated on places that neither has seen, is the detector
+of its own. The mean of both runs' weights, its scores calibrated on places that neither has seen, is the successor
 (`make reference`).
 
 Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
@@ -209,7 +209,6 @@ def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:
     """Give the scores their meaning on places of their own."""
     out: Path = options.out / "calibrated.safetensors"
     if not out.is_file():
-        make(clock, options.data, [CALIBRATION])
         what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "0.17", "--score", "0.5"]
         clock.run(["eval", "calibrate", "--checkpoint", str(full), *what, "--out", str(out)])
     return out
@@ -241,9 +240,9 @@ def main() -> None:
     try:
         make(clock, options.data, training.datasets)
         full, packed = train(clock, options, training), options.out / PACKED
+        make(clock, options.data, [CALIBRATION])
         full = calibrate(clock, options, full) if training.calibrated else full
         if not packed.is_file():
-            make(clock, options.data, [CALIBRATION])
             seen = ["--data", str(options.data / CALIBRATION)]
             clock.run(["train", "export", str(full), "--to", "compact", *seen, "--out", str(packed)])
         make(clock, options.data, tuple(TESTS))

@@ -20,12 +20,13 @@ from score_photographs import recall_at_precision
 from skope import coco
 from skope.files import read_json
 from skope.metrics.counts import Options, outcomes_at, ratio
-from skope.metrics.match import match
+from skope.metrics.match import Matches, match
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 
 PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published_results.json"
 IOU = 0.6
+OPTIONS = Options(iou=(IOU,))
 AT_PRECISION = (0.90, 0.95)
 BANDS_PX = {"12 to 30 px high": (12, 30), "200 px and more": (200, math.inf)}
 """Heights of ground-truth boxes, from and below."""
@@ -115,23 +116,22 @@ def detector_cells(file: AnnotationFile, results: Sequence[Result]) -> list[str]
     counted = hit | ~everything.det_on_ignored
     truth = len(everything.vehicles)
     recalls = [recall_at_precision(everything.det_score[counted], hit[counted], truth, p) for p in AT_PRECISION]
-    cells = [_found(file, results, 0.9)[1], *(_share(one["recall"]) for one in recalls)]
+    sure = match(file, results, score=OPTIONS.score, thresholds=(IOU,))
+    cells = [_found(sure)[1], *(_share(one["recall"]) for one in recalls)]
     if (least := recalls[0]["score"]) is None:
         return [*cells, *("-" for _ in BANDS_PX)]
-    return [*cells, *(", ".join(_found(file, results, np.nextafter(least, 0.0), band)) for band in BANDS_PX.values())]
+    shown = match(file, results, score=np.nextafter(least, 0.0), thresholds=(IOU,))
+    return [*cells, *(", ".join(_found(shown, band)) for band in BANDS_PX.values())]
 
 
-def _found(
-    file: AnnotationFile, results: Sequence[Result], score: float, band: tuple[float, float] = (0, math.inf)
-) -> tuple[str, str]:
+def _found(matches: Matches, band: tuple[float, float] = (0, math.inf)) -> tuple[str, str]:
     """Box recall, and PCK in per cent, of vehicles whose box is from and below so many pixels high."""
-    matches = match(file, results, score=score, thresholds=(IOU,))
-    outcomes = outcomes_at(matches, IOU, Options())
+    outcomes = outcomes_at(matches, IOU, OPTIONS)
     height = matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]
     part = (band[0] <= height) & (height < band[1])
     found = part & outcomes.found
     return _share(ratio(found.sum(), part.sum())), _percent(
-        ratio(outcomes.correct(0.1)[found].sum(), outcomes.labelled[found].sum())
+        ratio(outcomes.correct(OPTIONS.alpha)[found].sum(), outcomes.labelled[found].sum())
     )
 
 

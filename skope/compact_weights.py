@@ -106,10 +106,9 @@ class _Weight:
         if self._rounding is None:
             return _integers(self._tensor, steps)
 
-        def nearest(column: Tensor) -> Tensor:
-            return _integers(column, steps.to(column.device)) * steps.to(column.device)
-
-        return _integers(self._rounding(self._tensor.flatten(1), nearest).view(self._tensor.shape), steps)
+        there = steps.to(self._rounding.device)
+        rounded = self._rounding(self._tensor.flatten(1), lambda column: _integers(column, there) * there)
+        return _integers(rounded.view(self._tensor.shape), steps)
 
     def bits(self, factor: float) -> float:
         """Entropy of all integers, estimated from a sample."""

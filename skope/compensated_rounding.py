@@ -21,6 +21,7 @@ class CompensatedRounding:
 
     def __init__(self, moments: Tensor) -> None:
         """Take the (N, N) float32 mean of x x^T over inputs x, on the device that is to compute."""
+        self.device = moments.device
         damped = moments.double()
         diagonal = damped.diagonal()
         diagonal += _DAMPING * diagonal.mean() + torch.finfo(torch.float32).tiny
@@ -32,9 +33,8 @@ class CompensatedRounding:
 
     def __call__(self, weights: Tensor, nearest: Callable[[Tensor], Tensor]) -> Tensor:
         """Round (C, N) float32 weights; `nearest` rounds a column, (C,), to values that can be kept."""
-        device = weights.device
         influence = self._influence
-        left = weights.to(influence.device)[:, self._order]
+        left = weights.to(self.device)[:, self._order]
         rounded = torch.empty_like(left)
         for begin in range(0, len(influence), _COLUMNS):
             block = left[:, begin : begin + _COLUMNS]
@@ -47,4 +47,4 @@ class CompensatedRounding:
             left[:, end:] -= errors @ influence[begin:end, end:]
         out = torch.empty_like(rounded)
         out[:, self._order] = rounded
-        return out.to(device)
+        return out.to(weights.device)

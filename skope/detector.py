@@ -392,7 +392,7 @@ def detect(
     """
     seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
-        answers = model([_as_tensor(images[i], device) for i in seen]) if seen else []
+        answers = model([as_tensor(images[i], device) for i in seen]) if seen else []
     answered = dict(zip(seen, answers, strict=True))
     return [_detections(answered.get(i), image) for i, image in enumerate(images)]
 
@@ -431,7 +431,7 @@ def detect_on_boxes(
         return np.zeros((0, keypoints.K, 3))
     size = list(image.shape[:2])
     with _inference(model, MIN_SCORE, MAX_DETECTIONS):
-        batch, _ = model.transform([_as_tensor(image, device)])
+        batch, _ = model.transform([as_tensor(image, device)])
         inner_size = list(batch.image_sizes[0])
         features = model.backbone(batch.tensors)
         parts = []
@@ -457,8 +457,8 @@ def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> It
         heads.score_thresh, heads.detections_per_img = before[1:]
 
 
-def _as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
-    """(H, W, 3) 0..255 -> (3, H, W) 0..1."""
+def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
+    """An image as torchvision's detectors take it: (H, W, 3) 0..255 -> (3, H, W) float32 0..1."""
     return torch.as_tensor(image, device=device).permute(2, 0, 1).float() / 255
 
 

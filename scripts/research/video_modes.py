@@ -67,10 +67,10 @@ def count(truth: AnnotationFile, results: Sequence[Result]) -> Counts:
     times = np.array([image.time_s or 0.0 for image in truth.images])[matches.gt_image]
     tracks = np.array([vehicle.track_id for vehicle in matches.vehicles])
     first = {track: times[tracks == track].min() for track in set(tracks.tolist())}
-    since = times - np.array([first[track] for track in tracks.tolist()])
+    entered = np.array([first[track] for track in tracks.tolist()])
     begin = min((image.time_s or 0.0 for image in truth.images), default=0.0)
     # What is there when the clip begins has not just entered.
-    entering = (since < JUST_ENTERED_S) & (times - since > begin)
+    entering = (times - entered < JUST_ENTERED_S) & (entered > begin)
     found = outcomes.found
     return Counts(
         frames=len(truth.images),

@@ -122,13 +122,9 @@ def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Ten
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = dataset.open_dataset(data)
     images = image_selection.take(opened.read(SPLIT), IMAGES).images
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    pixels = (dataset.read_image(data / image.file_name, (image.width, image.height)) for image in images)
+    pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
-    try:
-        return input_moments.gather(model.to(device), seen)
-    finally:
-        model.cpu()
+    return input_moments.gather(model.to(detector.choose_device("auto")), seen)
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:

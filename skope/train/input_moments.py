@@ -1,13 +1,16 @@
 """What the layers of a detector get as inputs, gathered from images: second moments, for rounding its weights."""
 
 from collections.abc import Iterable
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
+
+from skope.detector import as_tensor
 
 _SAMPLES: Final = 256
 """Positions, or regions, that each call of a layer gives."""
@@ -34,15 +37,12 @@ def gather(model: KeypointRCNN, images: Iterable[NDArray[np.uint8]]) -> dict[str
         counts[name] += len(x)
         sums[name] = sums[name].addmm_(x.T, x) if name in sums else x.T @ x
 
-    def watch(name: str, module: nn.Module) -> Any:
-        return module.register_forward_pre_hook(lambda module, inputs: add(name, module, inputs))
-
-    hooks = [watch(name, module) for name, module in layers.items()]
+    hooks = [module.register_forward_pre_hook(partial(add, name)) for name, module in layers.items()]
+    device = next(model.parameters()).device
     try:
         with torch.inference_mode():
             for pixels in images:
-                device = next(model.parameters()).device
-                model([torch.from_numpy(pixels).to(device).permute(2, 0, 1) / 255])
+                model([as_tensor(pixels, device)])
     finally:
         for hook in hooks:
             hook.remove()
