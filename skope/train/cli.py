@@ -66,7 +66,10 @@ def run(
     ] = None,
     batch_size: Annotated[int | None, training(help="Images a step.", show_default=_RECIPES)] = None,
     min_size: Annotated[
-        int | None, training(help="Short side of the image in the network, pixels.", show_default=_RECIPES)
+        int | None,
+        training(
+            help="Short side of the image in the network, pixels.", show_default="the recipe's or the first weights'"
+        ),
     ] = None,
     supervise: Annotated[
         str | None,

@@ -1,6 +1,7 @@
 """The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlparse
@@ -13,8 +14,9 @@ from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import detector, keypoints, weights
-from skope.detector import ANCHORS, DetectorConfig
+from skope.detector import DetectorConfig
 from skope.errors import UserError
+from skope.train.recipe import SMALL_SIZE
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
 
@@ -31,8 +33,8 @@ def initialise(
     init: str,
     *,
     norm: str,
-    min_size: int,
-    max_size: int,
+    min_size: int | None,
+    max_size: int | None,
     trainable_layers: int,
     seed: int,
     scheme: str = keypoints.SCHEME,
@@ -47,8 +49,9 @@ def initialise(
             takes: a checkpoint of skope or of torchvision.
         norm: Normalisation, one of `recipe.NORMS`. `given` is frozen for trained weights and learns for random ones, as
             in torchvision.
-        min_size: Short side of the images inside the network, pixels.
-        max_size: Largest long side of the images inside the network, pixels.
+        min_size: Short side of the images inside the network, pixels; None: that of the first weights if they are a
+            checkpoint of skope, else that of `SMALL_SIZE`.
+        max_size: Largest long side of the images inside the network, pixels; None: likewise.
         trainable_layers: Stages of a trained backbone that learn on, 0 to 5 from the last.
         seed: Draws what no file gives.
         scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
@@ -61,14 +64,14 @@ def initialise(
         UserError: There are no such weights, they are of another model or scheme, or cannot be downloaded.
     """
 
-    def config(given_norm: str, eps: float, given_anchors: tuple[int, ...] = ANCHORS) -> DetectorConfig:
-        return DetectorConfig(
-            norm=given_norm if norm == "given" else norm,
-            norm_eps=eps,
-            min_size=min_size,
-            max_size=max_size,
+    def completed(given: DetectorConfig) -> DetectorConfig:
+        return replace(
+            given,
+            norm=given.norm if norm == "given" else norm,
+            min_size=min_size or given.min_size,
+            max_size=max_size or given.max_size,
             scheme=scheme,
-            anchors=anchors or given_anchors,
+            anchors=anchors or given.anchors,
         )
 
     check(init)
@@ -77,18 +80,18 @@ def initialise(
         torch.default_generator.manual_seed(seed)
         if init == "coco" or (init == "auto" and coco_file.is_file()):
             path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
-            chosen = config("frozen", _COCO_EPS)
+            chosen = completed(_plain("frozen", _COCO_EPS))
             return _loaded(path, _unpickled(path), chosen, trainable_layers), chosen, "weights trained on COCO"
         if init == "imagenet":
-            chosen = config("frozen", _DEFAULT_EPS)
+            chosen = completed(_plain("frozen", _DEFAULT_EPS))
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
         shipped = init == "auto" and scheme == keypoints.SCHEME and weights.DEFAULT in weights.names()
         if init in INITS and not shipped:
-            chosen = config("batch", _DEFAULT_EPS)
+            chosen = completed(_plain("batch", _DEFAULT_EPS))
             return detector.build(chosen, trainable_layers=5), chosen, "random weights"
         file = weights.path(weights.DEFAULT) if shipped else detector.find_checkpoint(Path(init))
-        state, own_norm, eps, own_anchors = _from_file(file, scheme)
-        chosen = config(own_norm, eps, own_anchors)
+        state, own = _from_file(file, scheme)
+        chosen = completed(own)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
         return _loaded(file, state, chosen, trainable_layers), chosen, words
 
@@ -102,10 +105,10 @@ def check(init: str) -> None:
     detector.find_checkpoint(Path(init))
 
 
-def _from_file(path: Path, scheme: str) -> tuple[State, str, float, tuple[int, ...]]:
-    """Weights, norm, eps and anchors of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
+def _from_file(path: Path, scheme: str) -> tuple[State, DetectorConfig]:
+    """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
-    Ours records norm, eps and anchors. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
+    Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
     for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5.
     """
     if path.suffix == ".safetensors":
@@ -114,14 +117,19 @@ def _from_file(path: Path, scheme: str) -> tuple[State, str, float, tuple[int, .
             own = DetectorConfig.from_dict(header["config"])
             if own.scheme != scheme:
                 raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme}")
-            return state, own.norm, own.norm_eps, own.anchors
+            return state, own
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     else:
         state = _unpickled(path)
     counted = any(name.endswith(".num_batches_tracked") for name in state)
     coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
-    return state, "batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS, ANCHORS
+    return state, _plain("batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS)
+
+
+def _plain(norm: str, eps: float) -> DetectorConfig:
+    """The config of weights that say nothing of it but what their tensors show."""
+    return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1])
 
 
 def _is_ours(path: Path) -> bool:

@@ -20,6 +20,7 @@ from skope.train.data import TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
+from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
 
@@ -261,11 +262,13 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
             raise
         recipe = config.recipe
         regions = "all" if recipe.keypoint_regions is None else recipe.keypoint_regions
+        short = "" if recipe.min_size is None else f"short side {recipe.min_size}, "
+        smaller = SMALL_SIZE[0] if recipe.min_size is None else recipe.min_size * 3 // 4
         fewer = 32 if recipe.keypoint_regions is None or recipe.keypoint_regions > 32 else 16
         raise UserError(
-            f"out of memory at {recipe.images_at_once or recipe.batch_size} images at once, short side "
-            f"{recipe.min_size}, {regions} keypoint regions: lower one of them (--set images_at_once=1 changes the "
-            f"result least, then --set keypoint_regions={fewer}, then --min-size {recipe.min_size * 3 // 4})"
+            f"out of memory at {recipe.images_at_once or recipe.batch_size} images at once, {short}{regions} keypoint "
+            f"regions: lower one of them (--set images_at_once=1 changes the result least, then --set "
+            f"keypoint_regions={fewer}, then --min-size {smaller})"
         ) from None
 
 
@@ -273,7 +276,7 @@ def _announce(
     config: RunConfig, training: TrainingState, training_set: TrainingSet, where: str, console: Console
 ) -> None:
     recipe = config.recipe
-    console.say(f"{recipe.describe()}; {training.origin}; seed {config.seed}; {where}")
+    console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
     names = " + ".join(config.data)
     if SCHEMES[config.scheme].flip is None:
         console.say(f"images are not mirrored: of scheme {config.scheme} no mirror partners are known")

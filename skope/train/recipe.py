@@ -16,6 +16,8 @@ from skope.train.augment import Augment
 SUPERVISE: Final = ("visible", "all")
 _ADDED: Final = ("anchors", "average", "cosine_to", "ignore_below")
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
+SMALL_SIZE: Final = (360, 640)
+"""Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
 NORMS: Final = ("given", "frozen", "batch")
 
 
@@ -49,8 +51,10 @@ class Recipe:
     """Steps over which the learning rate rises linearly from 0."""
     gradient_clip: float | None
     """Largest 2-norm of all gradients together; None leaves them alone."""
-    min_size: int
-    max_size: int
+    min_size: int | None
+    """Short side of the image inside the network; None: as the first weights have it, 360 if they do not say."""
+    max_size: int | None
+    """Most that the long side has there; None: as the first weights have it, 640 if they do not say."""
     anchors: tuple[int, ...] | None
     """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
     ignore_below: float
@@ -117,7 +121,8 @@ class Recipe:
 
     def with_min_size(self, min_size: int) -> Self:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
-        return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
+        short, long = (self.min_size, self.max_size) if self.min_size and self.max_size else SMALL_SIZE
+        return replace(self, min_size=min_size, max_size=round(min_size * long / short))
 
     def rate(self, step: int, steps: int) -> float:
         """Learning rate at `step` (from 0, counted over the whole run), where an epoch has `steps`."""
@@ -131,14 +136,14 @@ class Recipe:
     def _step_size(self) -> int:
         return self.step_size or (self.epochs + 1) // 2
 
-    def describe(self) -> str:
-        """The recipe in one line for people."""
+    def describe(self, min_size: int) -> str:
+        """The recipe in one line for people, with the short side that the first weights left or gave, pixels."""
         falls = f"x {self.gamma:g} every {self._step_size}"
         if self.cosine_to is not None:
             falls = f"to {self.cosine_to * self.learning_rate:g} along a cosine"
         return (
             f"recipe {self.name}: {self.epochs} epochs, batch {self.batch_size}, SGD {self.learning_rate:g} {falls}, "
-            f"short side {self.min_size} px, {'bfloat16' if self.bfloat16 else 'float32'}"
+            f"short side {min_size} px, {'bfloat16' if self.bfloat16 else 'float32'}"
         )
 
 
@@ -177,8 +182,8 @@ _PAPER: Final[dict[str, Any]] = {
 
 # A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
 _SMALL: Final[dict[str, Any]] = {
-    "min_size": 360,
-    "max_size": 640,
+    "min_size": None,
+    "max_size": None,
     "keypoint_regions": 48,
     "val_fraction": 0.1,
     "val_images": 24,
@@ -188,6 +193,8 @@ _SMALL: Final[dict[str, Any]] = {
 # running means of BatchNorm2d lag behind them and nothing is found: the slower second half mends that.
 _FROM_NOTHING: Final[dict[str, Any]] = {
     "init": "random",
+    "min_size": SMALL_SIZE[0],
+    "max_size": SMALL_SIZE[1],
     "learning_rate": 0.02,
     "weight_decay": 1e-4,
     "step_size": None,

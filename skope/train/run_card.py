@@ -27,7 +27,8 @@ def text(
         "",
         f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{config.scheme}`), "
         f"{training.config.norm} normalisation with eps {training.config.norm_eps:g}, images at a short side of "
-        f"{recipe.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} epochs.",
+        f"{training.config.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} "
+        "epochs.",
         "",
         "## Data",
         "",

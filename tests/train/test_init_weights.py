@@ -13,6 +13,7 @@ from skope import detector, keypoints, weights
 from skope.detector import DetectorConfig
 from skope.errors import UserError
 from skope.train import init_weights
+from skope.train.recipe import RECIPES, SMALL_SIZE
 from tests.test_detector import SMALL, body_outputs, use_uneven_statistics
 
 COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
@@ -124,6 +125,26 @@ def test_norm_and_eps_travel_with_a_checkpoint(tmp_path: Path) -> None:
         model, chosen, _ = initialise(str(init))
         assert chosen == config
         assert torch.equal(body_outputs(model), body_outputs(ours))
+
+
+def test_the_size_of_images_travels_with_a_checkpoint_unless_one_is_asked_for(tmp_path: Path) -> None:
+    config = DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=104, max_size=184)
+    model = detector.build(config)
+    detector.save_weights(tmp_path / "ours.safetensors", model, config, {})
+    save_file(detector.full_state(model), tmp_path / "stock.safetensors")
+
+    def size(init: str, short: int | None, long: int | None) -> tuple[int, int]:
+        _, chosen, _ = init_weights.initialise(
+            init, norm="given", min_size=short, max_size=long, trainable_layers=3, seed=0
+        )
+        return chosen.min_size, chosen.max_size
+
+    ours, stock = str(tmp_path / "ours.safetensors"), str(tmp_path / "stock.safetensors")
+    assert (RECIPES["laptop"].min_size, RECIPES["laptop"].max_size) == (None, None)
+    assert size(ours, None, None) == (104, 184)
+    assert size(ours, 96, 160) == (96, 160)
+    assert size(stock, None, None) == size("random", None, None) == SMALL_SIZE
+    assert RECIPES["laptop"].with_min_size(180).max_size == 320
 
 
 def test_files_that_are_no_weights_are_one_line(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_a_rate_that_falls_along_a_cosine() -> None:
         assert recipe.rate(step, 25) == pytest.approx(warm * schedule.get_last_lr()[0])
         optimizer.step()
         schedule.step()
-    assert "to 0.2 along a cosine" in recipe.describe()
+    assert "to 0.2 along a cosine" in recipe.describe(360)
 
 
 def test_choice() -> None:
