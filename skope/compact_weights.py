@@ -26,13 +26,14 @@ BYTES: Final = 33_500_000
 WAYS: Final = ("integers", "half", "exact")
 """How a weight is kept: rounded, as float16, or as it is."""
 
-_DELICATE: Final = (
+DELICATE: Final = (
     "backbone.body.conv1.",
     "rpn.head.cls_logits.",
     "rpn.head.bbox_pred.",
     "roi_heads.box_predictor.",
     "roi_heads.keypoint_predictor.",
 )
+"""Beginnings of the names of weights that keep 16 bits."""
 _LARGEST: Final = 127
 _FINEST: Final = 2.0**-12
 _COARSEST: Final = 4.0
@@ -83,7 +84,7 @@ def pack(
 def _way(name: str, tensor: Tensor) -> str:
     if tensor.ndim < 2 or not tensor.is_floating_point():
         return "exact"
-    return "half" if name.startswith(_DELICATE) else "integers"
+    return "half" if name.startswith(DELICATE) else "integers"
 
 
 class _Weight:

@@ -84,6 +84,10 @@ class DetectorConfig:
         if self.max_size < self.min_size:
             raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
 
+    def with_min_size(self, min_size: int) -> Self:
+        """The config with another short side, pixels; the long side's limit changes in proportion."""
+        return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
+
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import dataset, detector, image_selection, keypoints, weights
+from skope import activation_ranges, dataset, detector, image_selection, keypoints, weights
 from skope.console import Console
 from skope.detector import DetectorConfig
 from skope.errors import UserError, one_of
@@ -81,7 +81,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
         to: One of `FORMATS`.
         out: The file; None: beside the checkpoint.
         data: A dataset, whose training images tell what the layers' inputs are: a compact file's weights are rounded so
-            that the layers' outputs change least.
+            that the layers' outputs change least, and the file says how large the inputs are, as eight bits need it.
         console: Says what is done.
 
     Returns:
@@ -103,7 +103,11 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     if to == "compact":
         # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
         frozen = replace(config, norm="frozen")
-        moments = _moments(model, data, console) if data else None
+        moments = None
+        if data:
+            with activation_ranges.noted(model) as ranges:
+                moments = _moments(model, data, console)
+            metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
         write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
     if to == "state_dict":

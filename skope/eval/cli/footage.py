@@ -13,7 +13,7 @@ from skope.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
 from skope.errors import UserError
-from skope.eval.cli.options import MachineOptions
+from skope.eval.cli.options import FastMachineOptions
 from skope.eval.inference.settings import TILES
 from skope.output_folders import claim_output
 
@@ -129,7 +129,7 @@ def predict(
         Path | None,
         output(metavar=DIR, help="Where to write.", show_default=f"{PREDICTED}/ and the source's name"),
     ] = None,
-    hardware: MachineOptions,
+    hardware: FastMachineOptions,
     console: Console,
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""

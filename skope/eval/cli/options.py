@@ -4,11 +4,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from skope.command_options import panel
+from skope.eval.inference.settings import BACKENDS, PRECISIONS
 
 if TYPE_CHECKING:
     from skope.eval.inference.settings import Settings
 
 machine = panel("Machine")
+
+BackendOption = Annotated[
+    str,
+    machine(
+        choices=BACKENDS, help="What computes the costly parts; auto: OpenVINO where it is installed and no GPU is."
+    ),
+]
+PrecisionOption = Annotated[
+    str,
+    machine(
+        choices=PRECISIONS,
+        help="Of the costly parts; auto: the fastest that backend, processor and checkpoint have.",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,12 +31,12 @@ class MachineOptions:
     """How a checkpoint is run on this machine."""
 
     device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto"
-    precision: Annotated[
-        str,
-        machine(
-            choices=("float32", "bfloat16", "auto"), help="Of the costly parts; auto: bfloat16 where that is fast."
-        ),
-    ] = "float32"
+    backend: BackendOption = "torch"
+    precision: PrecisionOption = "float32"
+    min_size: Annotated[
+        int | None,
+        machine(help="Short side of the image in the network, pixels.", show_default="that of the training"),
+    ] = None
     batch_size: Annotated[
         int | None, machine(help="Images that go through the network together.", show_default="1, on a GPU 8")
     ] = None
@@ -30,4 +45,13 @@ class MachineOptions:
         """The settings of inference; `others` are further ones of its fields."""
         from skope.eval.inference.settings import Settings
 
-        return Settings(device=self.device, precision=self.precision, batch_size=self.batch_size, **others)
+        names = ("device", "backend", "precision", "min_size", "batch_size")
+        return Settings(**{name: getattr(self, name) for name in names}, **others)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FastMachineOptions(MachineOptions):
+    """The same for a command whose results need not be those of every other machine to the last digit."""
+
+    backend: BackendOption = "auto"
+    precision: PrecisionOption = "auto"

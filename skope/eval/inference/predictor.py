@@ -16,7 +16,8 @@ from torchvision.models.detection import KeypointRCNN
 from skope import boxes, dataset, detector, keypoints
 from skope.console import Console, minutes
 from skope.errors import UserError
-from skope.eval.inference import bfloat16, score_calibration
+from skope.eval.inference import score_calibration
+from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
@@ -46,14 +47,22 @@ class Predictor:
         self._model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
         self.scheme = keypoints.SCHEMES[self.config.scheme]
         self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
-        low = settings.precision != "float32" and (settings.precision != "auto" or detector.has_bfloat16(self._device))
-        if low:
-            bfloat16.convert(self._model)
-            if not detector.has_bfloat16(self._device):
-                console.say(f"{self._device} has no instructions for bfloat16: float32 would be faster")
+        if settings.min_size is not None:
+            self.config = self.config.with_min_size(settings.min_size)
+            self._model.transform.min_size, self._model.transform.max_size = (
+                (self.config.min_size,),
+                self.config.max_size,
+            )
+        number = prepare(
+            self._model,
+            self.metadata,
+            self._device,
+            backend=settings.backend,
+            precision=settings.precision,
+            console=console,
+        )
         sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
-        number = "bfloat16" if low else "float32"
         name = self.weights.stem if shipped(self.weights) else self.weights
         console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
 

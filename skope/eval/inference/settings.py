@@ -5,7 +5,8 @@ from typing import Final
 
 from skope.errors import UserError, one_of
 
-PRECISIONS: Final = ("float32", "bfloat16", "auto")
+BACKENDS: Final = ("auto", "torch", "openvino", "onnx")
+PRECISIONS: Final = ("auto", "float32", "bfloat16", "int8")
 TILES: Final = ("none", "auto")
 
 
@@ -19,8 +20,12 @@ class Settings:
     """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
     min_score: float | None = None
     """Only detections above this go through the keypoint head; None: those above the detector's own 0.05."""
+    backend: str = "torch"
+    """What computes the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
     precision: str = "float32"
-    """Number format of the network's costly parts; "auto" is bfloat16 where the processor has it, else float32."""
+    """Number format of the costly parts' products; "auto": the fastest that backend, processor and checkpoint have."""
+    min_size: int | None = None
+    """Short side of images inside the network, pixels; None: what the checkpoint was trained with."""
     batch_size: int | None = None
     """Images of one size that go through the network together; by default 1 on a CPU, 8 on a GPU."""
     tiles: str = "none"
@@ -29,7 +34,10 @@ class Settings:
     """Use the calibration beside the weights, if there is one."""
 
     def __post_init__(self) -> None:
+        one_of("--backend", self.backend, BACKENDS)
         one_of("--precision", self.precision, PRECISIONS)
         one_of("--tiles", self.tiles, TILES)
+        if self.min_size is not None and not 64 <= self.min_size <= 4096:
+            raise UserError(f"--min-size: expected 64 to 4096 pixels, got {self.min_size}")
         if self.batch_size is not None and self.batch_size < 1:
             raise UserError(f"--batch-size: expected a whole number from 1, got {self.batch_size}")

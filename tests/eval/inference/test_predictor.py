@@ -12,7 +12,7 @@ import torch
 
 from skope import coco, detector
 from skope.console import Console
-from skope.eval.inference import bfloat16
+from skope.eval.inference.backends import bfloat16
 from skope.eval.inference.predictor import Predictor, _batches, _decoded
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result

@@ -1,0 +1,86 @@
+"""How large the inputs of a detector's layers become on images: what arithmetic in eight bits needs to know of them.
+
+The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 bits when a checkpoint is packed
+(`skope.compact_weights`), the first and the last ones, have none: they are computed as they are.
+"""
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, Final
+
+from torch import Tensor, nn
+
+from skope.compact_weights import DELICATE
+from skope.errors import UserError
+
+KEY: Final = "activation_ranges"
+"""Key of a checkpoint's metadata under which they are."""
+
+Ranges = Mapping[str, tuple[float, float]]
+"""Least and largest input by a layer's name."""
+
+_BEYOND: Final = 1e-4
+"""Share of a call's inputs that a range leaves out at each end: what is rare and huge would make all others coarser."""
+_SAMPLED: Final = 1 << 18
+"""Inputs of a call that are looked at."""
+
+
+def rounded_layers(model: nn.Module) -> dict[str, nn.Conv2d | nn.Linear]:
+    """The layers that have ranges, by name."""
+    layers = ((n, m) for n, m in model.named_modules() if isinstance(m, nn.Conv2d | nn.Linear))
+    return {name: module for name, module in layers if not f"{name}.".startswith(DELICATE)}
+
+
+@contextlib.contextmanager
+def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
+    """Note the ranges of the inputs of a model's layers while it runs.
+
+    Yields:
+        The widest of all calls' ranges, by layer. A layer that nothing has reached is not there.
+    """
+    found: dict[str, tuple[float, float]] = {}
+
+    def note(name: str, _: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        x = inputs[0].detach().flatten()
+        if not len(x):
+            return
+        x = x[:: max(1, len(x) // _SAMPLED)].float().sort().values
+        beyond = int(_BEYOND * len(x))
+        low, high = float(x[beyond]), float(x[-1 - beyond])
+        before = found.get(name, (low, high))
+        found[name] = (min(low, before[0]), max(high, before[1]))
+
+    hooks = [layer.register_forward_pre_hook(partial(note, name)) for name, layer in rounded_layers(model).items()]
+    try:
+        yield found
+    finally:
+        for hook in hooks:
+            hook.remove()
+
+
+def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
+    """What a checkpoint's metadata says of ranges: nothing where a layer has none."""
+    return (
+        {KEY: {name: list(ends) for name, ends in ranges.items()}} if set(ranges) == set(rounded_layers(model)) else {}
+    )
+
+
+def read(model: nn.Module, metadata: Mapping[str, Any]) -> Ranges | None:
+    """The ranges in a checkpoint's metadata; None where it has none.
+
+    Raises:
+        UserError: They are not those of the layers of `model`.
+    """
+    stored = metadata.get(KEY)
+    if stored is None:
+        return None
+    names = set(rounded_layers(model))
+    if not isinstance(stored, dict) or set(stored) != names or not all(map(_is_range, stored.values())):
+        raise UserError(f"{KEY}: expected the least and largest input of each of {len(names)} layers")
+    return {name: (float(low), float(high)) for name, (low, high) in stored.items()}
+
+
+def _is_range(value: Any) -> bool:
+    numbers = isinstance(value, list | tuple) and len(value) == 2 and all(type(x) in (int, float) for x in value)
+    return numbers and value[0] <= value[1]

@@ -1,0 +1,46 @@
+"""Layers whose products are taken in eight bits: inputs and weights are rounded, sums are exact.
+
+Rounded here means the pairs of quantising and dequantising nodes of ONNX, which runtimes turn into integer arithmetic.
+Inputs are rounded to 256 steps over their layer's range, weights to 255 over each output channel's.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from skope import activation_ranges
+from skope.activation_ranges import Ranges
+
+_STEPS: Final = 255
+_LARGEST: Final = 127
+_LEAST: Final = 1e-12
+"""Least step of a weight: a channel of zeros has none."""
+
+
+def convert(model: nn.Module, ranges: Ranges) -> None:
+    """Put rounding layers in the place of those that have ranges."""
+    for name, layer in activation_ranges.rounded_layers(model).items():
+        parent, _, leaf = name.rpartition(".")
+        setattr(model.get_submodule(parent), leaf, _Rounded(layer, *ranges[name]))
+
+
+class _Rounded(nn.Module):
+    def __init__(self, layer: nn.Conv2d | nn.Linear, low: float, high: float) -> None:
+        super().__init__()
+        self._layer = layer
+        low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
+        self._step = max(high - low, _LEAST) / _STEPS
+        self._zero = round(-low / self._step)
+        largest = layer.weight.detach().flatten(1).abs().amax(1)
+        self._steps = (largest / _LARGEST).clamp(min=_LEAST)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _STEPS)
+        zeros = torch.zeros(len(self._steps), dtype=torch.int32)
+        weight = torch.fake_quantize_per_channel_affine(
+            self._layer.weight, self._steps, zeros, 0, -_LARGEST - 1, _LARGEST
+        )
+        if isinstance(self._layer, nn.Conv2d):
+            return nn.functional.conv2d(x, weight, self._layer.bias, self._layer.stride, self._layer.padding)
+        return nn.functional.linear(x, weight, self._layer.bias)

@@ -1,0 +1,91 @@
+"""Who multiplies: torch, or a runtime that is faster on the CPU; and in which number format."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torchvision.models.detection import KeypointRCNN
+
+from skope import activation_ranges, detector
+from skope.console import Console
+from skope.errors import UserError
+from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
+from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
+
+_FASTEST = "openvino"
+"""Backend that `auto` takes on a CPU where it is installed."""
+_IN_TORCH = ("bfloat16", "float32")
+
+
+def prepare(
+    model: KeypointRCNN,
+    metadata: Mapping[str, Any],
+    device: torch.device,
+    *,
+    backend: str,
+    precision: str,
+    console: Console,
+) -> str:
+    """Let a backend compute a model's costly parts from now on.
+
+    Args:
+        model: On `device`, in evaluation mode; changed in place.
+        metadata: Of its checkpoint.
+        device: Where the rest is computed.
+        backend: `auto`, `torch`, or a key of `RUNTIMES`. `auto` is OpenVINO on a CPU where it is installed.
+        precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
+            processor and checkpoint have.
+        console: Says when `auto` finds a runtime that is broken.
+
+    Returns:
+        Backend and number format in words.
+
+    Raises:
+        UserError: The backend is missing or broken, or has no such number format.
+    """
+    runtime = _runtime(backend, device, console)
+    ranges = activation_ranges.read(model, metadata)
+    number = _number_format(precision, runtime, ranged=ranges is not None, device=device)
+    if runtime is None:
+        if number == "bfloat16":
+            bfloat16.convert(model)
+        return number
+    if number == "int8":
+        assert ranges is not None
+        eight_bits.convert(model, ranges)
+    network_parts.hand_over(
+        model, {name: runtime.compile(part, number) for name, part in network_parts.parts_of(model).items()}
+    )
+    return f"{number} by {runtime.module} {runtime.version}"
+
+
+def _runtime(backend: str, device: torch.device, console: Console) -> Runtime | None:
+    """The runtime that computes in place of torch, if one does."""
+    if backend == "torch" or (backend == "auto" and device.type != "cpu"):
+        return None
+    if device.type != "cpu":
+        raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
+    if backend != "auto":
+        return RUNTIMES[backend]()
+    try:
+        return RUNTIMES[_FASTEST]()
+    except UnusableError as error:
+        if not error.missing:
+            console.say(f"{error}; torch computes instead")
+        return None
+
+
+def _number_format(precision: str, runtime: Runtime | None, *, ranged: bool, device: torch.device) -> str:
+    formats = _IN_TORCH if runtime is None else runtime.formats
+    if precision == "auto":
+        good = {"int8": ranged, "bfloat16": detector.has_bfloat16(device), "float32": True}
+        return next(number for number in formats if good[number])
+    if precision not in formats:
+        name = "torch" if runtime is None else runtime.backend
+        raise UserError(f"--precision {precision}: backend {name} has {', '.join(formats)}")
+    if precision == "int8" and not ranged:
+        raise UserError(
+            "--precision int8: the checkpoint does not say how large its layers' inputs become; "
+            "`skope train export RUN --to compact --data DATASET` notes that"
+        )
+    return precision

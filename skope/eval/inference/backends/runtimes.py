@@ -1,0 +1,155 @@
+"""Libraries that compute the network's parts in place of torch, each with an extra of its own.
+
+Both read ONNX. What they answer differs from torch's in the last digits of float32; bfloat16 and int8 are rougher.
+"""
+
+import contextlib
+import importlib
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any, ClassVar, Final
+
+import torch
+
+from skope.detector import has_bfloat16
+from skope.errors import UserError
+from skope.eval.inference.backends.network_parts import INPUT, Floats, Part, Run
+
+
+class UnusableError(UserError):
+    """A runtime is missing, too old or broken."""
+
+    def __init__(self, message: str, *, missing: bool) -> None:
+        super().__init__(message)
+        self.missing = missing
+
+
+class Runtime(ABC):
+    """A library that computes ONNX models on the CPU."""
+
+    backend: ClassVar[str]
+    """Its name for `--backend`, and that of the extra that installs it."""
+    formats: ClassVar[tuple[str, ...]]
+    """Number formats that it multiplies in, fastest first."""
+    module: ClassVar[str]
+    oldest: ClassVar[tuple[int, int]]
+    """The first version that is known to compute the parts rightly."""
+
+    def __init__(self) -> None:
+        """Raises UnusableError, of one line, where the library or `onnx`, which the parts are handed over by, fails."""
+        self._import("onnx")
+        self._library = self._import(self.module)
+        self.version = str(self._library.__version__).partition("-")[0]
+        if tuple(int(part) for part in self.version.split(".")[:2] if part.isdecimal()) < self.oldest:
+            least = ".".join(map(str, self.oldest))
+            raise self._unusable(f"{self.module} {self.version} is too old, {least} is the oldest that will do")
+
+    def _import(self, module: str) -> ModuleType:
+        try:
+            return importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            if error.name == module:
+                raise self._unusable(f"{module} is not installed", missing=True) from None
+            raise self._unusable(f"{module} is broken ({error})") from None
+        except Exception as error:  # a compiled module may raise what it likes
+            raise self._unusable(f"{module} is broken ({_first_line(error)})") from None
+
+    def _unusable(self, why: str, *, missing: bool = False) -> UnusableError:
+        line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
+        return UnusableError(line, missing=missing)
+
+    def compile(self, part: Part, number: str) -> Run:
+        """A function that computes a part with products in a number format, one of `formats`.
+
+        Both raise UnusableError, of one line, where the library cannot.
+        """
+        with self._blamed():
+            run = self._compiled(part, number)
+
+        def guarded(x: Floats) -> list[Floats]:
+            with self._blamed():
+                return run(x)
+
+        return guarded
+
+    @contextlib.contextmanager
+    def _blamed(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # whatever the library raises where it meets what it cannot do
+            why = f"{self.module} {self.version} cannot compute the network ({_first_line(error)})"
+            raise self._unusable(why) from None
+
+    @abstractmethod
+    def _compiled(self, part: Part, number: str) -> Run: ...
+
+
+class OpenVino(Runtime):
+    """OpenVINO. Sums of products, and what is not in eight bits, are in bfloat16 where they may be."""
+
+    backend = "openvino"
+    formats = ("int8", "bfloat16", "float32")
+    module = "openvino"
+    oldest = (2025, 0)
+
+    def _compiled(self, part: Part, number: str) -> Run:
+        core = self._library.Core()
+        hints = {
+            "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
+            "PERFORMANCE_HINT": "LATENCY",
+            "INFERENCE_NUM_THREADS": _threads(),
+        }
+        model = core.read_model(part.to_onnx())
+        compiled: dict[tuple[int, ...] | None, Any] = {}
+
+        def run(x: Floats) -> list[Floats]:
+            # Compiled for one size the pyramid is a fifth faster than for any size.
+            own = part.steady and (not compiled or x.shape in compiled)
+            shape = x.shape if own else None
+            if shape not in compiled:
+                fitting = model.clone()
+                if shape:
+                    fitting.reshape({INPUT: list(shape)})
+                compiled[shape] = core.compile_model(fitting, "CPU", hints)
+            return list(compiled[shape](x, share_inputs=True, share_outputs=True).to_tuple())
+
+        return run
+
+
+class OnnxRuntime(Runtime):
+    """ONNX Runtime. In eight bits it was slower than in float32 (version 1.31), and it has no bfloat16 on CPUs."""
+
+    backend = "onnx"
+    formats = ("float32",)
+    module = "onnxruntime"
+    oldest = (1, 20)
+
+    def _compiled(self, part: Part, number: str) -> Run:
+        options = self._library.SessionOptions()
+        options.intra_op_num_threads = _threads()
+        model = _without_shapes(part.to_onnx())
+        session = self._library.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        return lambda x: list(session.run(None, {INPUT: x}))
+
+
+def _without_shapes(model: bytes) -> bytes:
+    """An ONNX model without the shapes that the exporter noted: of a layer that five maps go through they are wrong."""
+    import onnx
+
+    parsed = onnx.load_from_string(model)
+    parsed.graph.ClearField("value_info")
+    return bytes(parsed.SerializeToString())
+
+
+def _threads() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+RUNTIMES: Final[dict[str, type[Runtime]]] = {runtime.backend: runtime for runtime in (OpenVino, OnnxRuntime)}
