@@ -72,6 +72,8 @@ def skope(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
     from skope import cli
 
     monkeypatch.chdir(tmp_path)
+    # OpenVINO is tested for itself: it takes three seconds to begin.
+    monkeypatch.setattr("skope.eval.inference.settings.FASTEST", "torch")
 
     def call(*args: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["skope", *map(str, args)])

@@ -21,7 +21,7 @@ import skope as package
 from skope import cli, command_options, schema
 from skope.command_options import Commands, Formerly, option
 from skope.console import Console
-from skope.eval.inference.settings import PRECISIONS, TILES
+from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.annotate import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS
@@ -175,6 +175,7 @@ CHOSEN = {
     "--compare": ("paper",),
     "--precision": PRECISIONS,
     "--tiles": TILES,
+    "--backend": BACKENDS,
     "--device": ("auto", "cpu", "cuda", "cuda:N"),
     "--ground": ("auto", "fit", "none", "METRES"),
 }

@@ -6,6 +6,8 @@ from typing import Final
 from skope.errors import UserError, one_of
 
 BACKENDS: Final = ("auto", "torch", "openvino", "onnx")
+FASTEST: Final = "openvino"
+"""Backend that "auto" is on a CPU, where it is installed."""
 PRECISIONS: Final = ("auto", "float32", "bfloat16", "int8")
 TILES: Final = ("none", "auto")
 

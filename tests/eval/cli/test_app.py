@@ -218,7 +218,7 @@ def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: A
         (("--iou", "0.5,0.5"), "--iou: expected different numbers, got 0.5, 0.5"),
         (("--keypoint-score", "3"), "--keypoint-score: expected a number from 0 to 1, got 3.0"),
         (("--compare", "rumour"), "--compare: 'rumour' is not one of paper"),
-        (("--precision", "float8"), "--precision: 'float8' is not one of float32, bfloat16, auto"),
+        (("--precision", "float8"), "--precision: 'float8' is not one of auto, float32, bfloat16, int8"),
         (("--batch-size", "0"), "--batch-size: expected a whole number from 1, got 0"),
         (("--scheme", "face68"), "--scheme: 'face68' is not one of skope33, apollo24, carfusion14, veri20, skope3d"),
         (("--scheme", "veri20"), "--scheme needs --predictions"),

@@ -36,7 +36,7 @@ _UPSAMPLED: Final = 2
 
 
 @dataclass(frozen=True)
-class Part:
+class NetworkPart:
     """A part of the network."""
 
     module: nn.Module
@@ -69,15 +69,15 @@ _EXAMPLE: Final = {0: 1, 2: 128, 3: 192}
 """Sizes of the example along the axes that are free: images in a batch or regions, height and width."""
 
 
-def parts_of(model: KeypointRCNN) -> dict[str, Part]:
+def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
     """The parts of a model on the CPU, by name."""
     heads = model.roi_heads
     channels = model.backbone.out_channels
     box, keypoint = heads.box_roi_pool.output_size, heads.keypoint_roi_pool.output_size
     return {
-        PYRAMID: Part(_Pyramid(model), (-1, 3, -1, -1)),
-        BOX_HEAD: Part(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box)),
-        KEYPOINT_HEAD: Part(
+        PYRAMID: NetworkPart(_Pyramid(model), (-1, 3, -1, -1)),
+        BOX_HEAD: NetworkPart(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box)),
+        KEYPOINT_HEAD: NetworkPart(
             nn.Sequential(heads.keypoint_head, heads.keypoint_predictor.kps_score_lowres),
             (-1, channels, *keypoint),
             steady=False,
@@ -160,4 +160,6 @@ class _Upsampled(nn.Module):
 
 
 def _computed(run: Run, x: Tensor) -> list[Tensor]:
+    if not len(x):  # runtimes refuse what is empty: one input tells the outputs' shapes
+        return [out[:0] for out in _computed(run, x.new_zeros(1, *x.shape[1:]))]
     return [torch.from_numpy(array) for array in run(x.contiguous().numpy())]

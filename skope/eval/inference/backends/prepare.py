@@ -9,11 +9,10 @@ from torchvision.models.detection import KeypointRCNN
 from skope import activation_ranges, detector
 from skope.console import Console
 from skope.errors import UserError
+from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
 
-_FASTEST = "openvino"
-"""Backend that `auto` takes on a CPU where it is installed."""
 _IN_TORCH = ("bfloat16", "float32")
 
 
@@ -61,15 +60,16 @@ def prepare(
 
 def _runtime(backend: str, device: torch.device, console: Console) -> Runtime | None:
     """The runtime that computes in place of torch, if one does."""
-    if backend == "torch" or (backend == "auto" and device.type != "cpu"):
+    name = (settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
+    if name == "torch":
         return None
     if device.type != "cpu":
         raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
-    if backend != "auto":
-        return RUNTIMES[backend]()
     try:
-        return RUNTIMES[_FASTEST]()
+        return RUNTIMES[name]()
     except UnusableError as error:
+        if backend != "auto":
+            raise
         if not error.missing:
             console.say(f"{error}; torch computes instead")
         return None

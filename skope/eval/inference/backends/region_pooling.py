@@ -50,7 +50,7 @@ class RegionPooling(nn.Module):
             here = torch.where(level_of == level)[0]
             if len(here):
                 out[here] = self._of_level(one, together[here] / stride, image_of[here]).view(len(here), cells, -1)
-        return out.permute(0, 2, 1).reshape(len(together), -1, *self.output_size)
+        return out.permute(0, 2, 1).reshape(len(together), maps[0].shape[1], *self.output_size)
 
     def _of_level(self, features: Tensor, regions: Tensor, image_of: Tensor) -> Tensor:
         """(K * cells, C) means over the samples of each cell, of (K, 4) regions in a map's own pixels."""

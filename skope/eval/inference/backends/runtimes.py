@@ -15,7 +15,7 @@ import torch
 
 from skope.detector import has_bfloat16
 from skope.errors import UserError
-from skope.eval.inference.backends.network_parts import INPUT, Floats, Part, Run
+from skope.eval.inference.backends.network_parts import INPUT, Floats, NetworkPart, Run
 
 
 class UnusableError(UserError):
@@ -60,7 +60,7 @@ class Runtime(ABC):
         line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
         return UnusableError(line, missing=missing)
 
-    def compile(self, part: Part, number: str) -> Run:
+    def compile(self, part: NetworkPart, number: str) -> Run:
         """A function that computes a part with products in a number format, one of `formats`.
 
         Both raise UnusableError, of one line, where the library cannot.
@@ -83,7 +83,7 @@ class Runtime(ABC):
             raise self._unusable(why) from None
 
     @abstractmethod
-    def _compiled(self, part: Part, number: str) -> Run: ...
+    def _compiled(self, part: NetworkPart, number: str) -> Run: ...
 
 
 class OpenVino(Runtime):
@@ -94,7 +94,7 @@ class OpenVino(Runtime):
     module = "openvino"
     oldest = (2025, 0)
 
-    def _compiled(self, part: Part, number: str) -> Run:
+    def _compiled(self, part: NetworkPart, number: str) -> Run:
         core = self._library.Core()
         hints = {
             "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
@@ -126,7 +126,7 @@ class OnnxRuntime(Runtime):
     module = "onnxruntime"
     oldest = (1, 20)
 
-    def _compiled(self, part: Part, number: str) -> Run:
+    def _compiled(self, part: NetworkPart, number: str) -> Run:
         options = self._library.SessionOptions()
         options.intra_op_num_threads = _threads()
         model = _without_shapes(part.to_onnx())

@@ -1,0 +1,262 @@
+"""Other runtimes find what torch finds; what is missing or broken is one line."""
+
+import sys
+from collections import OrderedDict
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torchvision.models.detection import KeypointRCNN
+from torchvision.ops import MultiScaleRoIAlign
+
+from skope import activation_ranges, boxes, dataset, detector, weights
+from skope.console import Console
+from skope.detector import Detections
+from skope.errors import UserError
+from skope.eval.inference.backends import eight_bits
+from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
+from skope.eval.inference.backends.prepare import prepare
+from skope.eval.inference.backends.region_pooling import RegionPooling
+
+PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
+"""A generated junction by day; six of its vehicles stand clear of one another."""
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def pixels() -> NDArray[np.uint8]:
+    return dataset.read_image(PICTURE)
+
+
+def shipped() -> KeypointRCNN:
+    model, _, _ = detector.load_weights(weights.path(weights.DEFAULT), CPU)
+    model.transform.min_size, model.transform.max_size = (320,), 640
+    return model
+
+
+def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
+    return detector.detect(model, [pixels], CPU, min_score=0.3)[0]
+
+
+def handed_over(backend: str, precision: str, metadata: dict[str, Any]) -> KeypointRCNN:
+    model = shipped()
+    prepare(model, metadata, CPU, backend=backend, precision=precision, console=Console(quiet=True))
+    return model
+
+
+@pytest.fixture(scope="module")
+def by_torch(pixels: NDArray[np.uint8]) -> Detections:
+    return found(shipped(), pixels)
+
+
+@pytest.fixture(scope="module")
+def ranges(pixels: NDArray[np.uint8]) -> dict[str, Any]:
+    model = shipped()
+    with activation_ranges.noted(model) as noted:
+        found(model, pixels)
+    return activation_ranges.to_metadata(model, noted)
+
+
+@pytest.mark.parametrize(
+    ("backend", "precision", "overlap", "point_px", "score"),
+    [
+        ("onnx", "float32", 0.9999, 0.02, 1e-4),
+        ("openvino", "float32", 0.9999, 0.02, 1e-4),
+        ("openvino", "int8", 0.8, 2.0, 0.1),
+    ],
+)
+def test_a_runtime_finds_what_torch_finds(
+    backend: str,
+    precision: str,
+    overlap: float,
+    point_px: float,
+    score: float,
+    pixels: NDArray[np.uint8],
+    by_torch: Detections,
+    ranges: dict[str, Any],
+) -> None:
+    model = handed_over(backend, precision, ranges)
+    # Another size than the first one goes through another graph.
+    for image in (np.ascontiguousarray(pixels[:, :300]), pixels):
+        answer = found(model, image)
+    sure = by_torch.above(0.9)
+    assert len(sure) >= 5
+    ious = boxes.iou(sure.boxes_xyxy, answer.boxes_xyxy)
+    same = ious.argmax(axis=1)
+    assert ious.max(axis=1).min() > overlap
+    assert np.abs(sure.scores - answer.scores[same]).max() < score
+    away = np.linalg.norm(sure.keypoints[..., :2] - answer.keypoints[same][..., :2], axis=-1)
+    assert np.median(away) < point_px
+    if precision == "float32":
+        assert len(answer) == len(by_torch)
+    left = [m for m in model.modules() if isinstance(m, torch.nn.Conv2d | torch.nn.Linear | torch.nn.ConvTranspose2d)]
+    assert left == []
+
+
+def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pixels: NDArray[np.uint8]) -> None:
+    """Also in an image without vehicles, of which no region reaches the heads."""
+
+    def by_itself(part: NetworkPart) -> Run:
+        def run(x: Floats) -> list[Floats]:
+            out = part.module(torch.from_numpy(x))
+            return [one.numpy() for one in (out if isinstance(out, tuple) else (out,))]
+
+        return run
+
+    pixels = pixels[:64, :96]
+    before, after = (detector.load_weights(detector.find_checkpoint(random_run), CPU)[0] for _ in range(2))
+    with torch.inference_mode():
+        hand_over(after, {name: by_itself(part) for name, part in parts_of(after).items()})
+    for least in (0.05, 0.9999):
+        one, two = (detector.detect(model, [pixels], CPU, min_score=least)[0] for model in (before, after))
+        assert two.boxes_xyxy == pytest.approx(one.boxes_xyxy, abs=0.01)
+        assert two.scores == pytest.approx(one.scores, abs=1e-5)
+    assert len(two) == 0
+    one, two = (detector.detect_on_boxes(model, pixels, [[10, 10, 60, 50]], CPU) for model in (before, after))
+    assert two[..., 2] == pytest.approx(one[..., 2], abs=1e-4)
+
+
+def test_eight_bits_are_the_arithmetic_of_integers() -> None:
+    """Of a small convolution and of a linear layer, multiplied out in whole numbers."""
+    generator = torch.Generator().manual_seed(3)
+    layers = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3, padding=1, stride=2), torch.nn.Flatten())
+    layers.append(torch.nn.Linear(4 * 3 * 3, 5))
+    x = torch.randn(2, 3, 6, 6, generator=generator)
+    exact = layers(x)
+    weights_of = {name: layer.weight.detach().clone() for name, layer in layers.named_modules() if name in ("0", "2")}
+    biases = {name: layers.get_submodule(name).bias.detach() for name in weights_of}
+    ranges = {"0": (-3.0, 2.5), "2": (-1.5, 1.5)}
+    eight_bits.convert(layers, ranges)
+    rounded = layers(x)
+
+    def whole(name: str, values: torch.Tensor) -> tuple[NDArray[np.int64], float, int]:
+        low, high = ranges[name]
+        step = (high - low) / 255
+        zero = round(-low / step)
+        return np.clip(np.round(values.detach().numpy() / step) + zero, 0, 255).astype(np.int64) - zero, step, zero
+
+    def product(name: str, columns: torch.Tensor) -> NDArray[np.float64]:
+        weight = weights_of[name].flatten(1).numpy()
+        steps = np.abs(weight).max(axis=1) / 127
+        inputs, step, _ = whole(name, columns)
+        sums = inputs @ np.round(weight / steps[:, None]).astype(np.int64).T
+        return sums * step * steps + biases[name].numpy()
+
+    columns = torch.nn.functional.unfold(x, 3, padding=1, stride=2).transpose(1, 2)
+    maps = product("0", columns).transpose(0, 2, 1)
+    expected = product("2", torch.from_numpy(maps.reshape(2, -1)))
+    assert rounded.detach().numpy() == pytest.approx(expected, abs=1e-4)
+    assert 1e-4 < float((rounded - exact).abs().max()) < 0.1
+
+
+def random_regions(count: int, generator: torch.Generator) -> torch.Tensor:
+    """Boxes of all sizes in an image of 320 x 200, some beyond its edges."""
+    corner = torch.rand(count, 2, generator=generator) * torch.tensor([360.0, 240.0]) - 20
+    size = torch.exp(torch.rand(count, 2, generator=generator) * 6)
+    return torch.cat([corner, corner + size], dim=1)
+
+
+@pytest.mark.parametrize("output", [7, 14])
+def test_regions_are_pooled_as_torchvision_pools_them(output: int) -> None:
+    generator = torch.Generator().manual_seed(output)
+    sizes = ((50, 80), (25, 40), (13, 20), (7, 10))
+    maps = OrderedDict((str(i), torch.randn(2, 8, *size, generator=generator)) for i, size in enumerate(sizes))
+    pool = MultiScaleRoIAlign(["0", "1", "2", "3"], output, 2)
+    shapes = [(200, 320), (200, 320)]
+    for counts in ((40, 60), (0, 5), (0, 0)):
+        regions = [random_regions(count, generator) for count in counts]
+        expected = pool(maps, regions, shapes)
+        assert RegionPooling(pool)(maps, regions, shapes) == pytest.approx(expected, abs=1e-4)
+
+
+class Said(Console):
+    """A console that keeps what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__(quiet=True)
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+
+@pytest.fixture
+def model(random_run: Path) -> KeypointRCNN:
+    return detector.load_weights(detector.find_checkpoint(random_run), CPU)[0]
+
+
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    module = ModuleType("openvino")
+    module.__version__ = "2026.1.0-123"  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "openvino", module)
+    return module
+
+
+def refusal(model: KeypointRCNN, **choice: Any) -> str:
+    settings = {"backend": "openvino", "precision": "float32", "device": CPU, "metadata": {}, **choice}
+    with pytest.raises(UserError) as caught:
+        prepare(model, settings.pop("metadata"), settings.pop("device"), console=Said(), **settings)
+    (line,) = str(caught.value).splitlines()
+    return line
+
+
+def test_a_missing_runtime_is_one_line_and_auto_takes_torch(
+    model: KeypointRCNN, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    expected = "--backend openvino: openvino is not installed: pip install 'skope[openvino]'"
+    assert refusal(model) == expected
+    said = Said()
+    assert prepare(model, {}, CPU, backend="auto", precision="float32", console=said) == "float32"
+    assert said.lines == []
+
+
+def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(model: KeypointRCNN, broken: Any) -> None:
+    class Core:
+        def read_model(self, onnx: bytes) -> None:
+            raise RuntimeError("unsupported opset\nat frontend.cpp:12")
+
+    broken.Core = Core
+    assert refusal(model) == (
+        "--backend openvino: openvino 2026.1.0 cannot compute the network (unsupported opset): "
+        "pip install 'skope[openvino]'"
+    )
+    broken.__version__ = "2023.3.0"
+    assert "openvino 2023.3.0 is too old, 2025.0 is the oldest that will do" in refusal(model)
+    said = Said()
+    assert prepare(model, {}, CPU, backend="auto", precision="float32", console=said) == "float32"
+    assert said.lines == [
+        "--backend openvino: openvino 2023.3.0 is too old, 2025.0 is the oldest that will do: "
+        "pip install 'skope[openvino]'; torch computes instead"
+    ]
+
+
+def test_number_formats_that_are_not_there(model: KeypointRCNN) -> None:
+    assert refusal(model, backend="onnx", precision="int8") == "--precision int8: backend onnx has float32"
+    assert refusal(model, backend="torch", precision="int8") == "--precision int8: backend torch has bfloat16, float32"
+    assert "the checkpoint does not say how large its layers' inputs become" in refusal(model, precision="int8")
+    damaged = {activation_ranges.KEY: {"backbone": [0, 1]}}
+    assert "activation_ranges: expected the least and largest input of each of" in refusal(model, metadata=damaged)
+    gpu = torch.device("cuda")
+    assert refusal(model, device=gpu) == (
+        "--backend openvino: computes on the CPU only; give --device cpu, or --backend torch"
+    )
+
+
+def test_the_command_names_what_computes(skope: Any, random_run: Path, pixels: NDArray[np.uint8]) -> None:
+    image = Path("a.png")
+    import cv2
+
+    cv2.imwrite(str(image), pixels[:64, :96])
+    code, said, err = skope("eval", "predict", image, "--checkpoint", random_run, "--backend", "onnx", "--out", "o")
+    assert code == 0, err
+    assert "in float32 by onnxruntime" in said
+    code, out, err = skope("eval", "predict", image, "--checkpoint", random_run, "--precision", "int8", "--out", "p")
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert not Path("p").exists()
