@@ -237,6 +237,7 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
         bbox=bbox,
         keypoints=points,
         score=row["score"],
+        interpolated=row.get("interpolated", False),
     )
 
 
@@ -350,6 +351,7 @@ def result_to_dict(result: Result) -> dict[str, Any]:
         "bbox": _rounded(result.bbox, 2),
         "keypoints": (points + 0.0).ravel().tolist(),
         "score": round(result.score, 6),
+        **({"interpolated": True} if result.interpolated else {}),
     }
 
 

@@ -249,10 +249,14 @@ class Result:
     keypoints: Array
     """(33, 3) x, y, probability that the point is right."""
     category_id: int = CATEGORY_ID
+    interpolated: bool = False
+    """Whether it was followed from other frames, and no detector has seen it in this one."""
 
     def __post_init__(self) -> None:
         _integer("image_id", self.image_id, 0)
         _integer("category_id", self.category_id, 0)
+        if not isinstance(self.interpolated, bool):
+            raise UserError(f"interpolated: expected true or false, got {self.interpolated!r}")
         object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))
         object.__setattr__(self, "keypoints", array("keypoints", self.keypoints, keypoints.K, 3))
         if isinstance(self.score, bool) or not isinstance(self.score, int | float) or not 0 <= self.score <= 1:

@@ -120,7 +120,7 @@ def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
     """The output folder, taken for this evaluation; what `work.json` says of it."""
     scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
     options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
-    settings = {name: getattr(job.settings, name) for name in ("given", "precision")}
+    settings = {name: getattr(job.settings, name) for name in ("given", "backend", "precision", "min_size")}
     splits = [file.name for file in job.truth.splits]
     more = {"splits": splits, "fast": job.fast, "max_images": job.max_images}
     return claim_output(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})

@@ -148,7 +148,8 @@ backbone = resnet_fpn_backbone(
 anchors = AnchorGenerator(({sizes}), ({detector.ASPECTS},) * {len(config.anchors)})
 model = KeypointRCNN(
     backbone, num_classes=2, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
-    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={detector.MAX_DETECTIONS})
+    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={detector.MAX_DETECTIONS},
+    rpn_post_nms_top_n_test={detector.PROPOSALS})
 model.load_state_dict(torch.load({str(path)!r}))
 model.eval()"""
 

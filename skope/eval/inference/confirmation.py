@@ -28,6 +28,8 @@ _LOST_S: Final = 1.0
 """A vehicle that is not seen for so long is another one when it comes back, seconds."""
 _FEWEST: Final = 3
 """A vehicle is seen surely in so many frames, or there is none."""
+_FEWEST_KEYS: Final = 2
+"""The same where the detector sees key frames only."""
 _NEARLY_ALWAYS: Final = 0.8
 """Weak detections stay of a vehicle that is sure in more than this share of those that it has."""
 _REACH: Final = 0.7
@@ -53,8 +55,11 @@ class _Vehicle:
     velocity: Array = field(default_factory=lambda: np.zeros(4))
     """(4,) of the box's edges, pixels a second."""
     seen: int = 0
+    """In how many frames it is."""
+    found: int = 0
+    """How often the detector has found it; in other frames it is interpolated."""
     sure: int = 0
-    """How often it is seen surely."""
+    """How often the detector has found it surely."""
     lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
     """(2,) least x and y of its middle."""
     highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
@@ -76,13 +81,14 @@ class _Vehicle:
         """(4,) its box at a later time."""
         return self.box + self.velocity * (time_s - self.time_s)
 
-    def see(self, time_s: float, box: Array, *, sure: bool) -> None:
+    def see(self, time_s: float, box: Array, *, sure: bool, interpolated: bool) -> None:
         if self.seen:
             now = (box - self.box) / (time_s - self.time_s)
             self.velocity = now if self.seen == 1 else (self.velocity + now) / 2
         self.time_s, self.box = time_s, box
         self.seen += 1
-        self.sure += sure
+        self.found += not interpolated
+        self.sure += sure and not interpolated
         middle, size = (box[:2] + box[2:]) / 2, _size(box)
         self.lowest, self.highest = np.minimum(self.lowest, middle), np.maximum(self.highest, middle)
         self.sizes += size
@@ -94,9 +100,10 @@ class _Vehicle:
 class Confirmation:
     """Detections of a video, frame by frame, and which of them the others confirm."""
 
-    def __init__(self, score: float) -> None:
-        """What scores above `score` is sure."""
+    def __init__(self, score: float, *, every: int = 1) -> None:
+        """What scores above `score` is sure; the detector sees each `every`-th frame."""
         self._sure = score
+        self._fewest = _FEWEST if every == 1 else _FEWEST_KEYS
         self._vehicles: dict[int, _Vehicle] = {}
         """By number; those that were lost before they were surely seen are gone."""
         self._live: list[int] = []
@@ -113,12 +120,14 @@ class Confirmation:
         for group in (np.flatnonzero(sure), np.flatnonzero(~sure)):
             free = [i for i in self._live if self._vehicles[i].time_s < time_s]
             for vehicle, detection in self._links(free, rectangles[group], time_s):
-                here = group[detection]
+                here = int(group[detection])
                 numbers[here] = vehicle
-                self._vehicles[vehicle].see(time_s, rectangles[here], sure=sure[here])
-        for i in np.flatnonzero(numbers < 0):
+                self._vehicles[vehicle].see(
+                    time_s, rectangles[here], sure=sure[here], interpolated=found[here].interpolated
+                )
+        for i in np.flatnonzero(numbers < 0).tolist():
             numbers[i], new = self._count, _Vehicle(time_s, rectangles[i])
-            new.see(time_s, rectangles[i], sure=sure[i])
+            new.see(time_s, rectangles[i], sure=sure[i], interpolated=found[i].interpolated)
             self._vehicles[self._count] = new
             self._live.append(self._count)
             self._count += 1
@@ -129,7 +138,7 @@ class Confirmation:
         lost = {i for i in self._live if time_s - self._vehicles[i].time_s > _LOST_S}
         self._live = [i for i in self._live if i not in lost]
         for i in lost:
-            if self._vehicles[i].sure < _FEWEST:
+            if self._vehicles[i].sure < self._fewest:
                 del self._vehicles[i]
 
     def _links(self, vehicles: Sequence[int], rectangles: Array, time_s: float) -> list[tuple[int, int]]:
@@ -147,10 +156,10 @@ class Confirmation:
 
     def confirmed(self) -> list[list[bool]]:
         """For each frame, which of its detections stay."""
-        seen = {i: one for i, one in self._vehicles.items() if one.sure >= _FEWEST}
+        seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
         sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES])
         stay = {i for i, one in seen.items() if one.moved > _STANDS or sizes.allow((*one.samples[0][:2], one.size))}
-        constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].seen}
+        constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].found}
         return [
             [i in stay and (sure or i in constant) for i, sure in zip(numbers.tolist(), flags, strict=True)]
             for numbers, flags in self._of

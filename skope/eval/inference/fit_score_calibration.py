@@ -113,7 +113,8 @@ def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], cons
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:
     """What identifies the calibration in `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
-    return work_of("skope eval calibrate", files, {**options, "precision": job.settings.precision})
+    settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
+    return work_of("skope eval calibrate", files, {**options, **settings})
 
 
 def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:

@@ -16,10 +16,12 @@ from skope import coco, draw
 from skope.camera import Camera
 from skope.console import Console
 from skope.dataset import FRAMES, PREDICTIONS
+from skope.detector import choose_device
 from skope.errors import UserError
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.confirmation import FARTHEST_S, WEAK, Confirmation
 from skope.eval.inference.footage import Footage, Pixels
+from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
@@ -27,7 +29,7 @@ from skope.eval.pose.views import with_camera
 from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
 from skope.output_folders import claim_output
-from skope.schema import AnnotationFile, Image
+from skope.schema import AnnotationFile, Image, Result
 from skope.video import write_video
 
 _PROGRESS: Final = ".predict.jsonl"
@@ -53,6 +55,20 @@ class PredictJob:
     blur: bool = False
     unconfirmed: bool = False
     """Whether detections in a video are kept that its other frames do not confirm."""
+    every_frame: bool = False
+    """Whether the detector sees every frame of a video, not key frames only."""
+
+    @property
+    def key_every(self) -> int:
+        """Number of frames from one that the detector sees to the next, where it runs on a CPU.
+
+        Vehicles are followed through the frames of a recorded video that are dense enough for that; a live stream's
+        come as they can.
+        """
+        dense = self.footage.fps is not None and self.footage.fps * FARTHEST_S >= 1
+        if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
+            return 1
+        return max(1, round(INTERVAL_S * (self.footage.fps or 0.0)))
 
     @property
     def confirms(self) -> bool:
@@ -77,10 +93,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     least = min(job.score, WEAK) if job.confirms else job.score
     predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least), console)
     _claim(job, predictor.files)
-    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped"))
+    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key"))
     images = []
+    last_key = 1
     for row in progress.rows():
         images.append(coco.image_from_dict(row["image"]))
+        last_key = images[-1].id if row["key"] else last_key
         job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
     last = images[-1].id if images else 0
     if images:
@@ -88,10 +106,10 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            for bare, found in predictor.each(job.footage.frames(last)):
+            for bare, found, key in _found(job, predictor, last, last_key):
                 image = with_camera(bare, job.camera)
                 entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
-                progress.add({**entry, "skipped": list(job.footage.skipped)})
+                progress.add({**entry, "skipped": list(job.footage.skipped), "key": key})
                 images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
@@ -116,6 +134,25 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     return written
 
 
+def _found(
+    job: PredictJob, predictor: Predictor, last: int, last_key: int
+) -> Iterator[tuple[Image, list[Result], bool]]:
+    """The images after number `last`, with what is found in them, and whether the detector has seen them."""
+    every = job.key_every
+    if every == 1:
+        yield from ((image, found, True) for image, found in predictor.each(job.footage.frames(last)))
+        return
+
+    def find(frame: tuple[Image, Pixels]) -> list[Result]:
+        ((_, found),) = predictor.each(iter([frame]))
+        return found
+
+    # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.
+    for image, found, key in with_frames_between(job.footage.frames(last_key - 1), find, every):
+        if image.id > last:
+            yield image, found, key
+
+
 def _claim(job: PredictJob, files: Sequence[Path]) -> None:
     """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
     cut, settings = job.footage.cut, job.settings
@@ -125,9 +162,12 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
         "start": cut.start_s,
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
         "score": job.score,
+        "backend": settings.backend,
         "precision": settings.precision,
+        "min_size": settings.min_size,
         "tiles": settings.tiles,
         "unconfirmed": job.unconfirmed,
+        "key_every": job.key_every,
         "camera": job.camera.to_dict() if job.camera else None,
     }
     claim_output(job.out, "skope eval predict", files, options)
@@ -150,7 +190,7 @@ def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
     interval = float(np.median(np.diff(times))) if job.confirms and len(times) > 1 else math.inf
     if interval > FARTHEST_S:
         return lambda row: [result for result in row["results"] if result["score"] > job.score]
-    confirmation = Confirmation(job.score)
+    confirmation = Confirmation(job.score, every=job.key_every)
     for row, time_s in zip(progress.rows(), times, strict=True):
         confirmation.add(time_s, list(map(coco.result_from_dict, row["results"])))
     of_frame = dict(zip([image.id for image in images], confirmation.confirmed(), strict=True))

@@ -58,7 +58,7 @@ def records(located: Located) -> Iterator[dict[str, Any]]:
             "score": round(float(view.scores[i]), 6),
             "bbox": _rounded(view.boxes[i], 2),
             "refused": reason,
-            "flags": list(poses.flags[i]),
+            "flags": [*poses.flags[i], *(["interpolated"] if view.interpolated[i] else [])],
         }
         if reason is None:
             T, size = poses.T_world_vehicle[i], poses.size_lwh[i]

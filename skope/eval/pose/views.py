@@ -56,6 +56,8 @@ class View:
     """(N,) whether the box reaches the image's edge: the image may show a part of the vehicle only."""
     truth: tuple[Annotation | None, ...]
     """(N,) the ground-truth vehicle that each is, or that it matches; None where there is none or it is not known."""
+    interpolated: NDArray[np.bool_]
+    """(N,) whether it was followed from other frames, in place of being found in this one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,8 @@ def _labelled(
     spread = max(noise, 0.5) if sigma is None else sigma
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
     cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
-    return View(image, found, np.full(len(kept), spread), np.ones(len(kept)), boxes, cut, kept)
+    ones, none = np.ones(len(kept)), np.zeros(len(kept), dtype=bool)
+    return View(image, found, spread * ones, ones, boxes, cut, kept, none)
 
 
 def view_of(detections: "Detections") -> View:
@@ -159,7 +162,9 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
     at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
-    return View(image, found, spread, scores, boxes, reached.any(axis=1), tuple(vehicle for _, vehicle in pairs))
+    truth = tuple(vehicle for _, vehicle in pairs)
+    interpolated = np.array([r.interpolated for r in results], dtype=bool)
+    return View(image, found, spread, scores, boxes, reached.any(axis=1), truth, interpolated)
 
 
 def _margins(image: Image, boxes: Array) -> Array:

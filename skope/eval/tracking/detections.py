@@ -62,7 +62,9 @@ def detections_of(image: Located) -> list[Detection]:
         )
         vehicle = view.truth[i]
         truth = vehicle.track_id if vehicle else None
-        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None))
+        # What was interpolated measures nothing anew: the track's own motion says better where the vehicle is.
+        measured = good and not view.interpolated[i]
+        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if measured else None))
     return out
 
 

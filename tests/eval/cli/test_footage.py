@@ -21,6 +21,7 @@ from skope.camera import Camera
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
+from skope.eval.inference.progress import Progress
 from skope.eval.pose import fit_camera, pose_errors
 from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene, read_camera
@@ -191,7 +192,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
 
     monkeypatch.setattr(Predictor, "_found", brightness)
     video = numbered_video(tmp_path / "v.mp4", 12)
-    call = ("eval", "predict", video, "--checkpoint", random_run, "--every", 2)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--every", 2, "--every-frame")
     assert skope(*call, "--out", "whole")[0] == 0
     with stops_after(3):
         assert skope(*call, "--out", "parts")[0] == 130
@@ -202,6 +203,48 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
     for name in ("predictions.json", "frames.json"):
         assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
     assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json", "work.json"}
+
+
+def test_stopped_at_any_frame_between_key_frames_it_ends_as_if_never_stopped(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from skope.eval.inference.predictor import Predictor
+
+    seen: list[int] = []
+
+    def moving(self: Predictor, batch: Any) -> Iterator[tuple[Any, list[Result]]]:
+        for image, _ in batch:
+            seen.append(image.id)
+            points = np.column_stack([10.0 + image.id + 20 * np.random.default_rng(0).random((33, 2)), np.ones(33)])
+            box = np.array([10.0 + image.id, 10, 20, 20])
+            yield image, [Result(image_id=image.id, score=0.9, bbox=box, keypoints=points)]
+
+    monkeypatch.setattr(Predictor, "_found", moving)
+    video = numbered_video(tmp_path / "v.mp4", 13)  # at 10 frames a second
+    call = ("eval", "predict", video, "--checkpoint", random_run)
+    assert skope(*call, "--out", "whole")[0] == 0
+    assert seen == [1, 6, 11, 13]
+    rows = json.loads(Path("whole/predictions.json").read_text())
+    assert [row["image_id"] for row in rows] == list(range(1, 14))
+    assert [row["image_id"] for row in rows if not row.get("interpolated")] == seen
+    assert [row["bbox"][0] for row in rows] == pytest.approx([10.0 + row["image_id"] for row in rows], abs=0.02)
+    add = Progress.add
+    for count in (1, 3, 6, 8, 12):
+        left = iter(range(count))
+
+        def stops(self: Progress, row: Any, left: Any = left) -> None:
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            add(self, row)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Progress, "add", stops)
+            assert skope(*call, "--out", f"parts{count}")[0] == 130
+        code, out, _ = skope(*call, "--out", f"parts{count}")
+        assert code == 0
+        assert f"going on after frame {count}" in out
+        for name in ("predictions.json", "frames.json"):
+            assert Path(f"parts{count}", name).read_bytes() == Path("whole", name).read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -162,8 +162,8 @@ def call(skope: Any, random_run: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_frames_of_a_video_are_held_against_each_other(call: Any, tmp_path: Path) -> None:
     video = numbered_video(tmp_path / "v.mp4", 20)
-    assert call(video, "--out", "seen", "--overlay") == [1] * 20
+    assert call(video, "--out", "seen", "--overlay", "--every-frame") == [1] * 20
     assert Path("seen/overlay.mp4").is_file()
     alone = [1] * 5 + [0, 1, 1, 2] + [1] * 11
-    assert call(video, "--out", "all", "--unconfirmed") == alone
+    assert call(video, "--out", "all", "--unconfirmed", "--every-frame") == alone
     assert call(video, "--out", "sparse", "--every", 4) == [1, 1, 2, 1, 1], "0.4 s apart"

@@ -1,0 +1,227 @@
+"""Vehicles in the frames between key frames: the detector sees key frames only, points on vehicles are followed.
+
+Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
+pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
+the more the nearer its key frame is. One that only one of them shows is followed from there alone: half of the way, or
+as long as the image's edge explains why the other key frame does not show it.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import boxes as box_math
+from skope.eval.assignment import cheapest_pairs
+from skope.schema import Image, Result
+from skope.types import Array
+
+Pixels = NDArray[np.uint8]
+Points = NDArray[np.float32]
+Frame = tuple[Image, Pixels]
+
+INTERVAL_S: Final = 0.5
+"""Key frames are so far apart, seconds."""
+
+_WINDOW: Final = (15, 15)
+_LEVELS: Final = 4
+_RETURN_PX: Final = 0.5
+"""A point that is followed to the next frame and back has to come out so near to where it began."""
+_ACROSS: Final = (0.2, 0.4, 0.6, 0.8)
+"""Beside the keypoints a grid of points is followed: shares of the box's edges."""
+_FEWEST: Final = 5
+"""A vehicle is lost where fewer of its points can be followed."""
+_ASIDE: Final = 0.02
+"""Points move with their vehicle that are so near to where it takes them, as a share of its size, a pixel at least."""
+_GROWTH: Final = 1.25
+"""From frame to frame a vehicle grows or shrinks by no more than this factor."""
+_OVERLAP: Final = 0.3
+"""IoU from which a vehicle that was followed to the other key frame is the one that is found there."""
+_EDGE_PX: Final = 3.0
+"""A box that is so near to the image's edge is cut by it."""
+_SMALLEST_PX: Final = 4.0
+"""Boxes with a shorter edge inside the image are left out."""
+_NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
+
+
+def with_frames_between(
+    frames: Iterator[Frame], find: Callable[[Frame], list[Result]], every: int
+) -> Iterator[tuple[Image, list[Result], bool]]:
+    """The vehicles of all frames of a video, of which the detector sees each `every`-th and the last.
+
+    Args:
+        frames: Consecutive frames, of which the first is a key frame.
+        find: Finds the vehicles of a key frame.
+        every: Number of frames from one key frame to the next.
+
+    Yields:
+        Each image with its vehicles, and whether it is a key frame. Vehicles of other frames are `interpolated`.
+    """
+    since: list[Frame] = []
+    known: list[Result] = []
+    for frame in frames:
+        since.append(frame)
+        if len(since) == 1:
+            known = find(frame)
+            yield frame[0], known, True
+        elif len(since) > every:
+            last = find(frame)
+            yield from _between(since, known, last)
+            yield frame[0], last, True
+            since, known = [frame], last
+    if len(since) > 1:
+        last = find(since[-1])
+        yield from _between(since, known, last)
+        yield since[-1][0], last, True
+
+
+def _between(
+    frames: Sequence[Frame], first: Sequence[Result], last: Sequence[Result]
+) -> Iterator[tuple[Image, list[Result], bool]]:
+    """The frames between two key frames, which are the ends of `frames`, with their vehicles."""
+    grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
+    size = (grey[0].shape[1], grey[0].shape[0])
+    ahead, back = _followed(grey, first), _followed(grey[::-1], last)
+    pairs = _same(ahead, last)
+    gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
+    new = sorted(set(range(len(last))) - {j for _, j in pairs})
+    ways = [
+        *((_merged(ahead[i], back[j][::-1]), first[i].score, last[j].score) for i, j in pairs),
+        *((_alone(ahead[i], size), first[i].score, first[i].score) for i in gone),
+        *((_alone(back[j], size)[::-1], last[j].score, last[j].score) for j in new),
+    ]
+    for k, (image, _) in enumerate(frames[1:-1], start=1):
+        share = k / (len(frames) - 1)
+        there = [(way[k], (1 - share) * one + share * two) for way, one, two in ways]
+        found = [place.result(image, score) for place, score in there if place is not None]
+        yield image, [result for result in found if result is not None], False
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a vehicle is in a frame."""
+
+    box: Array
+    """(4,) x0, y0, x1, y1, pixels."""
+    keypoints: Array
+    """(33, 3) as in `Result`."""
+
+    @classmethod
+    def of(cls, result: Result) -> "_Place":
+        return cls(box_math.xywh_to_xyxy(result.bbox[None])[0], result.keypoints)
+
+    def blended(self, other: "_Place", share: float) -> "_Place":
+        """Between two places, by the share of the other one."""
+        box = (1 - share) * self.box + share * other.box
+        return _Place(box, (1 - share) * self.keypoints + share * other.keypoints)
+
+    def moved(self, motion: Array) -> "_Place | None":
+        """Moved by a (2, 3) turn, scale and shift; None where it grows by more than vehicles do."""
+        scale = float(np.hypot(motion[0, 0], motion[1, 0]))
+        if not 1 / _GROWTH < scale < _GROWTH:
+            return None
+        corners = self.box.reshape(2, 2)
+        middle = corners.mean(axis=0)
+        box = (corners - middle) * scale + motion[:, :2] @ middle + motion[:, 2]
+        at = self.keypoints[:, :2] @ motion[:, :2].T + motion[:, 2]
+        return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
+
+    def cut(self, size: tuple[int, int]) -> bool:
+        """Whether it reaches the edge of an image of this width and height."""
+        return bool((self.box[:2] < _EDGE_PX).any() or (self.box[2:] > np.array(size) - _EDGE_PX).any())
+
+    def result(self, image: Image, score: float) -> Result | None:
+        """As a vehicle of an image; None where hardly anything of it is inside."""
+        box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
+        if (box[2:] - box[:2]).min() < _SMALLEST_PX:
+            return None
+        bbox = box_math.xyxy_to_xywh(box[None])[0]
+        return Result(image_id=image.id, bbox=bbox, score=score, keypoints=self.keypoints, interpolated=True)
+
+
+Way: TypeAlias = list[_Place | None]
+"""Where a vehicle is in each frame; None where it is lost."""
+
+
+def _followed(grey: Sequence[Pixels], vehicles: Sequence[Result]) -> list[Way]:
+    """Where the vehicles of the first frame are in each frame."""
+    ways: list[Way] = [[_Place.of(vehicle)] for vehicle in vehicles]
+    points = [_points(vehicle) for vehicle in vehicles]
+    for before, after in itertools.pairwise(grey):
+        moved = _flow(before, after, np.concatenate([*points, _NO_POINTS]))
+        begin = 0
+        for i, old in enumerate(points):
+            new = moved[begin : begin + len(old)]
+            begin += len(old)
+            there = ~np.isnan(new[:, 0])
+            place = _step(ways[i][-1], old[there], new[there])
+            ways[i].append(place)
+            points[i] = _NO_POINTS if place is None else new[there]
+    return ways
+
+
+def _points(vehicle: Result) -> Points:
+    """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
+    at = vehicle.keypoints[:, :2]
+    low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
+    inside = ((at > low) & (at < high)).all(axis=1)
+    grid = low + np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
+    return np.concatenate([at[inside], grid]).astype(np.float32)
+
+
+def _flow(before: Pixels, after: Pixels, points: Points) -> Points:
+    """(P, 2) where points of a frame are in the next one; NaN where they cannot be followed there and back."""
+    if not len(points):
+        return points
+    follow: Any = cv2.calcOpticalFlowPyrLK  # its types ask for an array to write to
+    there, found, _ = follow(before, after, points[:, None], None, winSize=_WINDOW, maxLevel=_LEVELS)
+    again, found_again, _ = follow(after, before, there, None, winSize=_WINDOW, maxLevel=_LEVELS)
+    away = np.linalg.norm(again[:, 0] - points, axis=1)
+    good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < _RETURN_PX)
+    return np.where(good[:, None], there[:, 0], np.float32(np.nan))
+
+
+def _step(place: _Place | None, old: Points, new: Points) -> _Place | None:
+    """A vehicle moved as most of its points are; None where they are too few."""
+    if place is None or len(old) < _FEWEST:
+        return None
+    aside = max(1.0, _ASIDE * float(np.ptp(old, axis=0).max()))
+    motion: Any
+    motion, agreeing = cv2.estimateAffinePartial2D(old, new, method=cv2.RANSAC, ransacReprojThreshold=aside)
+    return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST else None
+
+
+def _same(ahead: Sequence[Way], last: Sequence[Result]) -> list[tuple[int, int]]:
+    """Which vehicles of the first key frame, followed as far as they were, are which of those found in the last one."""
+    if not ahead or not last:
+        return []
+    ends = np.array([[place for place in way if place is not None][-1].box for way in ahead])
+    there = box_math.xywh_to_xyxy(np.array([result.bbox for result in last]))
+    return cheapest_pairs(1 - box_math.iou(ends, there), 1 - _OVERLAP)
+
+
+def _merged(ahead: Way, back: Way) -> Way:
+    """The way of a vehicle that both key frames show: straight where it is lost on either way."""
+    first, last = ahead[0], back[-1]
+    assert first is not None
+    assert last is not None
+    shares = np.linspace(0, 1, len(ahead)).tolist()
+    return [
+        first.blended(last, share) if one is None or two is None else one.blended(two, share)
+        for one, two, share in zip(ahead, back, shares, strict=True)
+    ]
+
+
+def _alone(way: Way, size: tuple[int, int]) -> Way:
+    """The way of a vehicle that only the key frame shows where it begins, so far as it may be believed."""
+    half = (len(way) - 1) / 2
+    left = False
+    out: Way = []
+    for k, place in enumerate(way):
+        left = left or (place is not None and place.cut(size))
+        out.append(place if k <= half or left else None)
+    return out

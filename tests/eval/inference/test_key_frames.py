@@ -1,0 +1,108 @@
+"""Vehicles between key frames: drawn ones, whose places are known in every frame."""
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from skope.eval.inference.key_frames import with_frames_between
+from skope.schema import Image, Result
+
+SIZE = (320, 200)
+CAR = (48, 32)
+Place = Callable[[int], tuple[float, float]]
+
+
+def texture(seed: int, width: int, height: int) -> NDArray[np.uint8]:
+    """Coarse and fine patches, as cars and roads have them."""
+    rng = np.random.default_rng(seed)
+    grains = [rng.integers(0, 128, (height // grain, width // grain, 3), dtype=np.uint8) for grain in (16, 4)]
+    coarse, fine = (cv2.resize(one, (width, height), interpolation=cv2.INTER_LINEAR) for one in grains)
+    return coarse + fine
+
+
+def drawn(count: int, cars: Sequence[Place]) -> list[tuple[Image, NDArray[np.uint8]]]:
+    """Frames of textured cars that move before a textured ground, to fractions of a pixel."""
+    ground = texture(0, *SIZE)
+    frames = []
+    for k in range(count):
+        pixels = ground.copy()
+        for seed, car in enumerate(cars, start=1):
+            shift = np.float32([[1, 0, car(k)[0]], [0, 1, car(k)[1]]])
+            here = cv2.warpAffine(np.full(CAR[::-1], 255, np.uint8), shift, SIZE) > 127
+            pixels[here] = cv2.warpAffine(texture(seed, *CAR), shift, SIZE)[here]
+        frames.append((Image(id=k + 1, file_name=f"{k}.png", width=SIZE[0], height=SIZE[1]), pixels))
+    return frames
+
+
+def vehicle(image_id: int, at: tuple[float, float], score: float = 0.9) -> Result:
+    """A car's label: its box inside the image, and keypoints that it takes along."""
+    points = np.random.default_rng(7).random((33, 2)) * CAR + at
+    low, high = np.clip(at, 0, SIZE), np.clip(np.add(at, CAR), 0, SIZE)
+    keypoints = np.column_stack([points, np.ones(33)])
+    return Result(image_id=image_id, score=score, bbox=np.concatenate([low, high - low]), keypoints=keypoints)
+
+
+def between(
+    cars: Sequence[Place], count: int, every: int, hidden: Sequence[tuple[int, int]] = ()
+) -> list[list[Result]]:
+    """What there is in each frame; the detector finds each car in its place but for `hidden` pairs of car and frame."""
+
+    def find(frame: tuple[Image, NDArray[np.uint8]]) -> list[Result]:
+        k = frame[0].id - 1
+        inside = [i for i, car in enumerate(cars) if -CAR[0] + 4 < car(k)[0] < SIZE[0] - 4 and (i, k) not in hidden]
+        return [vehicle(frame[0].id, cars[i](k)) for i in inside]
+
+    out = list(with_frames_between(iter(drawn(count, cars)), find, every))
+    assert [image.id for image, _, _ in out] == list(range(1, count + 1))
+    assert [key for _, _, key in out] == [k % every == 0 or k == count - 1 for k in range(count)]
+    for _, found, key in out:
+        assert all(result.interpolated == (not key) for result in found)
+    return [found for _, found, _ in out]
+
+
+def speeding_up(k: int) -> tuple[float, float]:
+    return 10 + 3.0 * k + 0.4 * k * k, 60 + 1.5 * k
+
+
+def test_a_vehicle_is_followed_where_it_speeds_up_and_not_along_a_straight_line() -> None:
+    found = between([speeding_up, lambda k: (200.0, 20.0)], 12, 5)
+    for k, here in enumerate(found):
+        assert len(here) == 2
+        for result, at in zip(here, (speeding_up(k), (200.0, 20.0)), strict=True):
+            expected = vehicle(k + 1, at)
+            assert result.bbox == pytest.approx(expected.bbox, abs=0.7)
+            assert result.keypoints == pytest.approx(expected.keypoints, abs=0.7)
+    straight = np.mean([speeding_up(0), speeding_up(5)], axis=0) - speeding_up(2)
+    assert np.abs(straight).max() > 2
+
+
+def test_what_drives_in_or_out_is_followed_to_the_edge() -> None:
+    found = between([lambda k: (290.0 - 12 * k, 30.0), lambda k: (-10.0 - 9 * (5 - k), 120.0)], 11, 5)
+    entering = [[r for r in here if r.bbox[1] > 100] for here in found]
+    for k in (3, 4):
+        (here,) = entering[k]
+        assert here.bbox == pytest.approx(vehicle(k + 1, (-10.0 - 9 * (5 - k), 120)).bbox, abs=1.0)
+    leaving = [[r for r in here if r.bbox[1] < 100] for here in found]
+    assert [len(here) for here in entering[5:]] == [1] * 6
+    assert [len(here) for here in leaving[:2]] == [1, 1]
+
+
+def test_what_one_key_frame_shows_alone_stays_half_of_the_way() -> None:
+    found = between([lambda k: (100.0, 50.0)], 13, 6, hidden=[(0, 6)])
+    assert [len(here) for here in found] == [1, 1, 1, 1, 0, 0, 0, 0, 0, 1, 1, 1, 1]
+
+
+def test_scores_pass_from_one_to_the_next() -> None:
+    frames = drawn(5, [lambda k: (100.0, 50.0)])
+    scores = {1: 0.9, 5: 0.5}
+    out = with_frames_between(iter(frames), lambda frame: [vehicle(frame[0].id, (100, 50), scores[frame[0].id])], 4)
+    assert [here[0].score for _, here, _ in out] == pytest.approx([0.9, 0.8, 0.7, 0.6, 0.5])
+
+
+def test_videos_without_vehicles_or_of_one_frame() -> None:
+    assert between([], 7, 3) == [[]] * 7
+    assert list(with_frames_between(iter([]), lambda _: [], 4)) == []
+    assert len(between([lambda k: (50.0, 50.0)], 1, 4)[0]) == 1
