@@ -56,6 +56,21 @@ def test_what_shows_up_once_or_twice_is_left_out(often: int) -> None:
     assert not any(kept[10 + i][-1] for i in range(often))
 
 
+def test_frames_that_the_detector_has_not_seen_confirm_nothing() -> None:
+    """With key frames each half second a phantom of one of them is interpolated around it, a vehicle is seen twice."""
+
+    def kept(key_frames: Sequence[int]) -> list[bool]:
+        confirmation = Confirmation(0.5, every=5)
+        for i in range(11):
+            here = replace(result(driving(2, i)), interpolated=i not in key_frames)
+            confirmation.add(i / 10, [here])
+        return [frame[0] for frame in confirmation.confirmed()]
+
+    assert kept([0, 5, 10]) == [True] * 11
+    assert kept([0, 5]) == [True] * 11
+    assert kept([5]) == [False] * 11
+
+
 def test_weak_detections_stay_where_the_vehicle_is_else_sure() -> None:
     frames = [[result(driving(0, i), 0.3 if i in (9, 14) else 0.9)] for i in range(20)]
     assert all(kept == [True] for kept in confirmed(frames))

@@ -225,6 +225,28 @@ def test_a_killed_run_goes_on_after_the_poses_it_has(skope: Any, monkeypatch: py
         assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
 
 
+def test_interpolated_vehicles_keep_their_track_and_measure_nothing(skope: Any) -> None:
+    """Their keypoints are shifted here: a track that took them for measurements would be elsewhere."""
+    file = drive(3, 10, speeds=(9.0,))
+    rows = []
+    for a in file.annotations:
+        points = np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] == 2]).astype(float)
+        between = a.image_id % 4 != 1
+        points[:, 0] += 25.0 * between
+        rows.append(Result(image_id=a.image_id, score=0.9, bbox=a.bbox, keypoints=points, interpolated=between))
+    coco.write(Path("road.json"), file)
+    coco.write_results(Path("p.json"), rows)
+    call = ("eval", "track", "--annotations", "road.json", "--predictions", "p.json", "-q", "--out", "t")
+    assert skope(*call)[0] == 0
+    told = rows_of(Path("t/tracks.csv"))
+    assert len({row["track"] for row in told}) == 1
+    assert [float(row["speed"]) for row in told] == pytest.approx([9.0] * len(told), abs=0.5)
+    keys = [a.image_id for a in file.annotations if a.image_id % 4 == 1]
+    assert len(told) == keys[-1] - keys[0] + 1
+    boxes = Path("t/mot.txt").read_text().splitlines()
+    assert len(boxes) == len(told), "also of frames between"
+
+
 def test_frames_that_could_not_be_read_take_their_time(skope: Any) -> None:
     file = drive(3, 10, speeds=(9.0,))
     kept = tuple(replace(image, time_s=None) for image in file.images if image.id % 3)
