@@ -23,6 +23,7 @@ RECIPE  ?= paper
 CHECKPOINT ?= reference
 GPUS    ?= 0
 SCORED  ?= runs/real
+FOOTAGE ?= runs/bench_footage
 
 .PHONY: setup demo paper reference real test test-slow lint data model report bench clean
 
@@ -89,6 +90,8 @@ bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_gen.py
 	$(VENV)/bin/python scripts/bench_localize.py
 	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
+	$(SKOPE) gen video t06_plaza_opening --fps 10 --seconds 4 --out $(FOOTAGE) --quiet
+	$(VENV)/bin/python scripts/bench_predict.py $(FOOTAGE) --frames 10
 	$(VENV)/bin/python scripts/bench_render.py
 	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
 	$(VENV)/bin/python scripts/bench_world.py

@@ -21,7 +21,8 @@ with suppress(ImportError):  # metrics and formats are worked on without it
 
 
 LONGEST: Final = (
-    "train/test_learns.py",
+    "train/test_overfits.py",
+    "train/test_exports.py",
     "gen/pipeline/test_generate.py",
     "gen/towns/test_networks.py",
     "test_examples.py",

@@ -107,7 +107,7 @@ def test_a_packed_detector_is_small_and_near(model: KeypointRCNN, packed: Path) 
 
 def test_stock_torchvision_gives_the_same_detections(packed: Path) -> None:
     loaded, config, _ = detector.load_weights(packed, "cpu")
-    sizes = {"min_size": config.min_size, "max_size": config.max_size}
+    sizes = {"min_size": config.min_size, "max_size": config.max_size, "rpn_post_nms_top_n_test": detector.PROPOSALS}
     stock = keypointrcnn_resnet50_fpn(
         weights=None, weights_backbone=None, num_classes=2, num_keypoints=keypoints.K, **sizes
     )

@@ -124,6 +124,7 @@ def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
         norm = functools.partial(FrozenBatchNorm2d, eps=1e-5)
         backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, norm_layer=norm)
         sizes = {"min_size": 96, "max_size": 160, "box_score_thresh": 0.0, "box_detections_per_img": 8}
+        sizes["rpn_post_nms_top_n_test"] = detector.PROPOSALS
         stock = KeypointRCNN(backbone, 2, num_keypoints=33, rpn_anchor_generator=anchors, **sizes).eval()
         stock.load_state_dict(load_file(path), strict=True)
         with torch.inference_mode():

@@ -71,7 +71,7 @@ def test_a_stock_torchvision_model_with_its_tensors_finds_the_same(
 
 
 def test_predict_runs_it_where_no_checkpoint_is_named(skope: Any, tmp_path: Path, found: Detections) -> None:
-    code, _, error = skope("eval", "predict", str(PICTURE), "--out", "seen", "--quiet")
+    code, _, error = skope("eval", "predict", PICTURE, "--precision", "float32", "--out", "seen", "--quiet")
     assert (code, error) == (0, "")
     written = coco.read_results(tmp_path / "seen" / PREDICTIONS)
     np.testing.assert_allclose([one.score for one in written], found.scores[found.scores > 0.5], atol=1e-4)

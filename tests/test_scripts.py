@@ -18,10 +18,11 @@ import pytest
 import torch
 
 from skope import coco, detector
-from skope.schema import Result
+from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose
+from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import drive
-from tests.samples import make_dataset
+from tests.samples import make_dataset, make_image
 from tests.train.conftest import shrink
 
 ROOT: Final = Path(__file__).parents[1]
@@ -65,6 +66,16 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
     Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
     Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
+    Run(
+        "bench_predict.py",
+        "{footage} --checkpoint {checkpoint} --frames 2 --only torch-float32@64",
+        says='"cells": ["0", ',
+    ),
+    Run(
+        "bench_predict.py",
+        "{footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
+        says="torch-float32 at 64 px, ms: ",
+    ),
     Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
     Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
@@ -120,6 +131,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
     (folder / "clip" / "seen" / "road").mkdir(parents=True)
     coco.write(folder / "clip" / "road.json", road)
     coco.write_results(folder / "clip" / "seen" / "road" / "predictions.json", seen)
+    (folder / "footage").mkdir()
+    numbered_video(folder / "footage" / "v.mp4", 3)
+    images = tuple(replace(image, time_s=0.1 * image.id) for image in (make_image(1), make_image(2), make_image(3)))
+    coco.write(folder / "footage" / "v.json", AnnotationFile(images=images, annotations=()))
     config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
@@ -131,6 +146,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
         "predictions": folder / "predictions.json",
         "road": folder / "road.json",
         "clip": folder / "clip",
+        "footage": folder / "footage",
         "checkpoint": random_run,
         "small": folder / "small.safetensors",
     }
@@ -223,7 +239,7 @@ esac
 
 COMMANDS: Final[Mapping[str, int]] = {
     **{"setup": 0, "demo": 5, "paper": 5, "real": 1, "test": 1, "test-slow": 1, "lint": 3, "data": 1, "model": 2},
-    **{"report": 3, "reference": 2, "bench": 8, "clean": 0},
+    **{"report": 3, "reference": 2, "bench": 10, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 

@@ -106,7 +106,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            for bare, found, key in _found(job, predictor, last, last_key):
+            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key):
                 image = with_camera(bare, job.camera)
                 entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
                 progress.add({**entry, "skipped": list(job.footage.skipped), "key": key})
@@ -134,10 +134,13 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     return written
 
 
-def _found(
-    job: PredictJob, predictor: Predictor, last: int, last_key: int
+def found_in(
+    job: PredictJob, predictor: Predictor, *, last: int = 0, last_key: int = 1
 ) -> Iterator[tuple[Image, list[Result], bool]]:
-    """The images after number `last`, with what is found in them, and whether the detector has seen them."""
+    """The frames after number `last`, with what is found in them, and whether the detector has seen them.
+
+    `last_key` is the number of the last of them that it had seen.
+    """
     every = job.key_every
     if every == 1:
         yield from ((image, found, True) for image, found in predictor.each(job.footage.frames(last)))

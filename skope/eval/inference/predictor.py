@@ -43,18 +43,19 @@ class Predictor:
         self._device = detector.choose_device(settings.device)
         self._batch = settings.batch_size or (GPU_BATCH if self._device.type == "cuda" else 1)
         self.weights = detector.find_checkpoint(checkpoint)
-        self._model: KeypointRCNN
-        self._model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
+        self.model: KeypointRCNN
+        """The network, whose parts a backend may have taken over."""
+        self.model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
         self.scheme = keypoints.SCHEMES[self.config.scheme]
         self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
         if settings.min_size is not None:
             self.config = self.config.with_min_size(settings.min_size)
-            self._model.transform.min_size, self._model.transform.max_size = (
+            self.model.transform.min_size, self.model.transform.max_size = (
                 (self.config.min_size,),
                 self.config.max_size,
             )
         number = prepare(
-            self._model,
+            self.model,
             self.metadata,
             self._device,
             backend=settings.backend,
@@ -159,14 +160,14 @@ class Predictor:
         """Images of one size through the network, with keypoint scores as they are."""
         least = self._settings.min_score
         return detector.detect(
-            self._model, images, self._device, min_score=detector.MIN_SCORE if least is None else least
+            self.model, images, self._device, min_score=detector.MIN_SCORE if least is None else least
         )
 
     def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.
         truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
         given = np.array([a.bbox for a in truth]).reshape(-1, 4)
-        points = detector.detect_on_boxes(self._model, pixels, boxes.xywh_to_xyxy(given), self._device)
+        points = detector.detect_on_boxes(self.model, pixels, boxes.xywh_to_xyxy(given), self._device)
         rows = zip(truth, self._scored(points), strict=True)
         return [Result(image_id=image_id, bbox=vehicle.bbox, score=1.0, keypoints=p) for vehicle, p in rows]
 

@@ -101,12 +101,12 @@ class OpenVino(Runtime):
             "PERFORMANCE_HINT": "LATENCY",
             "INFERENCE_NUM_THREADS": _threads(),
         }
-        model = core.read_model(part.to_onnx())
+        model, steady = core.read_model(part.to_onnx()), part.steady
         compiled: dict[tuple[int, ...] | None, Any] = {}
 
         def run(x: Floats) -> list[Floats]:
             # Compiled for one size the pyramid is a fifth faster than for any size.
-            own = part.steady and (not compiled or x.shape in compiled)
+            own = steady and (not compiled or x.shape in compiled)
             shape = x.shape if own else None
             if shape not in compiled:
                 fitting = model.clone()

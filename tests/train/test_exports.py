@@ -1,7 +1,7 @@
-"""It learns: overfitted to an image it finds what it was shown, and exported it answers alike."""
+"""A trained detector in other forms: exported it answers alike."""
 
 import importlib.util
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,19 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
-from skope import boxes, detector
+from skope import detector
 from skope.console import Console
-from skope.dataset import open_dataset, read_image
+from skope.dataset import read_image
 from skope.errors import UserError
-from skope.schema import Annotation
 from skope.train import configure, input_moments
 from skope.train.augment import Augment
 from skope.train.export import OUTPUTS, Deployed, export
 from skope.train.recipe import RECIPES
 from tests import samples
-from tests.train.test_loop import CPU, train
+from tests.train.conftest import shrink
+from tests.train.test_loop import train
 
 SMALL = replace(
     RECIPES["scratch"],
@@ -36,27 +37,12 @@ SMALL = replace(
 )
 
 
-def pck(found: detector.Detections, vehicles: list[Annotation], score: float = 0.9, iou: float = 0.6) -> float:
-    """Share of all labelled keypoints that the best detection on their vehicle puts within a tenth of its size."""
-    correct = labelled = 0
-    sure = found.scores > score
-    for vehicle in vehicles:
-        visible = vehicle.keypoints[:, 2] == 2
-        labelled += int(visible.sum())
-        overlaps = boxes.iou(boxes.xywh_to_xyxy(vehicle.bbox), found.boxes_xyxy[sure])[0]
-        if len(overlaps) and overlaps.max() >= iou:
-            points = found.keypoints[sure][overlaps.argmax()]
-            distances = np.hypot(*(points[:, :2] - vehicle.keypoints[:, :2]).T)
-            correct += int((distances[visible] <= 0.1 * vehicle.bbox[2:].max()).sum())
-    return correct / labelled
-
-
-def scores_on_its_images(data: Path, checkpoint: Path) -> list[float]:
-    model, _, _ = detector.load_weights(checkpoint, CPU)
-    dataset = open_dataset(data)
-    file = dataset.read("train")
-    vehicles = file.by_image()
-    return [pck(detector.detect(model, [dataset.image(image)], CPU)[0], vehicles[image.id]) for image in file.images]
+@pytest.fixture(scope="module", autouse=True)
+def small_network() -> Iterator[None]:
+    """Small detectors for all of this module: they learn as well, in a third of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -66,18 +52,6 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     data = samples.make_dataset(folder / "data", images=1, splits=("train",))
     recipe = replace(SMALL, epochs=40, learning_rate=0.04, augment=Augment(flip=0.0), warmup_steps=8)
     return data, train(data, folder / "run", recipe)
-
-
-def test_overfits_one_image_from_random_weights(learnt: tuple[Path, Path]) -> None:
-    """Targets, network and decoded coordinates agree from end to end."""
-    assert scores_on_its_images(*learnt)[0] > 0.9
-
-
-@pytest.mark.slow
-def test_overfits_four_images_with_flips(tmp_path: Path) -> None:
-    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
-    checkpoint = train(data, tmp_path / "run", replace(SMALL, epochs=60))
-    assert np.mean(scores_on_its_images(data, checkpoint)) > 0.9
 
 
 def images(data: Path) -> list[torch.Tensor]:
@@ -149,26 +123,28 @@ def test_compact_weights_are_rounded_for_a_dataset(
     assert errors[0] < 0.2 * errors[1]
 
 
-def test_state_dict(learnt: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_state_dict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines that are printed build torchvision's own model, whose detections are the same."""
-    data, checkpoint = learnt
+    monkeypatch.setattr(detector, "resnet_fpn_backbone", resnet_fpn_backbone)  # of its own size
+    monkeypatch.setattr(detector, "KeypointRCNN", KeypointRCNN)
     path = tmp_path / "other anchors.safetensors"
-    model, config, _ = detector.load_weights(checkpoint, "cpu")
-    config = replace(config, anchors=(12, 24, 48, 96, 192))
-    detector.save_weights(path, model, config, {})
+    anchors = (12, 24, 48, 96, 192)
+    config = detector.DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160, anchors=anchors)
+    torch.manual_seed(1)
+    detector.save_weights(path, detector.build(config), config, {})
     expected, _, _ = detector.load_weights(path, "cpu")
     export(path, "state_dict", tmp_path / "it's.pth", console=Console())
     names: dict[str, Any] = {}
     exec(capsys.readouterr().out, names)
     assert type(names["model"]) is KeypointRCNN
     for model in (expected, names["model"]):
-        model.roi_heads.score_thresh = 0.3
-    for image in images(data)[:1]:
-        with torch.inference_mode():
-            (own,), (stock,) = expected([image]), names["model"]([image])
-        assert len(own["boxes"])
-        for name in ("boxes", "scores", "keypoints"):
-            torch.testing.assert_close(stock[name], own[name], rtol=1e-4, atol=1e-3)
+        model.roi_heads.score_thresh, model.roi_heads.detections_per_img = 0.0, 5
+    image = torch.rand(3, 90, 140, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        (own,), (stock,) = expected([image]), names["model"]([image])
+    assert len(own["boxes"]) == 5
+    for name in ("boxes", "scores", "keypoints"):
+        torch.testing.assert_close(stock[name], own[name], rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("onnx") is None, reason="needs the extra `onnx`")
