@@ -25,10 +25,17 @@ def convert(model: nn.Module, ranges: Ranges) -> None:
         setattr(model.get_submodule(parent), leaf, _Rounded(layer, *ranges[name]))
 
 
+def revert(model: nn.Module) -> None:
+    """Undo `convert`."""
+    for name, rounded in [(n, m) for n, m in model.named_modules() if isinstance(m, _Rounded)]:
+        parent, _, leaf = name.rpartition(".")
+        setattr(model.get_submodule(parent), leaf, rounded.layer)
+
+
 class _Rounded(nn.Module):
     def __init__(self, layer: nn.Conv2d | nn.Linear, low: float, high: float) -> None:
         super().__init__()
-        self._layer = layer
+        self.layer = layer
         low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
         self._step = max(high - low, _LEAST) / _STEPS
         self._zero = round(-low / self._step)
@@ -39,8 +46,8 @@ class _Rounded(nn.Module):
         x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _STEPS)
         zeros = torch.zeros(len(self._steps), dtype=torch.int32)
         weight = torch.fake_quantize_per_channel_affine(
-            self._layer.weight, self._steps, zeros, 0, -_LARGEST - 1, _LARGEST
+            self.layer.weight, self._steps, zeros, 0, -_LARGEST - 1, _LARGEST
         )
-        if isinstance(self._layer, nn.Conv2d):
-            return nn.functional.conv2d(x, weight, self._layer.bias, self._layer.stride, self._layer.padding)
-        return nn.functional.linear(x, weight, self._layer.bias)
+        if isinstance(self.layer, nn.Conv2d):
+            return nn.functional.conv2d(x, weight, self.layer.bias, self.layer.stride, self.layer.padding)
+        return nn.functional.linear(x, weight, self.layer.bias)

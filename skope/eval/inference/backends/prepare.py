@@ -42,37 +42,36 @@ def prepare(
     Raises:
         UserError: The backend is missing or broken, or has no such number format.
     """
-    runtime = _runtime(backend, device, console)
-    ranges = activation_ranges.read(model, metadata)
-    number = _number_format(precision, runtime, ranged=ranges is not None, device=device)
-    if runtime is None:
-        if number == "bfloat16":
-            bfloat16.convert(model)
-        return number
-    if number == "int8":
-        assert ranges is not None
-        eight_bits.convert(model, ranges)
-    network_parts.hand_over(
-        model, {name: runtime.compile(part, number) for name, part in network_parts.parts_of(model).items()}
-    )
-    return f"{number} by {runtime.module} {runtime.version}"
-
-
-def _runtime(backend: str, device: torch.device, console: Console) -> Runtime | None:
-    """The runtime that computes in place of torch, if one does."""
     name = (settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
-    if name == "torch":
-        return None
-    if device.type != "cpu":
-        raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
+    if name != "torch":
+        if device.type != "cpu":
+            raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
+        try:
+            return _by_runtime(RUNTIMES[name](), model, metadata, precision)
+        except UnusableError as error:
+            if backend != "auto":
+                raise
+            if not error.missing:
+                console.say(f"{error}; torch computes instead")
+    number = _number_format(precision, None, ranged=False, device=device)
+    if number == "bfloat16":
+        bfloat16.convert(model)
+    return number
+
+
+def _by_runtime(runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, Any], precision: str) -> str:
+    """Hand a model's parts over; it is as before where the runtime fails."""
+    ranges = activation_ranges.read(model, metadata)
+    number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
     try:
-        return RUNTIMES[name]()
-    except UnusableError as error:
-        if backend != "auto":
-            raise
-        if not error.missing:
-            console.say(f"{error}; torch computes instead")
-        return None
+        if number == "int8" and ranges is not None:
+            eight_bits.convert(model, ranges)
+        runs = {name: runtime.compile(part, number) for name, part in network_parts.parts_of(model).items()}
+    except UnusableError:
+        eight_bits.revert(model)
+        raise
+    network_parts.hand_over(model, runs)
+    return f"{number} by {runtime.module} {runtime.version}"
 
 
 def _number_format(precision: str, runtime: Runtime | None, *, ranged: bool, device: torch.device) -> str:
