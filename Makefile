@@ -4,9 +4,9 @@
 #   make test        set up, run the tests (make test-slow: those that take minutes)
 #   make lint        ruff and mypy
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
-#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) reference,
+#   make real        score a detector on hand-labelled photographs: REAL=folder, CHECKPOINT=file, run or (default) road33,
 #                    SCORED=folder to write to
-#   make reference   the detector that comes with skope and its successor, from nothing: hours on GPUS=0,1
+#   make reference   road33, the detector that comes with skope, from nothing: hours on GPUS=0,1
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/
@@ -20,7 +20,7 @@ DATA    ?= data/skope
 RUN     ?= runs/skope
 EPOCHS  ?= 10
 RECIPE  ?= paper
-CHECKPOINT ?= reference
+CHECKPOINT ?= road33
 GPUS    ?= 0
 SCORED  ?= runs/real
 FOOTAGE ?= runs/bench_footage

@@ -176,7 +176,7 @@ def in_own_process(way: str, size: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("footage", type=Path, help="folder of what `skope gen video` made")
-    parser.add_argument("--checkpoint", type=Path, default=Path("reference"))
+    parser.add_argument("--checkpoint", type=Path, default=Path("road33"))
     parser.add_argument("--sizes", default="360,540,720", help="short sides of images inside the network, pixels")
     parser.add_argument("--ways", default=",".join(WAYS))
     parser.add_argument("--stages", action="store_true", help="where the time of an image goes instead")

@@ -65,7 +65,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="dataset folder; its split `train` is used")
     parser.add_argument(
-        "--checkpoint", type=Path, default=Path("reference"), help="a trained detector: name, run folder or file"
+        "--checkpoint", type=Path, default=Path("road33"), help="a trained detector: name, run folder or file"
     )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--amp", action="store_true", help="the reference's own --amp flag")

@@ -1,4 +1,4 @@
-"""Make the detector that comes with skope, and its successor, from nothing: train, pack the weights, measure.
+"""Make `road33`, the detector that comes with skope, from nothing: train, pack the weights, measure.
 
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
@@ -7,7 +7,7 @@
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
 (reference.toml): both from random weights. `road33` goes on from `varied` with 960 places of the preset `world`, while
 a quarter of the images are still of `paper` with its small vehicles (world.toml). Its scores are calibrated on places
-that it has not seen: the successor (`make reference`).
+that it has not seen (`make reference`).
 
 Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
 of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what
@@ -27,9 +27,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import torch
-
-from skope import detector
 from skope.dataset import CARD
 from skope.detector import find_checkpoint
 from skope.gen.towns.sites import sites
@@ -89,8 +86,6 @@ class Training:
     """Changes of the images besides the recipe's."""
     after: str | None = None
     """The training that it goes on from; None: random weights."""
-    seeds: Sequence[int] = (0,)
-    """Several: a run for each on one GPU, and the mean of their weights. One: a run on all GPUs."""
     calibrated: bool = False
 
 
@@ -118,13 +113,10 @@ class Clock:
         self._end = time.monotonic() + 60 * minutes
         self._gpus = gpus
 
-    def train(self, *commands: Sequence[str]) -> None:
-        """Run one `skope train` in a process on each GPU, or several side by side, each on one GPU."""
-        if len(commands) > 1:
-            self.run(*(("train", *command) for command in commands))
-            return
+    def train(self, *options: str) -> None:
+        """Run `skope train` in a process on each GPU."""
         several = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(len(self._gpus)), "-m"]
-        self._run([[*several, "skope", "train", *commands[0]]], [",".join(self._gpus)])
+        self._run([[*several, "skope", "train", *options]], [",".join(self._gpus)])
 
     def run(self, *commands: Sequence[str]) -> None:
         """Run `skope ...` side by side, each on one GPU."""
@@ -165,8 +157,8 @@ def make(clock: Clock, data: Path, names: Sequence[str]) -> None:
 
 def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
     """Train, or go on; returns the weights."""
-    runs = [options.out / f"run{seed}" for seed in training.seeds]
-    if not all((run / ".trained").is_file() for run in runs):
+    run: Path = options.out / "run"
+    if not (run / ".trained").is_file():
         new = ["--recipe", str(HERE / training.recipe)]
         if training.images:
             new += ["--max-images", str((options.images or training.images) // len(training.datasets))]
@@ -176,31 +168,10 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
         new += [flag for name in training.datasets for flag in ("--data", str(options.data / name))]
         if training.after:
             new += ["--init", str(options.out.parent / training.after / PACKED)]
-        always = ["--workers", str(options.workers), "--save-minutes", "3"]
-        clock.train(
-            *(
-                [*always, "--out", str(run), *(["--resume"] if resumable(run) else [*new, "--seed", str(seed)])]
-                for run, seed in zip(runs, training.seeds, strict=True)
-            )
-        )
-        for run in runs:
-            (run / ".trained").touch()
-    weights = [find_checkpoint(run) for run in runs]
-    return weights[0] if len(weights) == 1 else mean_of(weights, options.out / "mean.safetensors")
-
-
-def mean_of(files: Sequence[Path], out: Path) -> Path:
-    """Write the mean of several runs' weights, with the first one's config and description."""
-    if not out.is_file():
-        (model, config, metadata), *others = [detector.load_weights(file, "cpu") for file in files]
-        states = [model.state_dict(), *(other.state_dict() for other, _, _ in others)]
-        mean = {
-            name: torch.stack([state[name].double() for state in states]).mean(0).to(tensor.dtype)
-            for name, tensor in states[0].items()
-        }
-        model.load_state_dict(mean)
-        detector.save_weights(out, model, config, metadata)
-    return out
+        always = ["--workers", str(options.workers), "--save-minutes", "3", "--out", str(run)]
+        clock.train(*always, *(["--resume"] if resumable(run) else new))
+        (run / ".trained").touch()
+    return find_checkpoint(run)
 
 
 def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:

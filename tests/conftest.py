@@ -38,7 +38,7 @@ LONGEST: Final = (
     "test_safe_names.py",
     "gen/vehicles/test_fleet.py",
     "gen/render/test_weather.py",
-    "test_reference.py",
+    "test_road33.py",
     "eval/inference/test_predictor.py",
     "gen/inspect/test_check.py",
     "gen/site_files/test_site_file.py",

@@ -289,11 +289,11 @@ def test_weights_of_the_package_go_by_their_name(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(weights, "FOLDER", tmp_path / "package")
     with pytest.raises(UserError, match="no such checkpoint"):
-        detector.find_checkpoint(Path("reference"))
-    detector.save_weights(weights.path("reference"), small_model, config(), {})
-    assert detector.find_checkpoint(Path("reference")) == tmp_path / "package" / "reference.safetensors"
-    with pytest.raises(UserError, match="reference comes with skope"):
+        detector.find_checkpoint(Path("road33"))
+    detector.save_weights(weights.path("road33"), small_model, config(), {})
+    assert detector.find_checkpoint(Path("road33")) == tmp_path / "package" / "road33.safetensors"
+    with pytest.raises(UserError, match="road33 comes with skope"):
         detector.find_checkpoint(Path("other"))
-    own = Path("reference") / detector.checkpoint_name(1)  # what a user calls so comes first
+    own = Path("road33") / detector.checkpoint_name(1)  # what a user calls so comes first
     detector.save_weights(own, small_model, config(), {})
-    assert detector.find_checkpoint(Path("reference")) == own
+    assert detector.find_checkpoint(Path("road33")) == own

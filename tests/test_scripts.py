@@ -314,22 +314,6 @@ def test_recordings_of_the_reference_can_be_made(skope: Any, monkeypatch: pytest
         assert set(training.datasets) <= set(reference.DATASETS)
 
 
-def test_the_mean_of_weights_lies_between_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    reference = importlib.import_module("reference_run")
-    shrink(monkeypatch)
-    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
-    model = detector.build(config)
-    first = {name: tensor.clone() for name, tensor in model.state_dict().items()}
-    detector.save_weights(tmp_path / "a.safetensors", model, config, {})
-    model.load_state_dict({name: tensor + 2 for name, tensor in first.items()})
-    detector.save_weights(tmp_path / "b.safetensors", model, config, {})
-    out = reference.mean_of([tmp_path / "a.safetensors", tmp_path / "b.safetensors"], tmp_path / "mean.safetensors")
-    mean = detector.read_checkpoint(out)[1]
-    for name, tensor in first.items():
-        torch.testing.assert_close(mean[name], tensor + 1)
-
-
 def understand_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scripts end once they have understood their arguments."""
     parse = argparse.ArgumentParser.parse_args

@@ -19,7 +19,7 @@ dataset, from --init (the detector of the package, say), measured on the test sp
 photographs are paired: paired.md gives differences from the first dataset with their standard error over vehicles.
 
     python scripts/research/experiment_train.py --images varied=data/varied --images world=data/world --data data/tests
-        --init reference --set learning_rate=0.004 --max-images 1900 --epochs 3 --photographs real --out runs/worth
+        --init road33 --set learning_rate=0.004 --max-images 1900 --epochs 3 --photographs real --out runs/worth
 """
 
 import argparse

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-DEFAULT: Final = "reference"
+DEFAULT: Final = "road33"
 """The detector that runs where none is named, and from which training begins where COCO's weights are not at hand."""
 
 FOLDER: Final = Path(__file__).parent

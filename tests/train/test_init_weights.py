@@ -59,10 +59,10 @@ def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, m
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
     packed = detector.checkpoint_bytes(detector.build(config), config, {}, packed=True)
     weights.path(weights.DEFAULT).write_bytes(packed)
-    (model, chosen, words), (named, _, _) = initialise("auto"), initialise("reference")
+    (model, chosen, words), (named, _, _) = initialise("auto"), initialise("road33")
     own, _, _ = detector.load_weights(weights.path(weights.DEFAULT), "cpu")
     assert chosen == config
-    assert words == "weights `reference` of the package"
+    assert words == "weights `road33` of the package"
     assert torch.equal(body_outputs(model), body_outputs(own))
     assert torch.equal(body_outputs(named), body_outputs(own))
     _, chosen, words = initialise("auto", scheme="skope3d")  # whose keypoints are others
