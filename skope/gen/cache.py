@@ -1,4 +1,4 @@
-"""Cache on disk of built towns and vehicles, for other processes and later runs.
+"""Cache on disk of built towns and vehicles and of light, for other processes and later runs.
 
 Files are named by a digest of everything that they depend on, written beside their place and renamed into it, and the
 longest unused ones of a kind go when there are too many.
@@ -9,7 +9,7 @@ import fcntl
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -42,15 +42,49 @@ def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
 
     Of processes that want the same at once, one makes it and the others wait.
     """
-    path = folder() / f"{kind}_{digest}.npz"
+    path = _place(kind, digest)
     stored = _load(path)
     if stored is None:
         with _alone(path):
-            stored = _load(path)
-            if stored is None:
-                # In the order in memory that a file gives, or what is computed with it may differ in the last digit.
-                stored = {name: np.ascontiguousarray(array) for name, array in make().items()}
-                _store(path, stored)
+            stored = _loaded_or_made(path, make)
+    return stored
+
+
+def cached_from_parts(
+    kind: str, digest: str, parts: Sequence[Callable[[], Arrays]], join: Callable[[Sequence[Arrays]], Arrays]
+) -> Arrays:
+    """As `cached`, made of the arrays of all `parts` by `join`.
+
+    Processes that want the same at once share the parts out among them.
+    """
+    path = _place(kind, digest)
+    places = [_place(f"{kind}-part", f"{digest}_{k}") for k in range(len(parts))]
+    done: dict[int, Arrays] = {}
+    # First what nobody else is making; then what others were making, who may have been killed at it.
+    for patient in (False, True):
+        for k in sorted(set(range(len(parts))) - done.keys()):
+            with _alone(places[k], patient=patient) as alone:
+                if alone:
+                    stored = _load(path)
+                    if stored is not None:
+                        return stored
+                    done[k] = _loaded_or_made(places[k], parts[k])
+    whole = cached(kind, digest, lambda: join([done[k] for k in range(len(parts))]))
+    for place in places:
+        _remove(place)
+    return whole
+
+
+def _place(kind: str, digest: str) -> Path:
+    return folder() / f"{kind}_{digest}.npz"
+
+
+def _loaded_or_made(path: Path, make: Callable[[], Arrays]) -> Arrays:
+    stored = _load(path)
+    if stored is None:
+        # In the order in memory that a file gives, or what is computed with it may differ in the last digit.
+        stored = {name: np.ascontiguousarray(array) for name, array in make().items()}
+        _store(path, stored)
     return stored
 
 
@@ -88,16 +122,24 @@ def _store(path: Path, arrays: Arrays) -> None:
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Keep other processes from building the same file, where the file system has locks."""
+def _alone(path: Path, *, patient: bool = True) -> Iterator[bool]:
+    """Keep other processes from building the same file, where the file system has locks.
+
+    False where another process is building it and this one is not `patient`.
+    """
     lock = path.with_suffix(".lock")
+    alone = True
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
+        try:
             lock.parent.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(lock.open("w"))
+            fcntl.flock(file, fcntl.LOCK_EX if patient else fcntl.LOCK_EX | fcntl.LOCK_NB)
             stack.callback(_remove, lock)
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+        except BlockingIOError:
+            alone = False
+        except OSError:
+            pass
+        yield alone
 
 
 def _remove(path: Path) -> None:

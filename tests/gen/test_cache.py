@@ -1,6 +1,10 @@
 import os
+import subprocess
+import sys
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +83,64 @@ def test_what_two_want_at_once_is_made_once() -> None:
     for thread in threads:
         thread.join()
     assert len(made) == 1
+
+
+def numbered_parts(made: list[int], wait_s: float = 0.0) -> list[Callable[[], dict[str, np.ndarray]]]:
+    def make(k: int) -> dict[str, np.ndarray]:
+        made.append(k)
+        threading.Event().wait(wait_s)
+        return {"a": np.array([k])}
+
+    return [partial(make, k) for k in range(4)]
+
+
+def in_order(parts: Sequence[cache.Arrays]) -> dict[str, np.ndarray]:
+    return {"a": np.concatenate([part["a"] for part in parts])}
+
+
+def test_parts_of_what_two_want_at_once_are_shared(empty: Path) -> None:
+    made: list[list[int]] = [[], []]
+    start = threading.Barrier(2)
+
+    def want(mine: list[int]) -> None:
+        start.wait()
+        whole = cache.cached_from_parts("light", "x", numbered_parts(mine, 0.2), in_order)
+        np.testing.assert_array_equal(whole["a"], [0, 1, 2, 3])
+
+    threads = [threading.Thread(target=want, args=(mine,)) for mine in made]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(made[0] + made[1]) == [0, 1, 2, 3]
+    assert len(made[0]) == len(made[1]) == 2
+    assert [path.name for path in empty.iterdir()] == ["light_x.npz"]
+
+
+def test_a_part_whose_maker_was_killed_is_made_by_who_waits(empty: Path) -> None:
+    """A lock goes with its process: what it was making is begun again, what it has made is not."""
+    code = (
+        "import time, numpy as np; from skope.gen import cache\n"
+        "def slow(): print('begun', flush=True); time.sleep(60)\n"
+        "cache.cached_from_parts('light', 'x', [lambda: {'a': np.array([0])}, slow, slow, slow], None)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        threading.Timer(0.5, other.kill).start()
+        made: list[int] = []
+        whole = cache.cached_from_parts("light", "x", numbered_parts(made), in_order)
+    np.testing.assert_array_equal(whole["a"], [0, 1, 2, 3])
+    assert made == [2, 3, 1]
+
+
+def test_parts_are_made_where_nothing_can_be_kept(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (empty / "file").write_text("in the way")
+    monkeypatch.setenv("SKOPE_CACHE", str(empty / "file" / "below"))
+    made: list[int] = []
+    whole = cache.cached_from_parts("light", "x", numbered_parts(made), in_order)
+    np.testing.assert_array_equal(whole["a"], [0, 1, 2, 3])
+    assert made == [0, 1, 2, 3]
 
 
 def test_a_town_is_found_as_it_was_built(empty: Path) -> None:

@@ -12,9 +12,9 @@ import pytest
 
 from skope.camera import Camera
 from skope.depth_files import encode_depth
-from skope.gen.mesh import flat
+from skope.gen.mesh import flat, merged
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
-from skope.gen.render.gl.light import Stage
+from skope.gen.render.gl.light import Stage, joined
 from skope.gen.render.gl.renderer import GLRenderer, device
 from skope.gen.render.pixel_windows import TILE, runs, tiles
 from tests.gen.scenes import conditions, driven, standing
@@ -28,6 +28,17 @@ def geometry_of_plane(camera: Camera, corners: np.ndarray) -> np.ndarray:
     target = gl.target(SIZE, ["4f4"])
     Stage(gl, flat([corners], "asphalt"), camera, conditions()).draw_geometry(target)
     return np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(SIZE[1], SIZE[0], 4)
+
+
+def test_light_in_parts_adds_up_to_light_in_one() -> None:
+    camera = Camera.looking([0, 0, 7.5], yaw=0.6, pitch_down=0.3, size=SIZE)
+    ground = flat([np.array([(-90, -90, 0), (90, -90, 0), (90, 90, 0), (-90, 90, 0)])], "asphalt")
+    wall = flat([np.array([(20, -9, 0), (20, 9, 0), (20, 9, 8), (20, -9, 8)])], "brick")
+    stage = Stage(device(), merged([ground, wall]), camera, conditions())
+    whole, parts = (joined([make() for make in stage.light_parts(count)]) for count in (1, 3))
+    for name, light in whole.items():
+        assert np.unique(light).size > 500
+        np.testing.assert_allclose(parts[name].astype(float), light.astype(float), rtol=2e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (1000.0, -700.0)])

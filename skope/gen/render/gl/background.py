@@ -2,13 +2,15 @@
 
 import hashlib
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.cache import Arrays, cached, digest_of
+from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
@@ -38,6 +40,8 @@ _LIGHT: Final = (
     "street_lighting", "street_light_k", "lit_windows", "infrared",
 )  # fmt: skip
 """Conditions that the scenery's light depends on."""
+_PARTS: Final = 4
+"""Of the light's samples, for workers to share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +97,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
-        light = cached(
-            "light", _light_digest(device, recording), lambda: stage.light() | (stage.mirrored(road) if wet else {})
-        )
+        light = _cached_light(stage, road if wet else None, _light_digest(device, recording))
         shown = _develop_textures(stage, light, geometry.color_attachments[0], road)
     else:
         photograph.draw_shadows(stage, sun_map, clip, recording, stage.daylight)
@@ -126,6 +128,21 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
         water=np.abs(light["sunlit"][..., 3]) if wet else None,
         uniforms={**stage.uniforms, "u_scenery_sun_map_from": sun_map_from},
     )
+
+
+def _cached_light(stage: Stage, road: Plane | None, digest: str) -> Arrays:
+    """The light of the scenery, and what a wet road mirrors, which workers without a GPU share out among them."""
+    shares = stage.light_parts(_PARTS if stage.device.software else 1)
+    parts: list[Callable[[], Arrays]] = [*shares]
+    if road:
+        parts.append(partial(stage.mirrored, road))
+
+    def join(made: Sequence[Arrays]) -> Arrays:
+        return lighting.joined(made[: len(shares)]) | (dict(made[-1]) if road else {})
+
+    if stage.device.software:
+        return cached_from_parts("light", digest, parts, join)
+    return cached("light", digest, lambda: join([make() for make in parts]))
 
 
 def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:

@@ -111,6 +111,8 @@ class Device:
                 f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
                 "(Debian's names), or take --renderer pybullet"
             ) from None
+        self.software = "llvmpipe" in self.context.info["GL_RENDERER"]
+        """Whether the processor draws."""
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
         self.context.front_face = "cw"  # rows of images run down
         self.context.depth_func = "<"

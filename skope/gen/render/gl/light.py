@@ -4,14 +4,17 @@ An average of many samples, each with its own shift of the pixels, its own point
 direction of the sky: anti-aliasing, soft shadows and sky occlusion come out of the same average.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
+from itertools import pairwise
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera import Camera
+from skope.gen.cache import Arrays
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl import street_lights
@@ -146,15 +149,14 @@ class Stage:
             put(program, {**self.uniforms, "u_model": np.eye(4), "u_world": np.eye(4), "u_project": clip})
             mesh.draw(program)
 
-    def light(self) -> dict[str, NDArray[np.float16]]:
-        """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
+    def light_parts(self, count: int) -> list[Callable[[], dict[str, NDArray[np.float32]]]]:
+        """What makes the parts of the light, for `joined`: each of them sums a share of the samples."""
+        ends = np.linspace(0, SAMPLES, count + 1).astype(int)
+        return [partial(self._light_part, range(*pair)) for pair in pairwise(ends)]
 
-        The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
-        under 0 where it stands.
-        """
-        ambient, sunlit = self._mean_light(self._size, SAMPLES, np.eye(4), self._seen)
-        sunlit[..., 3] = _signed_water(sunlit[..., 3], SAMPLES)
-        return {"ambient": _half_precision(ambient), "sunlit": _half_precision(sunlit)}
+    def _light_part(self, which: range) -> dict[str, NDArray[np.float32]]:
+        ambient, sunlit = self._sum_of_light(self._size, which, SAMPLES, np.eye(4), self._seen)
+        return {"ambient": ambient, "sunlit": sunlit}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
         """What the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
@@ -162,7 +164,9 @@ class Stage:
         self.uniforms |= uniforms_of(plane)
         samples = max(2, SAMPLES // MIRRORED_SHARE)
         size = (-(-width // 2), -(-height // 2))
-        ambient, sunlit = self._mean_light(size, samples, plane.mirror, self.reflected_parts(plane), "MIRRORED")
+        ambient, sunlit = self._sum_of_light(
+            size, range(samples), samples, plane.mirror, self.reflected_parts(plane), "MIRRORED"
+        )
         return {"mirrored": _half_precision(ambient + sunlit)}
 
     def reflected_parts(self, plane: Plane) -> Parts:
@@ -178,29 +182,31 @@ class Stage:
         P = projection(self._camera.K, (0, 0, *self._size))
         self.draw_depth(target, P @ self.view @ plane.mirror, parts=parts)
 
-    def _mean_light(
+    def _sum_of_light(
         self,
         size: tuple[int, int],
+        which: range,
         samples: int,
         placed: Array,
         parts: Parts,
         *options: str,
     ) -> list[NDArray[np.float32]]:
-        """The means of samples of an image of a size, with everything moved by `placed`."""
+        """Sums over `which` samples' shares of the mean of all, with everything moved by `placed`."""
         device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
         sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
-        lamp_maps = self._draw_lamp_maps()
+        lamp_maps = self._lamp_maps
         add = device.program("screen.vert.glsl", "add.frag.glsl")
         sums.use()
         sums.clear(0, 0, 0, 0)
         rng = np.random.default_rng(3)
         # Pixels are shifted in another order than the sky is gone through, or edges would take on its gradient.
         shift = rng.permutation(samples)
-        for k in range(samples):
+        # A shift of the map by less than a texel, new in each sample, hides its grid.
+        middles = self.focus + rng.uniform(-0.2, 0.2, (samples, 3))
+        for k in which:
             jitter = ((shift[k] + 0.5) / samples - 0.5, (shift[k] * _GOLDEN + 0.5) % 1 - 0.5)
-            # A shift of the map by less than a texel, new in each sample, hides its grid.
-            shadows = self._draw_shadows(sun, sky, k, samples, self.focus + rng.uniform(-0.2, 0.2, 3))
+            shadows = self._draw_shadows(sun, sky, k, samples, middles[k])
             if lamp_maps:
                 lamp_maps.depth_attachment.use(3)
                 shadows["u_lamp_maps"] = 3
@@ -215,7 +221,8 @@ class Stage:
         textures = sums.color_attachments
         return [np.frombuffer(t.read(), dtype=np.float32).reshape(size[1], size[0], 4).copy() for t in textures]
 
-    def _draw_lamp_maps(self) -> Any:
+    @cached_property
+    def _lamp_maps(self) -> Any:
         """Shadow maps of the nearest street lights; None when none burns."""
         if not self.daylight.dark:
             return None
@@ -277,6 +284,17 @@ class Stage:
         turned = {"u_world_from_camera": placed[:3, :3] @ self.pixels["u_world_from_camera"]}
         put(sky, {**self.uniforms, **self.pixels, **turned, "u_noise": 0, "u_jitter": [-share[0], -share[1]]})
         device.screen(sky)
+
+
+def joined(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
+    """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
+
+    The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
+    under 0 where it stands.
+    """
+    ambient, sunlit = (np.sum([part[name] for part in parts], axis=0) for name in ("ambient", "sunlit"))
+    sunlit[..., 3] = _signed_water(sunlit[..., 3], SAMPLES)
+    return {"ambient": _half_precision(ambient), "sunlit": _half_precision(sunlit)}
 
 
 def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
