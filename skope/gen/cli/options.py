@@ -34,7 +34,7 @@ class DatasetOptions:
         str,
         traffic(
             choices=("demo", "paper", "extra", "full", "varied", "world"),
-            help="Which dataset to make (see the README).",
+            help="Which dataset to make (see docs/generating.md).",
         ),
     ] = "demo"
     seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0

@@ -98,7 +98,7 @@ def show(
 @app.command()
 def add(
     model: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A .glb, .gltf or .obj file with 33 markers (see the README).")
+        Path, typer.Argument(metavar="FILE", help="A .glb, .gltf or .obj file with 33 markers (see docs/vehicles.md).")
     ],
     console: Console,
     name: Annotated[str | None, option(metavar="NAME", help="What to call it.", show_default="as the file")] = None,

@@ -1,0 +1,72 @@
+"""README and docs: short where they should be, links that lead somewhere, commands whose options exist."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from skope import cli
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "skope" / "weights").glob("*.md")])
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+COMMAND = re.compile(r"^ {4,}(?:torchrun .* -m )?skope ([^#\n]+)", flags=re.MULTILINE)
+MADE_UP = "..."
+"""Stands in a command for what a reader chooses."""
+
+
+def slug(heading: str) -> str:
+    """The anchor of a heading, as code hosts make it."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+def commands() -> list[tuple[str, str]]:
+    found = [(page.name, line.strip()) for page in PAGES for line in COMMAND.findall(page.read_text(encoding="utf-8"))]
+    return list(dict.fromkeys(found))
+
+
+def resolved(words: list[str]) -> tuple[Any, list[str]]:
+    """The command that words name, and what follows its name."""
+    command: Any = typer.main.get_command(cli.app)
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+def test_the_readme_is_read_to_its_end() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_every_page_is_linked_from_the_readme_or_a_page_that_is() -> None:
+    reached, left = set(), [ROOT / "README.md"]
+    while left:
+        page = left.pop()
+        reached.add(page)
+        links = (page.parent / link.split("#")[0] for link in LINK.findall(page.read_text(encoding="utf-8")))
+        pages = {link.resolve() for link in links if link.suffix == ".md" and link.is_file()}
+        left += pages - reached
+    assert set(PAGES) <= reached
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in LINK.findall(page.read_text(encoding="utf-8")):
+        if link.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), flags=re.MULTILINE)
+            assert anchor in map(slug, headings), link
+
+
+@pytest.mark.parametrize(("page", "line"), commands(), ids=lambda text: text[:60])
+def test_options_of_commands_exist(page: str, line: str) -> None:
+    command, words = resolved(shlex.split(line.replace(MADE_UP, "")))
+    options = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    named = [word.partition("=")[0] for word in words if word.startswith("--")]
+    assert set(named) <= options | {"--help", "--version", "--quiet"}, line
