@@ -8,6 +8,7 @@
 #                    SCORED=folder to write to
 #   make reference   road33, the detector that comes with skope, from nothing: hours on GPUS=0,1
 #   make report      the pipeline by files: data -> model -> report; redoes only what is out of date
+#   make docs        the pages of docs/ as a website under site/
 #   make bench       benchmarks
 #   make clean       remove what the targets made, but not data/ and runs/
 #
@@ -25,7 +26,7 @@ GPUS    ?= 0
 SCORED  ?= runs/real
 FOOTAGE ?= runs/bench_footage
 
-.PHONY: setup demo paper reference real test test-slow lint data model report bench clean
+.PHONY: setup demo paper reference real test test-slow lint data model report docs bench clean
 
 setup: $(STAMP)
 
@@ -46,6 +47,10 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+# mkdocs advertises another program at every build.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build
 
 data: $(DATA)/dataset.json
 model: $(RUN)/.trained
@@ -97,4 +102,4 @@ bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_world.py
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .pytest_cache .ruff_cache

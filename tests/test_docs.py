@@ -1,7 +1,10 @@
 """README and docs: short where they should be, links that lead somewhere, commands whose options exist."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,27 @@ def resolved(words: list[str]) -> tuple[Any, list[str]]:
     while words and words[0] in getattr(command, "commands", {}):
         command, words = command.commands[words[0]], words[1:]
     return command, words
+
+
+def test_the_website_is_built_without_a_warning(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--quiet",
+        "--config-file",
+        ROOT / "mkdocs.yml",
+        "-d",
+        tmp_path / "site",
+    ]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    page = (tmp_path / "site" / "command-line" / "index.html").read_text(encoding="utf-8")
+    assert all(
+        f"<code>{words}</code>" in page for words in ("skope gen", "skope eval predict", "--frames", "--every-frame")
+    )
 
 
 def test_the_readme_is_read_to_its_end() -> None:
