@@ -87,7 +87,7 @@ def only(*names: str) -> Loss:
 _GEN = "--sites t01_main_west --frames 1 --size 96x54 --renderer pybullet --workers 1"
 _VIDEO = "--fps 5 --seconds 0.2 --size 96x54 --renderer pybullet"
 _TINY = "--set min_size=64 --set max_size=96 --set regions=8 --set keypoint_regions=1 --val-fraction 0"
-_TRAIN = f"--max-images 1 --recipe scratch --epochs 1 {_TINY} --device cpu"
+_TRAIN = f"--max-images 1 --recipe scratch --set bfloat16=false --epochs 1 {_TINY} --device cpu"
 _FIT = "--split train --last 1 --score 0.05 --device cpu"
 
 WRITERS = {
