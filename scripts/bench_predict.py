@@ -1,13 +1,14 @@
-"""Ways of running a detector on a CPU: images a second, memory, and how well each finds vehicles.
+"""Ways of running a detector: images a second, memory, and how well each finds vehicles.
 
     skope gen video t06_plaza_opening --fps 10 --seconds 12 --out footage     # and other sites
     python scripts/bench_predict.py footage --frames 12
     python scripts/bench_predict.py footage --sizes 540 --ways torchvision,openvino-int8,video
     python scripts/bench_predict.py footage --stages                          # where the time of an image goes
+    python scripts/bench_predict.py footage --device cuda --sizes 1080 --ways torchvision,torch-bfloat16
 
 The ways: torchvision's own call, image by image; skope's backends and number formats on every frame; and `video`, which
 is what `skope eval predict` does by default. Each runs in a process of its own, which has loaded the detector and seen
-one frame before the clock starts; decoding counts. Every frame is scored, at scores above 0.5 and IoU 0.6, after frames
+one batch before the clock starts; decoding counts. Memory is the process's, on a GPU that of the GPU. Every frame is scored, at scores above 0.5 and IoU 0.6, after frames
 have confirmed each other as in `skope eval predict` (but for torchvision's call). Figures of `video_modes.py`.
 """
 
@@ -36,7 +37,7 @@ from skope.detector import MIN_SCORE
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, open_footage
 from skope.eval.inference.predict_footage import PredictJob, found_in
-from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.predictor import GPU_BATCH, Predictor
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
 
@@ -69,7 +70,7 @@ STAGES: Final = {
 
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
     backend, precision = WAYS[way]
-    settings = Settings(device="cpu", backend=backend, precision=precision, min_size=size, min_score=WEAK)
+    settings = Settings(device=options.device, backend=backend, precision=precision, min_size=size, min_score=WEAK)
     return Predictor(options.checkpoint, settings, Console(quiet=True))
 
 
@@ -89,15 +90,17 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     predictor = predictor_of(options, way, int(size))
     all_clips = clips(options)
     _, first = all_clips[0]
-    predictor.detections([next(iter(first.frames()))[1]])
+    predictor.detections([pixels for _, pixels in itertools.islice(first.frames(), GPU_BATCH)])
     seconds, total = 0.0, Counts()
     for labels, footage in all_clips:
         truth = coco.read(labels)
+        job = job_of(footage, way, options)
         begun = time.perf_counter()
-        rows = list((by_torchvision if way == "torchvision" else ours)(predictor, footage, way))
+        rows = list(by_torchvision(predictor, footage, options) if way == "torchvision" else ours(predictor, job))
         seconds += time.perf_counter() - begun
-        total += count(first_frames(truth, len(rows)), kept(way, rows, footage))
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        total += count(first_frames(truth, len(rows)), kept(way, rows, job))
+    on_gpu = torch.cuda.max_memory_allocated() / 2**20
+    memory = on_gpu or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {"rate": total.frames / seconds, "memory_mb": memory, "cells": total.cells()}
 
 
@@ -107,34 +110,36 @@ def first_frames(truth: AnnotationFile, number: int) -> AnnotationFile:
     return replace(truth, images=images, annotations=tuple(a for a in truth.annotations if a.image_id in ids))
 
 
-def job_of(footage: Footage, way: str) -> PredictJob:
-    settings = Settings(device="cpu")
+def job_of(footage: Footage, way: str, options: argparse.Namespace) -> PredictJob:
+    settings = Settings(device=options.device)
     return PredictJob(footage=footage, checkpoint=Path(), out=Path(), settings=settings, every_frame=way != "video")
 
 
-def ours(predictor: Predictor, footage: Footage, way: str) -> Iterator[tuple[Image, list[Result]]]:
-    return ((image, found) for image, found, _ in found_in(job_of(footage, way), predictor))
+def ours(predictor: Predictor, job: PredictJob) -> Iterator[tuple[Image, list[Result]]]:
+    return ((image, found) for image, found, _ in found_in(job, predictor))
 
 
-def by_torchvision(predictor: Predictor, footage: Footage, way: str) -> Iterator[tuple[Image, list[Result]]]:
+def by_torchvision(
+    predictor: Predictor, footage: Footage, options: argparse.Namespace
+) -> Iterator[tuple[Image, list[Result]]]:
     """The model as torchvision has it, with its 1000 proposals and every detection above 0.05."""
-    model, _, _ = detector.load_weights(predictor.weights, "cpu")
+    model, _, _ = detector.load_weights(predictor.weights, options.device)
     config = predictor.config
     model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
     model.rpn._post_nms_top_n["testing"] = 1000
     model.roi_heads.score_thresh, model.roi_heads.detections_per_img = MIN_SCORE, 100
     for image, pixels in footage.frames():
         with torch.inference_mode():
-            (found,) = model([detector.as_tensor(pixels, "cpu")])
+            (found,) = model([detector.as_tensor(pixels, options.device)])
         points = torch.cat([found["keypoints"][..., :2], found["keypoints_scores"].sigmoid()[..., None]], dim=-1)
-        yield image, detector.results(image.id, found["boxes"], found["scores"], points)
+        yield image, detector.results(image.id, *(t.cpu() for t in (found["boxes"], found["scores"], points)))
 
 
-def kept(way: str, rows: list[tuple[Image, list[Result]]], footage: Footage) -> list[Result]:
+def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> list[Result]:
     """The results that count."""
     if way == "torchvision":
         return [result for _, found in rows for result in found if result.score > SCORE]
-    confirmation = Confirmation(SCORE, every=job_of(footage, way).key_every)
+    confirmation = Confirmation(SCORE, every=job.key_every)
     for image, found in rows:
         confirmation.add(image.time_s or 0.0, found)
     stay = zip(rows, confirmation.confirmed(), strict=True)
@@ -146,24 +151,29 @@ def stages(options: argparse.Namespace, way: str, size: int) -> dict[str, float]
     predictor = predictor_of(options, way, size)
     spent: dict[str, float] = defaultdict(float)
     begun: dict[str, float] = {}
+
+    def now() -> float:
+        if options.device != "cpu":
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
     for stage, name in STAGES.items():
         module = predictor.model.get_submodule(name)
-        module.register_forward_pre_hook(lambda *_, stage=stage: begun.update({stage: time.perf_counter()}))
-        module.register_forward_hook(
-            lambda *_, stage=stage: spent.update({stage: spent[stage] + time.perf_counter() - begun[stage]})
-        )
+        module.register_forward_pre_hook(lambda *_, stage=stage: begun.update({stage: now()}))
+        module.register_forward_hook(lambda *_, stage=stage: spent.update({stage: spent[stage] + now() - begun[stage]}))
     _, footage = clips(options)[0]
-    frames = footage.frames()
-    predictor.detections([next(frames)[1]])
+    size_of_batch = 1 if options.device == "cpu" else GPU_BATCH
+    frames = [pixels for _, pixels in footage.frames()]
+    batches = [frames[i : i + size_of_batch] for i in range(0, len(frames), size_of_batch)]
+    predictor.detections(batches[0])
     spent.clear()
-    since = time.perf_counter()
-    number = 0
-    for _, pixels in frames:
-        predictor.detections([pixels])
-        number += 1
-    whole = time.perf_counter() - since
+    since = now()
+    for batch in batches[1:]:
+        predictor.detections(batch)
+    whole = now() - since
     spent["proposals"] -= spent["proposals' head"]
     spent["the rest"] = whole - sum(spent.values())
+    number = len(frames) - len(batches[0])
     return {name: seconds / number for name, seconds in {**spent, "together": whole}.items()}
 
 
@@ -178,6 +188,7 @@ def main() -> None:
     parser.add_argument("footage", type=Path, help="folder of what `skope gen video` made")
     parser.add_argument("--checkpoint", type=Path, default=Path("road33"))
     parser.add_argument("--sizes", default="360,540,720", help="short sides of images inside the network, pixels")
+    parser.add_argument("--device", default="cpu")
     parser.add_argument("--ways", default=",".join(WAYS))
     parser.add_argument("--stages", action="store_true", help="where the time of an image goes instead")
     parser.add_argument("--frames", type=int, default=10**9, help="most frames of each clip")
@@ -187,7 +198,10 @@ def main() -> None:
         print(json.dumps(measured(options)))
         return
     sizes, ways = [int(size) for size in options.sizes.split(",")], options.ways.split(",")
-    print(f"{os.cpu_count()}-core {platform.machine()}, torch {torch.__version__}, {options.checkpoint}")
+    machine = f"{os.cpu_count()}-core {platform.machine()}"
+    if options.device != "cpu":
+        machine += f", {torch.cuda.get_device_name(options.device)}"
+    print(f"{machine}, torch {torch.__version__}, {options.checkpoint}")
     if options.stages:
         for way in ways:
             for size in sizes:

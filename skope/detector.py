@@ -23,13 +23,13 @@ from torch.overrides import TorchFunctionMode
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
-from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
-from torchvision.models.detection.transform import resize_boxes, resize_keypoints
+from torchvision.models.detection.transform import resize_boxes
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope import boxes, compact_weights, keypoints, weights
 from skope.errors import UserError, one_of
 from skope.files import write_bytes
+from skope.heatmap_peaks import heatmap_peaks
 from skope.schema import Result
 
 NORMS: Final = ("frozen", "batch")
@@ -400,18 +400,58 @@ def detect(
     """
     seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
-        answers = model([as_tensor(images[i], device) for i in seen]) if seen else []
-    answered = dict(zip(seen, answers, strict=True))
-    return [_detections(answered.get(i), image) for i, image in enumerate(images)]
+        found = dict(zip(seen, _found(model, [images[i] for i in seen], device), strict=True)) if seen else {}
+    return [found[i] if i in found else _nothing(image) for i, image in enumerate(images)]
 
 
-def _detections(answer: Mapping[str, torch.Tensor] | None, image: NDArray[np.uint8]) -> Detections:
-    """Detections in an image from torchvision's output; none where the image was too narrow for the network."""
-    size = (image.shape[1], image.shape[0])
-    if answer is None:
-        return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), size)
-    points = _with_probability(answer["keypoints"], answer["keypoints_scores"])
-    return Detections(_float64(answer["boxes"]), _float64(answer["scores"]), points, size)
+def _found(
+    model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str
+) -> Iterator[Detections]:
+    """The detections of images: torchvision's own path through the model, but for how heat maps are read."""
+    batch, _ = model.transform([as_tensor(image, device) for image in images])
+    features = model.backbone(batch.tensors)
+    proposals, _ = model.rpn(batch, features)
+    heads = model.roi_heads
+    regions = heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes))
+    rectangles, scores, _ = heads.postprocess_detections(*heads.box_predictor(regions), proposals, batch.image_sizes)
+    points = _keypoints(model, features, rectangles, batch.image_sizes)
+    for image, inner_size, *answer in zip(images, batch.image_sizes, rectangles, scores, points, strict=True):
+        yield _in_image(image, inner_size, *answer)
+
+
+def _keypoints(
+    model: KeypointRCNN,
+    features: Mapping[str, torch.Tensor],
+    rectangles: Sequence[torch.Tensor],
+    inner_sizes: Sequence[tuple[int, int]],
+) -> list[torch.Tensor]:
+    """(N, 33, 3) x, y and peak logit for the (N, 4) boxes of each image, all in pixels inside the network."""
+    heads = model.roi_heads
+    regions = heads.keypoint_roi_pool(features, rectangles, inner_sizes)
+    heatmaps = heads.keypoint_predictor(heads.keypoint_head(regions))
+    places, logits = heatmap_peaks(heatmaps, torch.cat(list(rectangles)))
+    points = torch.cat([places, logits[..., None]], dim=-1)
+    return list(torch.split(points, [len(one) for one in rectangles]))
+
+
+def _in_image(
+    image: NDArray[np.uint8],
+    inner_size: tuple[int, int],
+    rectangles: torch.Tensor,
+    scores: torch.Tensor,
+    points: torch.Tensor,
+) -> Detections:
+    """What was found in an image, in its own pixels."""
+    height, width = image.shape[:2]
+    rectangles = resize_boxes(rectangles, list(inner_size), [height, width])
+    return Detections(
+        _float64(rectangles), _float64(scores), _with_probability(points, inner_size, (height, width)), (width, height)
+    )
+
+
+def _nothing(image: NDArray[np.uint8]) -> Detections:
+    """No detections: for an image that is too narrow for the network."""
+    return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), (image.shape[1], image.shape[0]))
 
 
 def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
@@ -437,18 +477,13 @@ def detect_on_boxes(
     boxes = torch.as_tensor(np.asarray(boxes_xyxy, dtype=np.float32).reshape(-1, 4), device=device)
     if not len(boxes):
         return np.zeros((0, keypoints.K, 3))
-    size = list(image.shape[:2])
     with _inference(model, MIN_SCORE, MAX_DETECTIONS):
         batch, _ = model.transform([as_tensor(image, device)])
-        inner_size = list(batch.image_sizes[0])
+        size, (inner_size,) = (image.shape[0], image.shape[1]), batch.image_sizes
         features = model.backbone(batch.tensors)
-        parts = []
-        for part in resize_boxes(boxes, size, inner_size).split(_REGIONS_AT_ONCE):
-            regions = model.roi_heads.keypoint_roi_pool(features, [part], batch.image_sizes)
-            heatmaps = model.roi_heads.keypoint_predictor(model.roi_heads.keypoint_head(regions))
-            points, logits = heatmaps_to_keypoints(heatmaps, part)
-            parts.append(_with_probability(resize_keypoints(points, inner_size, size), logits))
-    return np.concatenate(parts)
+        parts = resize_boxes(boxes, list(size), list(inner_size)).split(_REGIONS_AT_ONCE)
+        found = [_keypoints(model, features, [part], [inner_size])[0] for part in parts]
+        return _with_probability(torch.cat(found), inner_size, size)
 
 
 @contextlib.contextmanager
@@ -470,9 +505,12 @@ def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Ten
     return torch.as_tensor(image, device=device).permute(2, 0, 1).float() / 255
 
 
-def _with_probability(points: torch.Tensor, logits: torch.Tensor) -> NDArray[np.float64]:
-    """(N, 33, 3) torchvision's points, whose third column is always 1, and (N, 33) peak logits -> x, y, p."""
-    return _float64(torch.cat([points[..., :2].double(), logits.double().sigmoid()[..., None]], dim=-1))
+def _with_probability(points: torch.Tensor, inner_size: tuple[int, int], size: tuple[int, int]) -> NDArray[np.float64]:
+    """(N, 33, 3) x, y and peak logit inside the network -> x, y, p in an image; sizes are heights and widths."""
+    places = points[..., :2].double() * points.new_tensor(
+        [size[1] / inner_size[1], size[0] / inner_size[0]], dtype=torch.float64
+    )
+    return _float64(torch.cat([places, points[..., 2:].double().sigmoid()], dim=-1))
 
 
 def _float64(tensor: torch.Tensor) -> NDArray[np.float64]:

@@ -1,13 +1,14 @@
 """Frozen normalisation multiplied into the convolution before it: the same function, without its passes over memory.
 
-A frozen norm is y = a x + b per channel with constant a and b; after a convolution with weights w it is a convolution
-with weights a w and bias b. Weights, buffers and their names stay as they are: only methods change.
+Weights, buffers and their names stay as they are: only methods change.
 """
 
 from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.models.detection import KeypointRCNN
 from torchvision.ops import FrozenBatchNorm2d
+
+from skope.backbone_norms import convolutions_with_norms
 
 
 class _FoldedConv2d(nn.Conv2d):
@@ -29,12 +30,10 @@ class _Folded(FrozenBatchNorm2d):  # type: ignore[misc]
 
 def fold_norms(model: KeypointRCNN) -> int:
     """Fold every frozen norm of the backbone's ResNet into its convolution; returns how many there were."""
-    pairs = []
-    for module in model.backbone.body.modules():
-        children = dict(module.named_children())
-        pairs += [(children.get(f"conv{i}"), children.get(f"bn{i}")) for i in (1, 2, 3)]
-        if isinstance(children.get("downsample"), nn.Sequential):
-            pairs.append(tuple(children["downsample"]))
+    pairs = [
+        (owner.get_submodule(convolution), owner.get_submodule(norm))
+        for owner, convolution, norm in convolutions_with_norms(model)
+    ]
     frozen = [(conv, norm) for conv, norm in pairs if type(norm) is FrozenBatchNorm2d]
     for conv, norm in frozen:
         assert type(conv) is nn.Conv2d

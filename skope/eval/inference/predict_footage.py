@@ -91,7 +91,9 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         UserError: No image can be read, or the output folder holds other work.
     """
     least = min(job.score, WEAK) if job.confirms else job.score
-    predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least), console)
+    # The frames of a live stream do not wait for a batch to be full.
+    batch_size = job.settings.batch_size or (1 if job.footage.live else None)
+    predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least, batch_size=batch_size), console)
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key"))
     images = []
@@ -143,7 +145,8 @@ def found_in(
     """
     every = job.key_every
     if every == 1:
-        yield from ((image, found, True) for image, found in predictor.each(job.footage.frames(last)))
+        each = predictor.each if job.footage.live else predictor.each_ahead
+        yield from ((image, found, True) for image, found in each(job.footage.frames(last)))
         return
 
     def find(frame: tuple[Image, Pixels]) -> list[Result]:

@@ -18,6 +18,7 @@ from skope.console import Console, minutes
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.backends.prepare import prepare
+from skope.eval.inference.read_ahead import read_ahead
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
@@ -127,6 +128,11 @@ class Predictor:
         """The results of one image after another, as they come."""
         for batch in _batches(images, self._batch):
             yield from self._found(batch)
+
+    def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+        """The same, where images can wait: they are made, and on a GPU looked at, while the caller works."""
+        found = self.each(read_ahead(images, 2 * self._batch))
+        return read_ahead(found, self._batch) if self._device.type == "cuda" else found
 
     def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
         """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""

@@ -11,9 +11,12 @@ import torch
 from torch import nn
 from torchvision.models.detection import KeypointRCNN
 
+from skope.backbone_norms import multiply_in
+
 
 def convert(model: KeypointRCNN) -> None:
     """Let the costly parts of `model` multiply in bfloat16 from now on; their weights are rounded to it for good."""
+    multiply_in(model)
     heads = model.roi_heads
     model.backbone = _InBfloat16(model.backbone)
     model.rpn.head = _InBfloat16(model.rpn.head)
@@ -28,7 +31,7 @@ class _InBfloat16(nn.Module):
         super().__init__()
         self.inner = inner
         # Weights are rounded and put in the order in which a CPU multiplies them once: at each call that took more than
-        # half of the time. Normalisation keeps its float32.
+        # half of the time.
         for layer in inner.modules():
             if isinstance(layer, nn.Conv2d):
                 layer.to(torch.bfloat16).to(memory_format=torch.channels_last)
