@@ -8,8 +8,9 @@
 
 The ways: torchvision's own call, image by image; skope's backends and number formats on every frame; and `video`, which
 is what `skope eval predict` does by default. Each runs in a process of its own, which has loaded the detector and seen
-one batch before the clock starts; decoding counts. Memory is the process's, on a GPU that of the GPU. Every frame is scored, at scores above 0.5 and IoU 0.6, after frames
-have confirmed each other as in `skope eval predict` (but for torchvision's call). Figures of `video_modes.py`.
+one batch before the clock starts; decoding counts. Memory is the process's, on a GPU that of the GPU. Every frame is
+scored, at scores above 0.5 and IoU 0.6, after frames have confirmed each other as in `skope eval predict` (but for
+torchvision's call). Figures of `video_modes.py`.
 """
 
 import argparse

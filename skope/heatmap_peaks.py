@@ -9,9 +9,12 @@ from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 _VALUES_AT_ONCE: Final = {"cuda": 2**27, "cpu": 2**20}
 """Values of enlarged maps that are held together, by the kind of device."""
+_REACH: Final = 2
+"""The bicubic kernel reaches over so many cells on either side; beyond a map's edge its last ones are repeated."""
 _SHARPNESS: Final = -0.75
 """Parameter of the bicubic kernel (Keys, 1981), as in torch's `interpolate`."""
 
@@ -34,55 +37,50 @@ def heatmap_peaks(maps: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
     extents = (boxes[:, 2:] - boxes[:, :2]).clamp(min=1)
     sizes = extents.ceil().int()
     most = _VALUES_AT_ONCE.get(maps.device.type, _VALUES_AT_ONCE["cpu"]) // maps.shape[1]
-    for chunk in _chunks(sizes.tolist(), most):
+    for chunk, *largest in _chunks(sizes.tolist(), most):
         here = torch.tensor(chunk, device=maps.device)
-        cells, peaks[here] = _largest(maps[here], sizes[here])
+        cells, peaks[here] = _largest(maps[here], sizes[here], *largest)
         places[here] = boxes[here, None, :2] + (cells + 0.5) * (extents[here] / sizes[here])[:, None]
     return places, peaks
 
 
-def _chunks(sizes: list[list[int]], most: int) -> list[list[int]]:
-    """Numbers of the vehicles that are enlarged together: alike in size, so that little is padding."""
-    chunks: list[list[int]] = []
-    wide = high = 0
+def _chunks(sizes: list[list[int]], most: int) -> list[tuple[list[int], int, int]]:
+    """Numbers of the vehicles that are enlarged together, alike in size to save padding, and their largest sides."""
+    chunks: list[tuple[list[int], int, int]] = []
     for i in sorted(range(len(sizes)), key=lambda i: max(sizes[i])):
-        wide, high = max(wide, sizes[i][0]), max(high, sizes[i][1])
-        if not chunks or (len(chunks[-1]) + 1) * wide * high > most:
-            chunks.append([])
-            wide, high = sizes[i]
-        chunks[-1].append(i)
+        members, width, height = chunks.pop() if chunks else ([], 0, 0)
+        wider, higher = max(width, sizes[i][0]), max(height, sizes[i][1])
+        if members and (len(members) + 1) * wider * higher > most:
+            chunks.append((members, width, height))
+            members, wider, higher = [], *sizes[i]
+        chunks.append(([*members, i], wider, higher))
     return chunks
 
 
-def _largest(maps: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
-    """(N, K, 2) column and row, and (N, K) value, of the peaks of maps enlarged to (N, 2) widths and heights."""
-    wide, high = sizes.amax(dim=0).tolist()
-    across = _enlargement(sizes[:, 0], wide, maps.shape[3])
-    down = _enlargement(sizes[:, 1], high, maps.shape[2])
-    enlarged = down[:, None] @ maps @ across[:, None].mT
-    inside_x = torch.arange(wide, device=maps.device) < sizes[:, :1]
-    inside_y = torch.arange(high, device=maps.device) < sizes[:, 1:]
-    inside = inside_y[:, None, :, None] & inside_x[:, None, None, :]
-    values, at = enlarged.masked_fill_(~inside, -torch.inf).flatten(2).max(dim=2)
-    return torch.stack([at % wide, at // wide], dim=-1), values
+def _largest(maps: Tensor, sizes: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """(N, K, 2) column and row, and (N, K) value, of the peaks of maps enlarged to (N, 2) widths and heights.
+
+    `width` and `height` are the largest of these.
+    """
+    maps = pad(maps, (_REACH,) * 4, mode="replicate")
+    number, keypoints, rows, columns = maps.shape
+    wide = maps.reshape(number, keypoints * rows, columns) @ _enlargement(sizes[:, 0], width, columns).mT
+    wide = wide.view(number, keypoints, rows, width).transpose(1, 2).reshape(number, rows, keypoints * width)
+    enlarged = (_enlargement(sizes[:, 1], height, rows) @ wide).view(number, height, keypoints, width)
+    of_row, column = enlarged.max(dim=3)
+    values, row = of_row.max(dim=1)
+    column = column.gather(1, row[:, None])[:, 0]
+    # What lies beyond a map's own size repeats its last row or column.
+    return torch.minimum(torch.stack([column, row], dim=-1), sizes[:, None] - 1), values
 
 
 def _enlargement(sizes: Tensor, longest: int, cells: int) -> Tensor:
-    """(N, longest, cells) matrices that enlarge `cells` values to each of the sizes; what is beyond is not used."""
-    target = torch.arange(longest, device=sizes.device, dtype=torch.float32)
-    at = (target + 0.5) * (cells / sizes[:, None].float()) - 0.5
-    low = at.floor()
-    share = at - low
-    matrix = torch.zeros(len(sizes), longest, cells, device=sizes.device)
-    for tap in (-1, 0, 1, 2):
-        index = (low + tap).long().clamp(0, cells - 1)
-        matrix.scatter_add_(2, index[..., None], _kernel((share - tap).abs())[..., None])
-    return matrix
-
-
-def _kernel(distance: Tensor) -> Tensor:
-    """The bicubic kernel at distances of up to two cells."""
+    """(N, longest, cells) matrices that enlarge padded cells to each of the sizes, and then repeat the last value."""
+    target = torch.arange(longest, device=sizes.device)
+    target = torch.minimum(target, sizes[:, None] - 1)
+    at = (target + 0.5) * ((cells - 2 * _REACH) / sizes[:, None]) - 0.5 + _REACH
+    distance = (at[..., None] - torch.arange(cells, device=sizes.device)).abs()
     a = _SHARPNESS
     near = ((a + 2) * distance - (a + 3)) * distance * distance + 1
     far = ((a * distance - 5 * a) * distance + 8 * a) * distance - 4 * a
-    return torch.where(distance <= 1, near, far)
+    return torch.where(distance <= 1, near, far.masked_fill_(distance >= _REACH, 0.0))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
@@ -131,8 +132,10 @@ class Predictor:
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
         """The same, where images can wait: they are made, and on a GPU looked at, while the caller works."""
-        found = self.each(read_ahead(images, 2 * self._batch))
-        return read_ahead(found, self._batch) if self._device.type == "cuda" else found
+        if self._device.type != "cuda":
+            return self.each(read_ahead(images, 2 * self._batch))
+        pinned = ((image, _pinned(pixels)) for image, pixels in images)
+        return read_ahead(self.each(read_ahead(pinned, 2 * self._batch)), self._batch)
 
     def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
         """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""
@@ -201,6 +204,11 @@ def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[
                 yield image, pixels
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _pinned(pixels: Pixels) -> Pixels:
+    """The same pixels in memory that a GPU reads by itself, six times as fast."""
+    return torch.from_numpy(pixels).pin_memory().numpy()
 
 
 def _batches(images: Iterable[tuple[T, Pixels]], size: int) -> Iterator[list[tuple[T, Pixels]]]:

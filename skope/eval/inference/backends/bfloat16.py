@@ -3,25 +3,35 @@
 Left to autocast alone, boxes would be decoded from bfloat16: 8 bits of mantissa place a corner at column 1000 to 4
 pixels. Here the convolutions of backbone, proposals and heads multiply in bfloat16 and answer in float32; boxes,
 suppression, the upsampling of heat maps and their maxima stay as they are.
+
+On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases, the block's
+input and take the positive part before they write (cuDNN's fused convolutions), and overlapping regions are suppressed
+for all images together.
 """
 
+from collections import OrderedDict
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.resnet import Bottleneck
 
 from skope.backbone_norms import multiply_in
+from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
+from skope.eval.inference.backends.suppression import suppress_together
 
 
 def convert(model: KeypointRCNN) -> None:
     """Let the costly parts of `model` multiply in bfloat16 from now on; their weights are rounded to it for good."""
     multiply_in(model)
     heads = model.roi_heads
-    model.backbone = _InBfloat16(model.backbone)
-    model.rpn.head = _InBfloat16(model.rpn.head)
+    model.backbone = _Pyramid(model)
+    model.rpn.head = HandedProposals(model.backbone)
     heads.box_head = _InBfloat16(heads.box_head)
     heads.keypoint_head = _InBfloat16(heads.keypoint_head)
+    if next(model.parameters()).is_cuda:
+        suppress_together(model)
 
 
 class _InBfloat16(nn.Module):
@@ -30,23 +40,77 @@ class _InBfloat16(nn.Module):
     def __init__(self, inner: nn.Module) -> None:
         super().__init__()
         self.inner = inner
-        # Weights are rounded and put in the order in which a CPU multiplies them once: at each call that took more than
-        # half of the time.
-        for layer in inner.modules():
-            if isinstance(layer, nn.Conv2d):
-                layer.to(torch.bfloat16).to(memory_format=torch.channels_last)
-            elif isinstance(layer, nn.Linear):
-                layer.to(torch.bfloat16)
+        _round(inner)
 
-    def forward(self, *inputs: Any) -> Any:
-        device = next(self.inner.parameters()).device.type
-        with torch.autocast(device, torch.bfloat16):
-            return _as_float32(self.inner(*inputs))
+    def forward(self, x: Tensor) -> Tensor:
+        with torch.autocast(x.device.type, torch.bfloat16):
+            return self.inner(x).float()  # type: ignore[no-any-return]
 
 
-def _as_float32(value: Any) -> Any:
-    if isinstance(value, torch.Tensor):
-        return value.float()
-    if isinstance(value, dict):
-        return type(value)((name, _as_float32(part)) for name, part in value.items())
-    return type(value)(_as_float32(part) for part in value)
+class _Pyramid(PyramidWithProposals):
+    """An image's feature maps, and the scores and offsets of the anchors on them."""
+
+    def __init__(self, model: KeypointRCNN) -> None:
+        super().__init__(model.backbone.out_channels)
+        self.body, self.fpn, self.head = _Body(model.backbone.body), model.backbone.fpn, model.rpn.head
+        _round(self)
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        with torch.autocast(images.device.type, torch.bfloat16):
+            features = self.fpn(self.body(images))
+            scores, offsets = self.head(list(features.values()))
+        self.proposals = ([one.float() for one in scores], [one.float() for one in offsets])
+        # Pooling takes maps whose channels lie apart: put in order here, they are not for each pooling anew.
+        return OrderedDict(
+            (name, one.to(torch.float32, memory_format=torch.contiguous_format)) for name, one in features.items()
+        )
+
+
+class _Body(nn.Module):
+    """torchvision's ResNet, whose norms have been multiplied in, with fused convolutions."""
+
+    def __init__(self, body: Any) -> None:
+        super().__init__()
+        self.conv1, self.maxpool = body.conv1, body.maxpool
+        self.layers = nn.ModuleList(nn.Sequential(*map(_Block, body.get_submodule(f"layer{i}"))) for i in (1, 2, 3, 4))
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        x = images.to(torch.bfloat16, memory_format=torch.channels_last)
+        x = self.maxpool(_convolved(x, self.conv1))
+        out = OrderedDict()
+        for i, layer in enumerate(self.layers):
+            x = out[str(i)] = layer(x)
+        return out
+
+
+class _Block(nn.Module):
+    """A block of three convolutions, to whose answer its input is added."""
+
+    def __init__(self, block: Bottleneck) -> None:
+        super().__init__()
+        self.conv1, self.conv2, self.conv3 = block.conv1, block.conv2, block.conv3
+        self.downsample = None if block.downsample is None else block.downsample[0]
+
+    def forward(self, x: Tensor) -> Tensor:
+        inner = _convolved(_convolved(x, self.conv1), self.conv2)
+        return _convolved(inner, self.conv3, x if self.downsample is None else self.downsample(x))
+
+
+def _convolved(x: Tensor, layer: nn.Conv2d, added: Tensor | None = None) -> Tensor:
+    """The positive part of a convolution, to which another map may be added."""
+    geometry: Any = (layer.stride, layer.padding, layer.dilation, layer.groups)
+    if x.is_cuda and torch.version.cuda is not None:
+        if added is None:
+            return torch.cudnn_convolution_relu(x, layer.weight, layer.bias, *geometry)
+        return torch.cudnn_convolution_add_relu(x, layer.weight, added, 1.0, layer.bias, *geometry)
+    y: Tensor = layer(x)
+    return (y if added is None else y.add_(added)).relu_()
+
+
+def _round(module: nn.Module) -> None:
+    """Round weights, and put them in the order in which they are multiplied, once: each call would do so again."""
+    for layer in module.modules():
+        if isinstance(layer, nn.Conv2d):
+            layer.to(torch.bfloat16).to(memory_format=torch.channels_last)
+        elif isinstance(layer, nn.Linear):
+            layer.to(torch.bfloat16)

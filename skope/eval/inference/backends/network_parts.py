@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
+from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
 from skope.eval.inference.backends.region_pooling import RegionPooling
 
 Floats = NDArray[np.float32]
@@ -89,7 +90,7 @@ def hand_over(model: KeypointRCNN, runs: Mapping[str, Run]) -> None:
     """Let `runs` compute the parts of a model from now on; its own layers are given up."""
     heads = model.roi_heads
     pyramid = _HandedPyramid(runs[PYRAMID], model.backbone.out_channels)
-    model.backbone, model.rpn.head = pyramid, _HandedProposals(pyramid)
+    model.backbone, model.rpn.head = pyramid, HandedProposals(pyramid)
     heads.box_roi_pool = RegionPooling(heads.box_roi_pool)
     heads.keypoint_roi_pool = RegionPooling(heads.keypoint_roi_pool)
     heads.box_head, heads.box_predictor = nn.Identity(), _HandedBoxHead(runs[BOX_HEAD])
@@ -109,28 +110,16 @@ class _Pyramid(nn.Module):
         return (*features, *scores, *offsets)
 
 
-class _HandedPyramid(nn.Module):
+class _HandedPyramid(PyramidWithProposals):
     def __init__(self, run: Run, out_channels: int) -> None:
-        super().__init__()
-        self.out_channels = out_channels
+        super().__init__(out_channels)
         self._run = run
-        self.proposals: tuple[list[Tensor], list[Tensor]] = ([], [])
-        """Scores and offsets of the anchors for the images that were seen last."""
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
         out = _computed(self._run, images)
         features, scores, offsets = (out[i : i + _LEVELS] for i in range(0, 3 * _LEVELS, _LEVELS))
         self.proposals = (scores, offsets)
         return OrderedDict(zip(("0", "1", "2", "3", "pool"), features, strict=True))
-
-
-class _HandedProposals(nn.Module):
-    def __init__(self, pyramid: _HandedPyramid) -> None:
-        super().__init__()
-        self._pyramid = (pyramid,)  # in a tuple, or it would be a part of this module
-
-    def forward(self, features: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        return self._pyramid[0].proposals
 
 
 class _HandedBoxHead(nn.Module):

@@ -1,0 +1,151 @@
+"""Overlapping regions suppressed for all images of a batch together.
+
+torchvision suppresses them image by image, and on a GPU one region after another: for large images that takes longer
+than the backbone. Here a region stays if no better one that stays overlaps it; begun with all regions, that rule
+settles on what going through them in order would give, after as many rounds as the longest chain of regions that decide
+on each other (Cluster-NMS; Zheng et al., 2020).
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad, softmax
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.roi_heads import RoIHeads
+from torchvision.models.detection.rpn import RegionProposalNetwork
+from torchvision.ops import clip_boxes_to_image
+
+_LEAST_SIDE: Final = 1e-2
+"""Detections that are narrower or lower are left out, as in torchvision, pixels."""
+
+
+def suppress_together(model: KeypointRCNN) -> None:
+    """Let a model of one class choose its proposals and its detections in this way from now on."""
+    model.rpn.filter_proposals = _Proposals(model.rpn)
+    model.roi_heads.postprocess_detections = _Detections(model.roi_heads)
+
+
+class _Proposals:
+    """In place of `RegionProposalNetwork.filter_proposals`, with its arguments and, but for rounding, its answer."""
+
+    def __init__(self, rpn: RegionProposalNetwork) -> None:
+        self._before, self._after = rpn.pre_nms_top_n(), rpn.post_nms_top_n()
+        self._overlap, self._least_side, self._least_score = rpn.nms_thresh, rpn.min_size, rpn.score_thresh
+
+    def __call__(
+        self,
+        proposals: Tensor,
+        objectness: Tensor,
+        image_shapes: Sequence[tuple[int, int]],
+        num_anchors_per_level: Sequence[int],
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        """Choose proposals.
+
+        Args:
+            proposals: (N, A, 4) xyxy in N images, pixels; the A anchors of all levels.
+            objectness: (N * A, 1) their logits.
+            image_shapes: Height and width of each image.
+            num_anchors_per_level: How many of the A are of each level.
+
+        Returns:
+            The (M, 4) best regions of each image and their scores, best first.
+        """
+        counts = list(num_anchors_per_level)
+        logits = torch.split(objectness.reshape(len(proposals), -1), counts, dim=1)
+        of_level = zip(torch.split(proposals, counts, dim=1), logits, strict=True)
+        levels = [_best(boxes, scores, self._before) for boxes, scores in of_level]
+        boxes = _clipped(torch.stack([one for one, _ in levels], dim=1), image_shapes)
+        scores = torch.stack([one for _, one in levels], dim=1).sigmoid()
+        good = _has_sides(boxes, self._least_side) & (scores >= self._least_score) & (scores > 0)
+        kept = not_overlapped(boxes.flatten(0, 1), good.flatten(0, 1), self._overlap).view_as(good)
+        return _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), self._after)
+
+
+class _Detections:
+    """In place of `RoIHeads.postprocess_detections`, with its arguments and, but for rounding, its answer."""
+
+    def __init__(self, heads: RoIHeads) -> None:
+        self._heads = heads
+
+    def __call__(
+        self,
+        class_logits: Tensor,
+        box_regression: Tensor,
+        proposals: Sequence[Tensor],
+        image_shapes: Sequence[tuple[int, int]],
+    ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+        """Choose detections.
+
+        Args:
+            class_logits: (M of all N images, 2) of background and vehicle.
+            box_regression: (M of all, 8) offsets of the boxes of both.
+            proposals: (M, 4) regions of each image, xyxy, pixels.
+            image_shapes: Height and width of each image.
+
+        Returns:
+            (D, 4) boxes, (D,) scores and (D,) classes of the detections of each image, best first.
+        """
+        heads, counts = self._heads, [len(one) for one in proposals]
+        decoded = torch.split(heads.box_coder.decode(box_regression, list(proposals))[:, 1], counts)
+        vehicle = torch.split(softmax(class_logits, -1)[:, 1], counts)
+        most = max(counts)
+        boxes = torch.stack([pad(one, (0, 0, 0, most - len(one))) for one in decoded])
+        scores = torch.stack([pad(one, (0, most - len(one)), value=-1.0) for one in vehicle])
+        scores, order = scores.sort(dim=1, descending=True)
+        boxes = _clipped(_taken(boxes, order), image_shapes)
+        good = _has_sides(boxes, _LEAST_SIDE) & (scores > max(0.0, heads.score_thresh))
+        kept = not_overlapped(boxes, good, heads.nms_thresh)
+        found, sure = _chosen(boxes, scores, kept, heads.detections_per_img)
+        return found, sure, [torch.ones_like(one, dtype=torch.int64) for one in sure]
+
+
+def _best(boxes: Tensor, logits: Tensor, most: int) -> tuple[Tensor, Tensor]:
+    """(N, most, 4) boxes and (N, most) logits of (N, A, 4) and (N, A), best first; -inf where A is less."""
+    count = min(most, logits.shape[1])
+    best, index = logits.topk(count, dim=1)
+    return pad(_taken(boxes, index), (0, 0, 0, most - count)), pad(best, (0, most - count), value=-torch.inf)
+
+
+def _taken(boxes: Tensor, index: Tensor) -> Tensor:
+    """(N, M, 4) boxes of (N, A, 4), those of the numbers (N, M)."""
+    return boxes.gather(1, index[..., None].expand(-1, -1, 4))
+
+
+def _clipped(boxes: Tensor, image_shapes: Sequence[tuple[int, int]]) -> Tensor:
+    return torch.stack([clip_boxes_to_image(one, size) for one, size in zip(boxes, image_shapes, strict=True)])
+
+
+def _has_sides(boxes: Tensor, least: float) -> Tensor:
+    return (boxes[..., 2:] - boxes[..., :2] >= least).all(dim=-1)
+
+
+def _chosen(boxes: Tensor, scores: Tensor, kept: Tensor, most: int) -> tuple[list[Tensor], list[Tensor]]:
+    """The boxes and scores that are kept, of each image the best, `most` of them at most."""
+    best, index = scores.masked_fill(~kept, -1.0).topk(min(most, scores.shape[1]), dim=1)
+    counts = (best >= 0).sum(dim=1).tolist()
+    found = _taken(boxes, index)
+    return (
+        [one[:count] for one, count in zip(found, counts, strict=True)],
+        [one[:count] for one, count in zip(best, counts, strict=True)],
+    )
+
+
+def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
+    """(G, P) whether a box stays, of groups of (G, P, 4) boxes, best first, of which only `good` ones count."""
+    area = (boxes[..., 2:] - boxes[..., :2]).prod(dim=-1)
+    common = torch.minimum(boxes[:, :, None, 2], boxes[:, None, :, 2])
+    common -= torch.maximum(boxes[:, :, None, 0], boxes[:, None, :, 0])
+    high = torch.minimum(boxes[:, :, None, 3], boxes[:, None, :, 3])
+    high -= torch.maximum(boxes[:, :, None, 1], boxes[:, None, :, 1])
+    common = common.clamp_(min=0).mul_(high.clamp_(min=0))
+    # Overlap is common / (a + b - common), which is above the limit where common is above its share of the sum.
+    overlaps = common * ((1 + most) / most) > area[:, :, None] + area[:, None]
+    overlaps = overlaps.triu_(diagonal=1)  # [g, i, j]: i is better than j
+    kept = good
+    while True:
+        now = good & ~(overlaps & kept[..., None]).any(dim=1)
+        if torch.equal(now, kept):
+            return kept
+        kept = now
