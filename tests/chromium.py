@@ -72,9 +72,7 @@ class Browser:
 
     def size(self, width: int, height: int, *, phone: bool = False) -> None:
         """Make the window as large as this."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=phone
-        )
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=phone)
 
     def screenshot(self, path: Path) -> None:
         """Write what is seen as a PNG file."""

@@ -222,7 +222,6 @@ def _rounded(values: Array) -> list[float]:
 def _facts(image: Image, split: str) -> list[list[str]]:
     """What is known of an image, in words: name and value."""
     told: Sequence[tuple[str, object]] = (
-        ("file", image.file_name),
         ("size", f"{image.width}x{image.height}"),
         ("split", image.split or split),
         ("site", image.site),

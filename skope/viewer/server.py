@@ -57,8 +57,8 @@ def serve(collection: Collection, port: int | None, console: Console) -> None:
     if not len(documents):
         raise UserError(f"{collection.title}: has no images")
     with bound(documents, port) as server:
-        console.result(f"{collection.title}: http://{ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")
         try:
+            console.result(f"{collection.title}: http://{ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")
             server.serve_forever()
         except KeyboardInterrupt:
             console.say("")

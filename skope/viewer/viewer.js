@@ -12,10 +12,10 @@ const LAYERS = [
   { name: "box", key: "b", words: "boxes" },
   { name: "dots", key: "k", words: "keypoints" },
   { name: "edges", key: "s", words: "skeleton" },
-  { name: "rings", key: "h", words: "hidden keypoints (rings)" },
+  { name: "rings", key: "h", words: "hidden or unsure keypoints (rings)" },
   { name: "ignored", key: "i", words: "ignored vehicles (dotted)" },
   { name: "truth", key: "t", words: "ground truth (solid)" },
-  { name: "found", key: "p", words: "predictions (dashed; rings: unsure)" },
+  { name: "found", key: "p", words: "predictions (dashed)" },
   { name: "wrong", key: "f", words: "failures" },
 ];
 const KEYS = [
