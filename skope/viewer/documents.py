@@ -75,7 +75,7 @@ class Documents:
         """The values of a field, and which of them each image has; -1 for none."""
         values = [
             # Files of other tools leave the split to their name.
-            value(image) or (split.file.name if name == "split" else None)
+            value(image) or (split.file.name if name == "split" else None) or None
             for split in self._collection.splits
             for image in split.file.images
         ]

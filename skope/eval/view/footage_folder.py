@@ -1,6 +1,7 @@
 """What `skope eval predict` wrote, with pictures from the footage itself."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from skope.viewer.pictures import Picture, read_picture
 
 def footage_collection(folder: Path) -> Collection:
     """The frames of a folder that `skope eval predict` wrote, and what was found in them."""
-    file = coco.read(folder / FRAMES)
+    file = replace(coco.read(folder / FRAMES), name="")  # footage is no split
     results = read_inputs.read_results(folder / PREDICTIONS, file)
     checkpoint = _checkpoint(folder)
     return Collection(

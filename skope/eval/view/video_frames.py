@@ -15,6 +15,8 @@ _KEPT: Final = 32
 """Pictures that are kept."""
 _FAR: Final = 50
 """So many frames are as soon decoded as jumped over."""
+_BEFORE: Final = 8
+"""So many frames before one that is jumped to are kept with it: who goes back meets them next, and a jump is slow."""
 
 
 class VideoFrames:
@@ -25,7 +27,7 @@ class VideoFrames:
         self._footage = open_footage(str(path))
         self._frames: Iterator[tuple[Image, Pixels]] = iter(())
         self._next = -1
-        """Index of the frame that comes next, or less; -1 before the first."""
+        """Index of the frame that comes next; -1 where none has been decoded."""
         self._kept: OrderedDict[int, Picture] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -36,20 +38,24 @@ class VideoFrames:
             raise UserError(f"{image.file_name}: frame_index: is missing")
         with self._lock:
             if index not in self._kept:
-                self._kept[index] = encoded(self._decoded(index))
+                self._decode(index)
             self._kept.move_to_end(index)
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
             return self._kept[index]
 
-    def _decoded(self, index: int) -> Pixels:
-        if not 0 <= index - self._next <= _FAR or self._next < 0:
-            self._frames, self._next = self._footage.frames(index), index
+    def _decode(self, index: int) -> None:
+        """Keep the picture of a frame, and of those shortly before it that are decoded on the way."""
+        if not 0 <= self._next <= index <= self._next + _FAR:
+            begin = max(0, index - _BEFORE)
+            self._frames, self._next = self._footage.frames(begin), begin
         for frame, pixels in self._frames:
             assert frame.frame_index is not None
             self._next = frame.frame_index + 1
+            if frame.frame_index >= index - _BEFORE:
+                self._kept[frame.frame_index] = encoded(pixels)
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
             if frame.frame_index == index:
-                return pixels
+                return
             if frame.frame_index > index:
                 break
         self._next = -1

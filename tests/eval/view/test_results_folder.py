@@ -185,6 +185,9 @@ def test_images_of_footage_come_from_their_folder(tmp_path: Path) -> None:
     seen = collection(predicted(tmp_path / "out", records(3, "{}.png"), "../in"))
     assert seen.title == "a/last.safetensors on bridge"
     assert not seen.truth
+    documents = Documents(seen)
+    assert documents.index()["facets"][0] == {"name": "split", "values": [], "of": [-1] * 3}
+    assert documents.details(1)["facts"] == [["size", "64x48"], ["frame", "1"], ["time", "0.10 s"]]
     assert [brightness(seen, image) for image in seen.splits[0].file.images] == [20, 40, 60]
     with pytest.raises(UserError, match=r"in/9\.png: no such file"):
         seen.picture(replace(records(1)[0], file_name="9.png"))
