@@ -109,8 +109,6 @@ class _Handler(BaseHTTPRequestHandler):
             answer = self._answer_to(self.path)
         except UserError as error:
             self.send_error(HTTPStatus.NOT_FOUND, str(error))
-        except OSError as error:
-            self.send_error(HTTPStatus.NOT_FOUND, f"{error.filename or 'file'}: cannot be read: {error.strerror}")
         else:
             self._send(HTTPStatus.OK, *answer) if answer else self.send_error(HTTPStatus.NOT_FOUND)
 

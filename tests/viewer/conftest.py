@@ -23,7 +23,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
 @pytest.fixture
 def labelled(tmp_path: Path) -> Collection:
-    """Four images with two sedans each, a hidden bus in the second and an ignored vehicle in the last one.
+    """Four images with a van and a sedan each, a hidden bus in the second and an ignored truck in the last one.
 
     The sites are "north" and `HOSTILE` by turns; the first two images have clear weather, the others rain.
     """
@@ -34,8 +34,9 @@ def labelled(tmp_path: Path) -> Collection:
         for i, image in enumerate(file.images)
     )
     bus = replace(make_annotation(50, images[1].id, (30, 20, 30, 20), vehicle_type="bus", hidden=5), occlusion=0.5)
-    ignored = make_annotation(51, images[3].id, (2, 90, 40, 30), iscrowd=1)
-    made = replace(file, images=images, annotations=(*file.annotations, bus, ignored))
+    ignored = make_annotation(51, images[3].id, (2, 90, 40, 30), iscrowd=1, vehicle_type="truck")
+    vans = [replace(a, vehicle_type="van") if a.id % 2 else a for a in file.annotations]
+    made = replace(file, images=images, annotations=(*vans, bus, ignored))
     return Collection(
         title=f"data {HOSTILE}",
         splits=(ShownSplit(file=made),),
@@ -47,7 +48,7 @@ def labelled(tmp_path: Path) -> Collection:
 def predicted(labelled: Collection) -> Collection:
     """The same with a detector's results, which `tests.eval.report.test_page.detector_of` describes, score above 0.5.
 
-    The bus and the second vehicle of every other image are missed; the last image has a false detection.
+    The bus and the sedan of every other image are missed; the last image has a false detection.
     """
     (split,) = labelled.splits
     truth = replace(split.file, annotations=tuple(a for a in split.file.annotations if a.id < 50))

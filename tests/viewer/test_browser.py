@@ -130,6 +130,7 @@ def test_predictions_beside_truth_and_the_worst_first(looking: Callable[..., Bro
     assert browser.run("[...document.querySelectorAll('.wrong text')].map(e => e.textContent)") == ["missed"] * 2
     # Of missed vehicles those count that the filters want.
     assert choose(browser, "vehicle type", "bus").startswith("image 1 of 1")
+    assert choose(browser, "vehicle type", "van") == "no image is like that"
     choose(browser, "vehicle type", "all")
     assert choose(browser, "show", "with false alarms").startswith("image 1 of 1 (4 in all): images/site/00_000004.png")
     choose(browser, "show", "all")

@@ -14,6 +14,7 @@ from skope import coco
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
+from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
 from skope.files import write_json
 from skope.image_selection import take
@@ -193,7 +194,9 @@ def test_images_of_footage_come_from_their_folder(tmp_path: Path) -> None:
         seen.picture(replace(records(1)[0], file_name="9.png"))
 
 
-def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path) -> None:
+def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_KEPT", 3), ("_BEFORE", 1), ("_FAR", 2)):
+        monkeypatch.setattr(video_frames, name, value)
     write_video(tmp_path / "bridge.mp4", frames(10), 10)
     seen = collection(predicted(tmp_path / "out", records(10), "../bridge.mp4"))
     images = seen.splits[0].file.images
