@@ -90,6 +90,11 @@ def _flag(param: Any) -> str:
     return max(map(str, param.opts), key=len)
 
 
+def separated(values: list[str] | None) -> list[str]:
+    """The parts of a flag that may be repeated and hold several parts separated by commas."""
+    return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"skope {__version__}")
@@ -99,6 +104,9 @@ def _print_version(wanted: bool) -> None:
 QuietOption = Annotated[bool, option("--quiet", "-q", help="Print results and errors only.")]
 VersionOption = Annotated[
     bool, option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+]
+PortOption = Annotated[
+    int | None, option(least=0, help="Port to listen on.", show_default="8033, or any free one where it is taken")
 ]
 JsonOption = Annotated[bool, option("--json", help="Print one JSON document with the same content instead.")]
 

@@ -78,6 +78,20 @@ def color_of(vehicle: Annotation) -> Color:
     return IGNORED if vehicle.ignored else PALETTE[number_of(vehicle) % len(PALETTE)]
 
 
+def words_of(vehicle: Annotation) -> str:
+    """What is known of a vehicle, in a few words."""
+    parts = [f"{vehicle.vehicle_type or 'vehicle'} {number_of(vehicle)}", vehicle.color]
+    if vehicle.distance is not None:
+        parts.append(f"{vehicle.distance:.0f} m away")
+    if vehicle.velocity is not None:
+        parts.append(f"{3.6 * float(np.linalg.norm(vehicle.velocity)):.0f} km/h")
+    if vehicle.occlusion:
+        parts.append(f"{vehicle.occlusion:.0%} hidden")
+    if vehicle.ignored:
+        parts.append(f"ignored: {vehicle.ignore_reason or 'no reason given'}")
+    return ", ".join(part for part in parts if part)
+
+
 def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
     """Like `annotations`, with the number of each keypoint beside it and without boxes' labels."""
     canvas = _Canvas(image, scale)

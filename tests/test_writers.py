@@ -214,6 +214,8 @@ READERS = {
     "gen stats",
     "gen sites",
     "gen doctor",
+    "gen view",
+    "eval view",
     "gen vehicles list",
     "gen vehicles check",
     "eval compare",

@@ -98,14 +98,18 @@ def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:
     return None if fleet.held_out is None or vehicle.model is None else vehicle.model in fleet.held_out
 
 
+def band_names(edges: Sequence[float], last: str | None = None) -> list[str]:
+    """What the bands from 0 over `edges` are called, as in "0-20"; the one from the last edge on ends with `last`."""
+    inner = [f"{low:g}-{high:g}" for low, high in itertools.pairwise((0.0, *edges))]
+    return [*inner, f"{edges[-1]:g}-{last}" if last else f"{edges[-1]:g}+"]
+
+
 def _by_band(values: Sequence[float | None], edges: Sequence[float], last: str | None = None) -> dict[str, Mask]:
     """Masks of [0, e0), [e0, e1), ... and from the last edge on; those without a vehicle are left out."""
     numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-    bounds = (0.0, *edges, np.inf)
-    out = {}
-    for low, high in itertools.pairwise(bounds):
-        name = f"{low:g}-{high:g}" if np.isfinite(high) else (f"{low:g}-{last}" if last else f"{low:g}+")
-        out[name] = (numbers >= low) & (numbers < high)
+    bounds = itertools.pairwise((0.0, *edges, np.inf))
+    names = band_names(edges, last)
+    out = {name: (numbers >= low) & (numbers < high) for name, (low, high) in zip(names, bounds, strict=True)}
     return {name: mask for name, mask in out.items() if mask.any()}
 
 

@@ -246,6 +246,17 @@ def quotients(counts: Tally) -> Quotients:
     return out
 
 
+def quality(counts: Tally) -> Floats:
+    """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
+
+    NaN where nothing is labelled.
+    """
+    false = counts.detections - counts.matched - counts.detections_ignored
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(counts.labelled_all > 0, counts.correct / counts.labelled_all, np.nan)
+        return np.asarray(found * counts.ground_truth / (counts.ground_truth + false))
+
+
 def ratio(numerator: float, denominator: float) -> float | None:
     """The quotient, or None where there is nothing to divide by."""
     return float(numerator / denominator) if denominator else None

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from skope import weights
-from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
+from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel, separated
 from skope.console import Console
 from skope.errors import UserError
-from skope.eval.cli import footage
+from skope.eval.cli import footage, view
 from skope.eval.cli.options import MachineOptions, machine
 
 GIVEN = "given"
@@ -122,7 +122,7 @@ def run(
         iou=_thresholds(iou) or THRESHOLDS,
         keypoint_score=keypoint_score,
     )
-    splits = _separated(split)
+    splits = separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
     if fast and (predictions or boxes == GIVEN):
         raise UserError("--fast is for running a checkpoint that detects vehicles")
@@ -230,17 +230,13 @@ app.command(name="predict")(footage.predict)
 app.command(name="pose")(footage.pose)
 app.command(name="track")(footage.track)
 app.command(name="camera")(footage.camera)
-
-
-def _separated(values: list[str] | None) -> list[str]:
-    """The parts of a flag that may be repeated and hold several parts separated by commas."""
-    return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
+app.command(name="view")(view.view)
 
 
 def _thresholds(values: list[str] | None) -> tuple[float, ...]:
     """IoU thresholds from the strictest."""
     try:
-        return tuple(sorted((float(part) for part in _separated(values)), reverse=True))
+        return tuple(sorted((float(part) for part in separated(values)), reverse=True))
     except ValueError:
         raise UserError(f"--iou: expected numbers, got {', '.join(values or ())}") from None
 

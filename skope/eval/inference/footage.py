@@ -31,6 +31,10 @@ _FAR: Final = 50
 """So many frames are as soon decoded as jumped over."""
 
 
+FOUND_AT: Final = "found_at"
+"""Field of `info` in the file of frames: the way from its folder to the video, or to the folder of the images."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cut:
     """Which frames of a source are wanted."""
@@ -84,6 +88,13 @@ class Footage:
         """Names of the images: their paths inside the folder that holds them all."""
         folder = os.path.commonpath([path.parent for path in self.images]) if self.images else ""
         return [path.relative_to(folder).as_posix() for path in self.images]
+
+    @property
+    def place(self) -> Path | None:
+        """The video file, or the folder that the images' names are relative to; None for a stream."""
+        if self.clip is None:
+            return Path(os.path.commonpath([path.parent for path in self.images]))
+        return None if "://" in self.clip.address else Path(self.clip.address)
 
     @property
     def live(self) -> bool:

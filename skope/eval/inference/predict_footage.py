@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,7 @@ from skope.detector import choose_device
 from skope.errors import UserError
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.confirmation import FARTHEST_S, WEAK, Confirmation
-from skope.eval.inference.footage import Footage, Pixels
+from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
@@ -125,7 +126,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     kept = _kept(job, progress, images)
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     coco.write_result_rows(written[0], (result for row in progress.rows() for result in kept(row)))
-    info = {"source": job.footage.name, "fps": job.footage.fps}
+    info = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job)}
     frames_file = AnnotationFile(
         images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
@@ -134,6 +135,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         written.append(_overlay(job, progress, kept, len(images), predictor.scheme, console))
     progress.end()
     return written
+
+
+def _found_at(job: PredictJob) -> dict[str, str]:
+    """Where the pictures of the frames are, seen from the output folder, so that both may move together."""
+    place = job.footage.place
+    return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}
 
 
 def found_in(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.metrics.counts import Floats, Integers, Options, Outcomes
+from skope.metrics.counts import Floats, Integers, Options, Outcomes, quality
 from skope.metrics.failures import KINDS, false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.split_scores import SplitScores
@@ -32,18 +32,6 @@ class Choice:
     index: int
     kind: str
     quality: float
-
-
-def quality(measured: SplitScores, threshold: float) -> Floats:
-    """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
-
-    NaN where nothing is labelled: such images are not shown.
-    """
-    counts = measured.tallies[threshold]
-    false = counts.detections - counts.matched - counts.detections_ignored
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(counts.labelled_all > 0, counts.correct / counts.labelled_all, np.nan)
-        return np.asarray(found * counts.ground_truth / (counts.ground_truth + false))
 
 
 def choose(values: Floats, blocks: Integers) -> list[Choice]:
@@ -74,7 +62,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
     outcomes = measured.outcomes[threshold]
     kinds = wrong_points(measured.matches, outcomes, options)
     figures = []
-    for choice in choose(quality(measured, threshold), measured.blocks.number):
+    for choice in choose(quality(measured.tallies[threshold]), measured.blocks.number):
         image = measured.file.images[choice.index]
         try:
             picture = image_viewer.embedded(root / image.file_name, (image.width, image.height))

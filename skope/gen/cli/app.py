@@ -21,7 +21,7 @@ app = Commands(help="Generate annotated roadside images.", invoke_without_comman
 app.add_typer(vehicles.app, name="vehicles")
 for command in (
     *(sites.sites, convert.convert, convert.merge),
-    *(inspect.check, inspect.stats, inspect.show, inspect.report, inspect.video),
+    *(inspect.check, inspect.stats, inspect.show, inspect.report, inspect.view, inspect.video),
 ):
     app.command()(command)
 

@@ -1,4 +1,4 @@
-"""`skope gen check`, `stats`, `show`, `report` and `video`: what is in a dataset, and what a site looks like."""
+"""`skope gen check`, `stats`, `show`, `report`, `view`, `video`: what is in a dataset, and what a site looks like."""
 
 import shlex
 from contextlib import AbstractContextManager
@@ -8,7 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.command_options import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
+from skope.command_options import (
+    DATA,
+    DIR,
+    GALLERIES,
+    LIST,
+    SHEETS,
+    SIZE,
+    VIDEOS,
+    Formerly,
+    JsonOption,
+    PortOption,
+    option,
+    panel,
+    separated,
+)
 from skope.console import Console
 from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
 from skope.output_folders import replaceable_output
@@ -151,6 +165,27 @@ def report(
     with _look(folder, "report", out) as drawn:
         page = write_report(folder, max_images, drawn / "index.html", console)
     console.result(f"wrote {out / page.name}")
+
+
+def view(
+    console: Console,
+    dataset: DatasetArgument = DATA,
+    split: Annotated[
+        list[str] | None,
+        option(
+            metavar=LIST,
+            help="Split to look at; several: repeat it or separate by commas.",
+            show_default="all of them",
+        ),
+    ] = None,
+    port: PortOption = None,
+) -> None:
+    """Look through all images of a dataset in the browser, with layers to switch and filters; Ctrl-C ends it."""
+    from skope.dataset import open_dataset
+    from skope.gen.inspect.view import dataset_collection
+    from skope.viewer.server import serve
+
+    serve(dataset_collection(open_dataset(dataset), separated(split), console), port, console)
 
 
 def video(

@@ -77,6 +77,7 @@ def test_images_keep_names_of_their_own(call: Any) -> None:
         "y/i.jpg",
         "y/i.png",
     ]
+    assert coco.read(Path("seen/frames.json")).info["found_at"] == "../in"
     drawn = {str(path.relative_to("seen/overlays")) for path in Path("seen/overlays").rglob("*.jpg")}
     assert drawn == {"x/i.jpg", "y/i.jpg.jpg", "y/i.png.jpg"}
 

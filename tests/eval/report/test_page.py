@@ -11,7 +11,7 @@ from skope import coco, keypoints
 from skope.eval.report import curves, gallery
 from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.counts import Options
+from skope.metrics.counts import Options, quality
 from skope.metrics.split_scores import SplitScores, measure
 from skope.page.charts import Axes, Line, chart
 from skope.page.vehicle_outline import plan
@@ -142,7 +142,7 @@ def test_quality_is_what_the_page_says() -> None:
     measured = measured_split(4)
     (right, labelled) = (getattr(measured.tallies[0.6], name) for name in ("correct", "labelled_all"))
     expected = right / labelled * np.array([1, 1, 1, 0.5])  # the false vehicle is in the last image
-    assert gallery.quality(measured, 0.6) == pytest.approx(expected)
+    assert quality(measured.tallies[0.6]) == pytest.approx(expected)
 
 
 def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Path) -> None:

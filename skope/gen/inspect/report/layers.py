@@ -90,14 +90,14 @@ def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> lis
     kinds: dict[str, Callable[[Annotation], str]] = {
         "masks": _mask,
         "boxes3d": lambda vehicle: _box_3d(image, vehicle),
-        "boxes": lambda vehicle: image_viewer.box(vehicle.bbox, _words(vehicle)),
+        "boxes": lambda vehicle: image_viewer.box(vehicle.bbox, draw.words_of(vehicle)),
         "points": lambda vehicle: _points(vehicle, _scale(vehicle, image), scheme),
     }
     layers = [
         tag("g", *(_own(vehicle, of(vehicle), _scale(vehicle, image)) for vehicle in known), class_=name)
         for name, of in kinds.items()
     ]
-    ignored = [image_viewer.box(vehicle.bbox, _words(vehicle)) for vehicle in vehicles if vehicle.ignored]
+    ignored = [image_viewer.box(vehicle.bbox, draw.words_of(vehicle)) for vehicle in vehicles if vehicle.ignored]
     return [tag("g", *ignored, class_="ignored"), *layers]
 
 
@@ -116,19 +116,6 @@ def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
         style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)) + f";--s:{scale:.2f}",
         data_of=vehicle.vehicle_type or "unknown",
     )
-
-
-def _words(vehicle: Annotation) -> str:
-    parts = [f"{vehicle.vehicle_type or 'vehicle'} {draw.number_of(vehicle)}", vehicle.color]
-    if vehicle.distance is not None:
-        parts.append(f"{vehicle.distance:.0f} m away")
-    if vehicle.velocity is not None:
-        parts.append(f"{3.6 * float(np.linalg.norm(vehicle.velocity)):.0f} km/h")
-    if vehicle.occlusion:
-        parts.append(f"{vehicle.occlusion:.0%} hidden")
-    if vehicle.ignored:
-        parts.append(f"ignored: {vehicle.ignore_reason or 'no reason given'}")
-    return ", ".join(part for part in parts if part)
 
 
 def _points(vehicle: Annotation, scale: float, scheme: Scheme) -> str:

@@ -1,0 +1,1 @@
+"""What `skope eval` and `skope eval predict` wrote, as the viewer shows it."""

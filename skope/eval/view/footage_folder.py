@@ -1,0 +1,56 @@
+"""What `skope eval predict` wrote, with pictures from the footage itself."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skope import coco
+from skope.dataset import FRAMES, PREDICTIONS
+from skope.errors import UserError
+from skope.eval.inference.footage import FOUND_AT
+from skope.eval.view.video_frames import VideoFrames
+from skope.files import read_json
+from skope.metrics import read_inputs
+from skope.metrics.counts import Options
+from skope.output_folders import WORK
+from skope.schema import Image
+from skope.viewer.collection import Collection, ShownSplit
+from skope.viewer.pictures import Picture, read_picture
+
+
+def footage_collection(folder: Path) -> Collection:
+    """The frames of a folder that `skope eval predict` wrote, and what was found in them."""
+    file = replace(coco.read(folder / FRAMES), name="")  # footage is no split
+    results = read_inputs.read_results(folder / PREDICTIONS, file)
+    checkpoint = _checkpoint(folder)
+    return Collection(
+        title=f"{checkpoint} on {file.info.get('source', folder.resolve().name)}",
+        splits=(ShownSplit(file=file, results=results),),
+        picture=_pictures(folder, file.info.get(FOUND_AT)),
+        truth=False,
+        options=Options(score=0.0, scheme=file.scheme),
+    )
+
+
+def _checkpoint(folder: Path) -> str:
+    """The name of the checkpoint that was run, if the folder says it."""
+    work = read_json(folder / WORK) if (folder / WORK).is_file() else None
+    inputs = work.get("inputs") if isinstance(work, dict) else None
+    return "/".join(Path(next(iter(inputs))).parts[-2:]) if isinstance(inputs, dict) and inputs else "a detector"
+
+
+def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
+    """What gives the pictures of the frames: those of the files or the video that the folder says it is of."""
+    source = folder / found_at if isinstance(found_at, str) else None
+    if source and source.is_file():
+        return VideoFrames(source).picture
+
+    def picture(image: Image) -> Picture:
+        if source is None:
+            raise UserError(f"{folder / FRAMES}: info.{FOUND_AT}: does not say where the images are; predict again")
+        if not source.is_dir():
+            raise UserError(f"{source}: no such file or folder, but {folder / FRAMES} is of it")
+        return read_picture(source / image.file_name)
+
+    return picture

@@ -1,0 +1,234 @@
+"""The JSON that the page asks for: light rows of all images at once, and each image's vehicles when it is shown."""
+
+import bisect
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+
+from skope import draw
+from skope.metrics import counts
+from skope.metrics.failures import false_detections, wrong_points
+from skope.metrics.match import Integers, box_of
+from skope.metrics.precision_recall import match_split
+from skope.schema import Annotation, Image, Result
+from skope.types import Array
+from skope.viewer import vehicle_kinds
+from skope.viewer.collection import Collection, ShownSplit
+from skope.viewer.pictures import Picture
+
+STEPS: Final = 1000
+"""Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
+_THRESHOLDS: Final = np.arange(STEPS + 1) / STEPS
+_KEPT: Final = 8
+"""Score thresholds whose counts are kept."""
+_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
+    "split": lambda image: image.split,
+    "site": lambda image: image.site,
+    "recording": lambda image: None if image.recording is None else f"{image.site or ''}/{image.recording}",
+    "weather": lambda image: image.weather,
+}
+"""What images are filtered by."""
+
+
+class Documents:
+    """The JSON documents of a collection, whose images are numbered from 0 through all splits."""
+
+    def __init__(self, collection: Collection) -> None:
+        self._collection = collection
+        self._splits = [_SplitDocuments(split, collection) for split in collection.splits]
+        self._ends = list(itertools.accumulate(len(split.file.images) for split in collection.splits))
+        self.scores = lru_cache(maxsize=_KEPT)(self._scores)
+
+    @property
+    def has_predictions(self) -> bool:
+        """Whether there are scores."""
+        return self._collection.options is not None
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return self._ends[-1]
+
+    def index(self) -> dict[str, Any]:
+        """What the page is of, and a row of each image in columns: its name, what filters ask of it and its vehicles.
+
+        Vehicles are numbers of `vehicle_kinds`, each once.
+        """
+        options, scheme = self._collection.options, self._collection.splits[0].file.scheme
+        return {
+            "title": self._collection.title,
+            "truth": self._collection.truth,
+            "score": None if options is None else _step_of(options.score),
+            "predicted": list(options.points) if options else [],
+            "keypoints": list(scheme.names),
+            "skeleton": [list(edge) for edge in scheme.skeleton],
+            "names": [image.file_name for split in self._collection.splits for image in split.file.images],
+            "facets": [self._facet(name, value) for name, value in _FACETS.items()],
+            "qualities": vehicle_kinds.described(),
+            "kinds": [kinds for split in self._splits for kinds in split.kinds()],
+        }
+
+    def _facet(self, name: str, value: Callable[[Image], str | None]) -> dict[str, Any]:
+        """The values of a field, and which of them each image has; -1 for none."""
+        values = [
+            # Files of other tools leave the split to their name.
+            value(image) or (split.file.name if name == "split" else None) or None
+            for split in self._collection.splits
+            for image in split.file.images
+        ]
+        known = sorted({value for value in values if value is not None})
+        place = {value: i for i, value in enumerate(known)}
+        return {"name": name, "values": known, "of": [-1 if value is None else place[value] for value in values]}
+
+    def details(self, number: int) -> dict[str, Any]:
+        """Everything that is drawn over an image, and what is said of it."""
+        split, index = self._place(number)
+        return self._splits[split].details(index)
+
+    def picture(self, number: int) -> Picture:
+        """The picture of an image; a UserError says what is wrong with it."""
+        split, index = self._place(number)
+        return self._collection.picture(self._collection.splits[split].file.images[index])
+
+    def _place(self, number: int) -> tuple[int, int]:
+        """The split of an image, and its place in it."""
+        split = bisect.bisect_right(self._ends, number)
+        return split, number - (self._ends[split - 1] if split else 0)
+
+    def _scores(self, step: int) -> dict[str, Any]:
+        """What the detections above a score threshold are worth, image by image."""
+        parts = [split.scores(step) for split in self._splits]
+        return {name: [value for part in parts for value in part[name]] for name in parts[0]}
+
+
+class _SplitDocuments:
+    """The documents of one split, whose images are numbered from 0."""
+
+    def __init__(self, split: ShownSplit, collection: Collection) -> None:
+        self._split, self._options = split, collection.options
+        self._truth = collection.truth
+        self._boxes = self._options.boxes if self._options else "full"
+        groups = split.file.by_image()
+        self._vehicles = [groups[image.id] for image in split.file.images]
+        self._kinds = {a.id: vehicle_kinds.kind_number(a, self._boxes) for a in split.file.annotations}
+        if self._options:
+            # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
+            options = replace(self._options, score=0.0)
+            self._matches = match_split(split.file, split.results, options)
+            self._outcomes = counts.outcomes_at(self._matches, options.loosest, options)
+            self._wrong = wrong_points(self._matches, self._outcomes, options) >= 0
+            self._false = false_detections(self._matches, self._outcomes)
+
+    def kinds(self) -> list[list[int]]:
+        """The kinds of vehicles of each image that are not ignored."""
+        return [sorted({self._kinds[a.id] for a in vehicles if not a.ignored}) for vehicles in self._vehicles]
+
+    def details(self, index: int) -> dict[str, Any]:
+        image, vehicles = self._split.file.images[index], self._vehicles[index]
+        found = self._found(index) if self._options else {}
+        return {
+            "size": [image.width, image.height],
+            "facts": _facts(image, self._split.file.name),
+            "vehicles": [self._vehicle(a) | found.get(a.id, {}) for a in vehicles],
+            "detections": self._detections(index) if self._options else [],
+        }
+
+    def _vehicle(self, vehicle: Annotation) -> dict[str, Any]:
+        return {
+            "box": _rounded(box_of(vehicle, self._boxes)),
+            "points": _rounded(vehicle.keypoints),
+            "kind": self._kinds[vehicle.id],
+            "words": draw.words_of(vehicle),
+            "color": "#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)),
+            "ignored": vehicle.ignored,
+        }
+
+    def _found(self, index: int) -> dict[int, dict[str, Any]]:
+        """Of an image's ground truth, by id: the step of the score that it was found with, and its wrong keypoints."""
+        out = {}
+        for g in _of_image(self._matches.gt_image, index):
+            d = int(self._outcomes.detection[g])
+            found = d >= 0
+            out[self._matches.vehicles[g].id] = {
+                "found": _step_of(float(self._matches.det_score[d])) if found else 0,
+                # Detections are told in the order of their numbers.
+                "by": d - _of_image(self._matches.det_image, index).start if found else None,
+                "wrong": np.flatnonzero(self._wrong[g]).tolist(),
+            }
+        return out
+
+    def _detections(self, index: int) -> list[dict[str, Any]]:
+        return [
+            self._detection(
+                self._split.results[self._matches.det_result[d]], false=self._truth and bool(self._false[d])
+            )
+            for d in _of_image(self._matches.det_image, index)
+        ]
+
+    def _detection(self, result: Result, *, false: bool) -> dict[str, Any]:
+        points = result.keypoints
+        return {
+            "box": _rounded(result.bbox),
+            "points": np.column_stack([np.round(points[:, :2], 1), np.round(points[:, 2], 3)]).ravel().tolist(),
+            "score": round(result.score, 4),
+            "step": _step_of(result.score),
+            "false": false,
+            "words": "followed from other frames" if result.interpolated else "",
+        }
+
+    def scores(self, step: int) -> dict[str, list[Any]]:
+        """Of each image: the detections above a threshold; how many are false; the kinds of vehicles missed; quality.
+
+        Quality is None where nothing is labelled. Without ground truth there are detections only.
+        """
+        assert self._options
+        options = replace(self._options, score=step / STEPS)
+        matches = match_split(self._split.file, self._split.results, options)
+        outcomes = counts.outcomes_at(matches, options.loosest, options)
+        tally = counts.tally(matches, options.loosest, options)
+        if not self._truth:
+            return {"detections": tally.detections.tolist()}
+        missed: list[list[int]] = [[] for _ in self._split.file.images]
+        for g in np.flatnonzero(~outcomes.found):
+            missed[matches.gt_image[g]].append(self._kinds[matches.vehicles[g].id])
+        false = np.bincount(matches.det_image[false_detections(matches, outcomes)], minlength=matches.images)
+        quality = [None if np.isnan(value) else round(value, 4) for value in counts.quality(tally).tolist()]
+        return {
+            "detections": tally.detections.tolist(),
+            "false": false.tolist(),
+            "missed": missed,
+            "quality": quality,
+        }
+
+
+def _of_image(numbers: Integers, index: int) -> range:
+    """Where an image's entries lie in a sorted column of image numbers."""
+    first, last = np.searchsorted(numbers, [index, index + 1])
+    return range(int(first), int(last))
+
+
+def _step_of(score: float) -> int:
+    """The lowest threshold step that a score does not lie above: it counts at every step below this one."""
+    return int(np.searchsorted(_THRESHOLDS, score, side="left"))
+
+
+def _rounded(values: Array) -> list[float]:
+    return [round(value, 1) for value in values.ravel().tolist()]
+
+
+def _facts(image: Image, split: str) -> list[list[str]]:
+    """What is known of an image, in words: name and value."""
+    told: Sequence[tuple[str, object]] = (
+        ("size", f"{image.width}x{image.height}"),
+        ("split", image.split or split),
+        ("site", image.site),
+        ("recording", image.recording),
+        ("frame", image.frame_index),
+        ("time", None if image.time_s is None else f"{image.time_s:.2f} s"),
+        ("weather", image.weather),
+        ("sun's elevation", None if image.sun_elevation_deg is None else f"{image.sun_elevation_deg:.0f}°"),
+    )
+    return [[name, str(value)] for name, value in told if value not in (None, "")]

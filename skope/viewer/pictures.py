@@ -1,0 +1,38 @@
+"""Pictures as the browser gets them: the files as they are, others as JPEG."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import dataset, shards
+
+_SHOWN: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
+"""Media types of the files that every browser shows, by suffix."""
+_QUALITY: Final = 90
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """The bytes of an image file, and what they are."""
+
+    media_type: str
+    data: bytes = field(repr=False)
+
+
+def read_picture(path: Path) -> Picture:
+    """The picture in a file, or in a shard's member; a UserError says what is wrong with it."""
+    media_type = _SHOWN.get(path.suffix.lower())
+    if media_type is None:
+        return encoded(dataset.read_image(path))
+    return Picture(media_type=media_type, data=shards.read(path))
+
+
+def encoded(pixels: NDArray[np.uint8]) -> Picture:
+    """(H, W, 3) RGB as a picture."""
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    assert done
+    return Picture(media_type="image/jpeg", data=data.tobytes())
