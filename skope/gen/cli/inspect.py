@@ -10,7 +10,7 @@ import typer
 
 from skope.command_options import DATA, DIR, GALLERIES, LIST, SHEETS, SIZE, VIDEOS, Formerly, JsonOption, option, panel
 from skope.console import Console
-from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
+from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
 from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
@@ -164,15 +164,12 @@ def video(
     weather: Annotated[
         str | None,
         camera(
-            choices=("clear", "cloudy", "overcast", "rain", "after_rain", "fog"),
+            choices=WEATHERS,
             help="Weather.",
             show_default="the site's",
         ),
     ] = None,
-    time_of_day: Annotated[
-        str | None,
-        camera(choices=("noon", "low_sun", "dawn", "dusk", "night"), help="Time of day.", show_default="the site's"),
-    ] = None,
+    time_of_day: Annotated[str | None, camera(choices=HOURS, help="Time of day.", show_default="the site's")] = None,
     overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
     out: Annotated[Path, output(metavar=DIR, help="Folder for the video and its annotation file.")] = VIDEOS,
     renderer: RendererOption = "auto",
@@ -185,10 +182,10 @@ def video(
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
     from skope.gen.scene.package_versions import versions
-    from skope.gen.site_files.site_file import read_site
+    from skope.gen.site_files.site_file import own_site
 
     chosen, driver, _ = choose_renderer(renderer)
-    own = read_site(Path(site)) if site.endswith(".toml") else None
+    own = own_site("SITE", site)
     request = from_preset(
         "demo",
         seed=seed,

@@ -131,10 +131,11 @@ class Store:
         larger = {(info.site, info.name): info.frames for info in wanted.recordings}
         grows = all(larger.get((info.site, info.name), 0) >= info.frames for info in begun.recordings)
         before, asked = was.to_dict(), now.to_dict()
-        different = [name for name in sorted(asked) if before[name] != asked[name] and not (grows and name in _GROWS)]
+        names = sorted(before.keys() | asked.keys())
+        different = [name for name in names if before.get(name) != asked.get(name) and not (grows and name in _GROWS)]
         if different:
             list_ = ", ".join(
-                f"{name} = {_short_json(before[name])}, now {_short_json(asked[name])}" for name in different
+                f"{name} = {_short_json(before.get(name))}, now {_short_json(asked.get(name))}" for name in different
             )
             raise UserError(
                 f"{self.root}: was begun with other parameters ({list_}); "
