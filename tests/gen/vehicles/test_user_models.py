@@ -119,6 +119,46 @@ def test_unknown_and_damaged_models_are_refused(own_folder: Path) -> None:
         user_models.load("broken")
 
 
+def test_a_removed_model_is_gone_and_the_others_stay(car: Path, own_folder: Path, tmp_path: Path) -> None:
+    code, text = run("vehicles", "add", str(written(tmp_path / "other.glb", nodes())))
+    assert code == 0, text
+    assert user_models.load("car").model == "car"
+    assert run("vehicles", "remove", "car") == (0, f"removed {own_folder / 'car'}\n")
+    assert names() == ["other"]
+    assert not car.parent.exists()
+    with pytest.raises(UserError, match="no model 'car' was added; there are: other"):
+        user_models.load("car")
+    # The name is free, for another model too.
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())), "--mass", "900")
+    assert code == 0, text
+    assert user_models.load("car").mass == 900
+
+
+def test_a_damaged_model_can_be_removed_and_other_files_are_left(car: Path) -> None:
+    car.write_text("{")
+    (car.parent / "thesis.txt").write_text("mine")
+    code, text = run("vehicles", "remove", "car")
+    assert code == 0, text
+    assert [path.name for path in car.parent.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("sedan", "sedan: is a model of the fleet, which stays"),
+        ("lorry", "lorry: no such model was added; there are: car"),
+        ("../vehicles/car", "../vehicles/car: no such model was added"),
+        ("", ": no such model was added"),
+    ],
+)
+def test_what_is_no_added_model_is_not_removed(car: Path, name: str, said: str) -> None:
+    before = {path: path.read_bytes() for path in car.parent.iterdir()}
+    code, text = run("vehicles", "remove", name)
+    assert code != 0
+    assert text.startswith(said)
+    assert {path: path.read_bytes() for path in car.parent.iterdir()} == before
+
+
 @pytest.fixture
 def car(tmp_path: Path, own_folder: Path) -> Path:
     """The vehicle.json of a model that was added."""
