@@ -274,6 +274,19 @@ def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> Non
     assert content(out) == content(whole)
 
 
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_light_that_is_worked_out_is_told_once_a_site(workers: str, tmp_path: Path) -> None:
+    """The towns are in the cache of the tests; the light of this seed is not."""
+    flags = ["--sites", "t01_mill_corner,t01_main_west", "--frames", "2", "--size", "64x36", "--workers", workers]
+    flags += ["--seed", f"4{workers}"]
+    told = []
+    for name in ("first", "again"):
+        done = skope("gen", "--out", str(tmp_path / name), *flags)
+        assert done.returncode == 0, done.stderr
+        told.append(sorted(line for line in done.stdout.splitlines() if line.startswith("working out")))
+    assert told == [[f"working out the light of {site}" for site in ("t01_main_west", "t01_mill_corner")], []]
+
+
 def test_a_dataset_that_another_tool_rewrote_goes_on(tmp_path: Path, whole: Path) -> None:
     """Other tools sort the fields of a row."""
     out = tmp_path / "d"
