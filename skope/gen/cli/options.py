@@ -199,6 +199,14 @@ class WorkerOptions:
         machine(help="Address of the Ray cluster.", show_default="one that this machine belongs to, or a new one here"),
     ] = None
 
+    def count(self) -> int | None:
+        """Number of worker processes on this machine; None for those of a cluster."""
+        from skope.gen.pipeline.workers import check_workers, default_workers
+
+        if self.engine == "ray":
+            return None
+        return check_workers(self.workers) if self.workers is not None else default_workers()
+
     def pool_factory(self) -> tuple[Callable[[], "AbstractContextManager[WorkerPool]"], str]:
         """A function that starts the worker processes, and what they are in words."""
         from skope.gen.pipeline.workers import check_workers, default_workers, local_pool

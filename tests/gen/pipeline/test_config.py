@@ -17,8 +17,8 @@ from skope.gen.vehicles.fleet import fleet
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_road"
 
 
-def asked(preset: str = "full", seed: int = 3, **changes: Any) -> DatasetRequest:
-    return from_preset(preset, seed=seed, renderer="gl", driver="a driver", rules=Rules(), **changes)
+def asked(preset: str = "full", seed: int = 3, driver: str = "a driver", **changes: Any) -> DatasetRequest:
+    return from_preset(preset, seed=seed, renderer="gl", driver=driver, rules=Rules(), **changes)
 
 
 def lights(plans: list[RecordingPlan]) -> list[tuple[str, str]]:
