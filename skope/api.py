@@ -258,7 +258,7 @@ def generate(
         out: The dataset's folder; a new one, or one that the same call began.
         preset: What kind of dataset: "demo", "paper", "full", "extra", "varied" or "world".
         sites: Names of camera sites in place of the preset's (`skope gen sites` lists them).
-        site: A site file of your own road and camera in place of `sites`.
+        site: One name in place of `sites`, or a site file of your own road and camera.
         frames: Images for each site.
         interval: Seconds between a recording's frames.
         size: Width and height of the images, as in "1280x720".
@@ -284,7 +284,7 @@ def generate(
     asked = DatasetOptions(
         preset=preset,
         sites=None if sites is None else ",".join(sites),
-        site=None if site is None else Path(site),
+        site=None if site is None else str(site),
         frames=frames,
         interval=interval,
         size=size,

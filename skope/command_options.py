@@ -30,6 +30,7 @@ CAMERA_FILE: Final = Path("runs/camera.json")
 DIR: Final = "DIR"
 FILE: Final = "FILE"
 LIST: Final = "A,B,.."
+SITE: Final = "NAME|FILE"
 SIZE: Final = "WIDTHxHEIGHT"
 
 C = TypeVar("C", bound=Callable[..., Any])
@@ -42,21 +43,29 @@ class Formerly:
     flag: str
 
 
-def option(*names: str, help: str, choices: tuple[str, ...] = (), least: int | None = None, **settings: Any) -> Any:
+def option(
+    *names: str,
+    help: str,
+    choices: tuple[str, ...] = (),
+    several: bool = False,
+    least: int | None = None,
+    **settings: Any,
+) -> Any:
     """A `typer.Option` for an annotation.
 
     Args:
         names: Spellings, if not the parameter's own name with dashes.
         help: What `--help` says of it; brackets stand for themselves.
         choices: Values that it takes, which `--help` shows; another one is a UserError.
+        several: Whether it takes several of the choices, separated by commas.
         least: Whole number under which a value is a UserError.
         settings: Anything else that typer.Option takes.
     """
     if choices:
         settings |= {
-            "metavar": f"[{'|'.join(choices)}]",
+            "metavar": f"[{'|'.join(choices)}]{',..' if several else ''}",
             "autocompletion": lambda: list(choices),
-            "callback": _among(choices),
+            "callback": _all_among(choices) if several else _among(choices),
         }
     if least is not None:
         settings["callback"] = _from(least)
@@ -72,6 +81,15 @@ def panel(title: str) -> Callable[..., Any]:
 def _among(choices: tuple[str, ...]) -> Callable[..., Any]:
     def check(param: typer.CallbackParam, value: Any) -> Any:
         return value if value is None else one_of(_flag(param), value, choices)
+
+    return check
+
+
+def _all_among(choices: tuple[str, ...]) -> Callable[..., Any]:
+    def check(param: typer.CallbackParam, value: Any) -> Any:
+        for name in value.split(",") if value is not None else ():
+            one_of(_flag(param), name, choices)
+        return value
 
     return check
 

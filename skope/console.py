@@ -24,9 +24,10 @@ class Console:
     quiet: bool = False
 
     def say(self, text: str) -> None:
-        """Print a line of commentary, unless quiet."""
+        """Print a line of commentary, unless quiet; above the bar where one is shown."""
         if not self.quiet:
-            typer.echo(text)
+            with tqdm.external_write_mode():
+                typer.echo(text)
 
     def result(self, text: str) -> None:
         """Print a line that the command was run for, always."""

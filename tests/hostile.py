@@ -37,7 +37,9 @@ SITES = {"train": "t01_mill_corner", "val": "t01_main_west"}
 class FlatRenderer:
     """Draws grey frames in which no vehicle is seen, at once."""
 
-    def __init__(self, _name: str, recording: Recording) -> None:
+    def __init__(self, _name: str, recording: Recording, on_light: Callable[[], None] = lambda: None) -> None:
+        on_light()
+        on_light()
         assert recording.town.network  # as whoever grows scenery does
         self._recording = recording
 

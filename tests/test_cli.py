@@ -76,6 +76,7 @@ class Weather:
     """Options that commands share."""
 
     rain: Annotated[str, option(choices=("none", "some"), help="Rain [mm].")] = "none"
+    sky: Annotated[str, option(choices=("blue", "grey"), several=True, help="Sky.")] = "blue"
     wind: Annotated[int, option(least=2, help="Wind."), Formerly("--storm")] = 7
 
 
@@ -90,7 +91,7 @@ def toy() -> Commands:
     @app.command()
     def inner(weather: Weather, console: Console, name: str = "x") -> None:
         console.say("chatter")
-        console.result(f"inner {weather.rain} {weather.wind} {name}")
+        console.result(f"inner {weather.rain} {weather.wind} {name}{weather.sky.removeprefix('blue')}")
 
     return app
 
@@ -102,6 +103,7 @@ def toy() -> Commands:
         ("-q --seed 3", "group 3\n"),
         ("inner", "chatter\ninner none 7 x\n"),
         ("inner --quiet --rain some --name y", "inner some 7 y\n"),
+        ("inner --quiet --sky blue,grey", "inner none 7 x,grey\n"),
         ("-q inner", "inner none 7 x\n"),
         ("-q inner --wind 3", "inner none 3 x\n"),
         ("-q inner --storm 4", "inner none 4 x\n"),
@@ -116,6 +118,7 @@ def test_commands_are_handed_what_they_take(words: str, said: str) -> None:
     ("words", "said"),
     [
         ("inner --rain much", "--rain: 'much' is not one of none, some"),
+        ("inner --sky grey,red", "--sky: 'red' is not one of blue, grey"),
         ("inner --wind 1", "--wind: expected a whole number from 2, got 1"),
         ("inner --storm 1", "--storm: expected a whole number from 2, got 1"),
         ("--seed 3 inner", "--seed: is a flag of"),
@@ -186,7 +189,8 @@ def test_the_choices_of_help_are_those_there_are() -> None:
     for name, parameter in parameters():
         if parameter.param_type_name == "option" and (parameter.metavar or "").startswith("["):
             flag = parameter.opts[0]
-            shown[flag if flag in CHOSEN else f"{name} {flag}"] = tuple(parameter.metavar[1:-1].split("|"))
+            choices = parameter.metavar.removesuffix(",..")[1:-1]
+            shown[flag if flag in CHOSEN else f"{name} {flag}"] = tuple(choices.split("|"))
     assert shown == CHOSEN
 
 
@@ -217,6 +221,10 @@ def test_a_flag_is_written_alike_everywhere() -> None:
         "--noise": {"A,B,..", float},
         "--keypoints": {"A,B,..", "flag"},  # names of points to write, and a layer to draw
         "--split": {"A,B,..", "NAME"},
+        "--site": {"NAME|FILE", "FILE"},  # `gen sites` checks files only
+        # Recordings have several, a video has one.
+        "--weather": {choices := f"[{'|'.join(schema.WEATHERS)}]", f"{choices},.."},
+        "--time-of-day": {choices := f"[{'|'.join(TIMES_OF_DAY)}]", f"{choices},.."},
     }
 
 
@@ -284,7 +292,7 @@ def test_the_shell_gets_a_script_that_asks_skope() -> None:
     ("line", "words"),
     [
         ("skope e", ["eval"]),
-        ("skope gen vehicles ", ["list", "check", "show", "add"]),
+        ("skope gen vehicles ", ["list", "check", "show", "add", "remove"]),
         ("skope gen --re", ["--renderer"]),
         ("skope gen --renderer ", list(RENDERERS)),
         ("skope eval --boxes g", ["given"]),

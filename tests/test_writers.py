@@ -218,9 +218,11 @@ READERS = {
     "eval view",
     "gen vehicles list",
     "gen vehicles check",
+    "gen vehicles remove",
     "eval compare",
 }
-"""Commands that write nothing, or only with a flag that has a row above."""
+"""Commands that write nothing, or only with a flag that has a row above; what `remove` takes away is tested in
+tests/gen/vehicles/test_user_models.py."""
 
 
 def commands(command: Any, name: str = "") -> Iterator[str]:

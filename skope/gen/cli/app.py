@@ -11,7 +11,7 @@ import typer
 from skope.command_options import DATA, DIR, Commands, JsonOption, option
 from skope.console import Console
 from skope.gen.cli import convert, inspect, sites, vehicles
-from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, output
+from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
 from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
@@ -29,13 +29,28 @@ OutOption = Annotated[Path, output(metavar=DIR, help="Dataset folder.")]
 
 
 @app.callback()
-def gen(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA) -> None:
+def gen(
+    dataset: DatasetOptions,
+    workers: WorkerOptions,
+    console: Console,
+    out: OutOption = DATA,
+    dry_run: Annotated[
+        bool, machine("--dry-run", help="Only say how many images, how much disk and how long; write nothing.")
+    ] = False,
+) -> None:
     """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
+    from skope.gen.pipeline.dataset_store import Store
+    from skope.gen.pipeline.estimate import estimate
     from skope.gen.pipeline.generate import generate_dataset
 
     request, why = dataset.request()
     start_pool, who = workers.pool_factory()
+    expected = estimate(request, Store(out), workers.count()).line
+    if dry_run:
+        console.result(expected)
+        return
     _announce(console, request, f"{who}, {why}")
+    console.say(expected)
     made = generate_dataset(request, out, start_pool, console)
     _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
 

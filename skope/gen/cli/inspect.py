@@ -24,7 +24,7 @@ from skope.command_options import (
     separated,
 )
 from skope.console import Console
-from skope.gen.cli.options import RendererOption, WorkerOptions, camera, output, traffic
+from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
 from skope.output_folders import replaceable_output
 
 if TYPE_CHECKING:
@@ -199,15 +199,12 @@ def video(
     weather: Annotated[
         str | None,
         camera(
-            choices=("clear", "cloudy", "overcast", "rain", "after_rain", "fog"),
+            choices=WEATHERS,
             help="Weather.",
             show_default="the site's",
         ),
     ] = None,
-    time_of_day: Annotated[
-        str | None,
-        camera(choices=("noon", "low_sun", "dawn", "dusk", "night"), help="Time of day.", show_default="the site's"),
-    ] = None,
+    time_of_day: Annotated[str | None, camera(choices=HOURS, help="Time of day.", show_default="the site's")] = None,
     overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
     out: Annotated[Path, output(metavar=DIR, help="Folder for the video and its annotation file.")] = VIDEOS,
     renderer: RendererOption = "auto",
@@ -220,10 +217,10 @@ def video(
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
     from skope.gen.scene.package_versions import versions
-    from skope.gen.site_files.site_file import read_site
+    from skope.gen.site_files.site_file import own_site
 
     chosen, driver, _ = choose_renderer(renderer)
-    own = read_site(Path(site)) if site.endswith(".toml") else None
+    own = own_site("SITE", site)
     request = from_preset(
         "demo",
         seed=seed,

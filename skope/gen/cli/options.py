@@ -4,10 +4,9 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
-from skope.command_options import FILE, LIST, SIZE, panel
+from skope.command_options import LIST, SITE, SIZE, panel
 from skope.errors import UserError
 
 if TYPE_CHECKING:
@@ -20,6 +19,9 @@ camera = panel("Camera and image")
 labels = panel("Labels")
 output = panel("Output")
 machine = panel("Machine")
+
+WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
+HOURS: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 
 RendererOption = Annotated[
     str, machine(choices=("auto", "gl", "pybullet"), help="What draws the images; auto: gl where OpenGL can be had.")
@@ -42,12 +44,19 @@ class DatasetOptions:
         None
     )
     site: Annotated[
-        Path | None, traffic(metavar=FILE, help="A site file: your own road and camera instead of --sites.")
+        str | None, traffic(metavar=SITE, help="One site instead of --sites; or a site file, your own road and camera.")
     ] = None
     frames: Annotated[int | None, traffic(help="Frames per site.")] = None
     interval: Annotated[float | None, traffic(help="Seconds between frames.")] = None
     vehicles: Annotated[
-        str | None, traffic(metavar=LIST, help="Models of `skope gen vehicles add` that drive by too.")
+        str | None,
+        traffic(
+            metavar=LIST, help="Models of `skope gen vehicles add` that drive by too; with --share also of the fleet."
+        ),
+    ] = None
+    share: Annotated[
+        float | None,
+        traffic(help="Share of the traffic that --vehicles make together.", show_default="each a tenth of the fleet's"),
     ] = None
     views: Annotated[
         int | None,
@@ -62,6 +71,16 @@ class DatasetOptions:
     camera_jitter: Annotated[bool, variation(help="Hang and turn each recording's camera a little differently.")] = (
         False
     )
+    weather: Annotated[
+        str | None,
+        camera(
+            choices=WEATHERS, several=True, help="Weathers of the recordings.", show_default="the sites' and preset's"
+        ),
+    ] = None
+    time_of_day: Annotated[
+        str | None,
+        camera(choices=HOURS, several=True, help="Hours of the recordings.", show_default="the sites' and preset's"),
+    ] = None
     size: Annotated[str | None, camera(metavar=SIZE, help="Image size.")] = None
     fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.")] = None
     settings: Annotated[
@@ -105,13 +124,14 @@ class DatasetOptions:
         from skope.gen.pipeline.config import from_preset
         from skope.gen.render.choose_renderer import choose_renderer
         from skope.gen.scene.conditions import parse_settings
-        from skope.gen.site_files.site_file import read_site
-        from skope.gen.vehicles.user_models import load
+        from skope.gen.site_files.site_file import own_site
 
-        if self.site and (self.sites is not None or self.fov is not None):
-            raise UserError(
-                f"--site: {self.site} says where the camera is and what it sees: leave --sites and --fov out"
-            )
+        if self.site is not None and self.sites is not None:
+            raise UserError(f"--site: {self.site} is the site already: leave --sites out")
+        own = own_site("--site", self.site) if self.site is not None else None
+        if own and self.fov is not None:
+            raise UserError(f"--site: {own.path} says where the camera is and what it sees: leave --fov out")
+        sites = self.sites if own or self.site is None else self.site
         chosen, driver, why = choose_renderer(self.renderer)
         wanted = from_preset(
             self.preset,
@@ -125,19 +145,22 @@ class DatasetOptions:
                 min_box=self.min_box,
             ),
             encoding=Encoding(image=self.image_format, quality=self.quality, depth=self.depth),
-            sites=tuple(self.sites.split(",")) if self.sites is not None else None,
+            sites=tuple(sites.split(",")) if sites is not None else None,
             frames=self.frames,
             interval_s=self.interval,
             size=self.size,
             fov_deg=self.fov,
             settings=parse_settings(self.settings or []),
-            vehicles={name: load(name).digest for name in _models(self.vehicles)},
+            weather=tuple(self.weather.split(",")) if self.weather is not None else None,
+            time_of_day=tuple(self.time_of_day.split(",")) if self.time_of_day is not None else None,
+            vehicles={name: _digest(name) for name in _models(self.vehicles)},
+            vehicle_share=self.share,
             shape_jitter=self.shape_jitter,
             views=self.views,
             town_jitter=self.town_jitter,
             format=self.format,
             licence=named(self.licence),
-            own=read_site(self.site) if self.site else None,
+            own=own,
             camera_jitter=self.camera_jitter,
         )
         return wanted, why
@@ -149,6 +172,14 @@ def _models(text: str | None) -> list[str]:
     if not all(names) or len(set(names)) < len(names):
         raise UserError("--vehicles: expected one or more different models, separated by commas")
     return names
+
+
+def _digest(model: str) -> str:
+    """What tells a model of the user from another one of its name; nothing for a model of the fleet."""
+    from skope.gen.vehicles.fleet import fleet
+    from skope.gen.vehicles.user_models import load
+
+    return "" if model in fleet() else load(model).digest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,6 +198,14 @@ class WorkerOptions:
         str | None,
         machine(help="Address of the Ray cluster.", show_default="one that this machine belongs to, or a new one here"),
     ] = None
+
+    def count(self) -> int | None:
+        """Number of worker processes on this machine; None for those of a cluster."""
+        from skope.gen.pipeline.workers import check_workers, default_workers
+
+        if self.engine == "ray":
+            return None
+        return check_workers(self.workers) if self.workers is not None else default_workers()
 
     def pool_factory(self) -> tuple[Callable[[], "AbstractContextManager[WorkerPool]"], str]:
         """A function that starts the worker processes, and what they are in words."""

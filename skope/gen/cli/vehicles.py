@@ -18,7 +18,7 @@ from skope.text_table import text_table
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
 
-app = Commands(help="List, check, draw and add vehicle models.", no_args_is_help=True)
+app = Commands(help="List, check, draw, add and remove vehicle models.", no_args_is_help=True)
 
 NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One model instead of all.")]
 
@@ -149,6 +149,20 @@ def add(
         f"wrote {path}: {length:.2f} x {width:.2f} x {height:.2f} m; next: skope gen vehicles show {called}, "
         f"skope gen --vehicles {called}"
     )
+
+
+@app.command()
+def remove(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A model of `skope gen vehicles add`.")],
+    console: Console,
+) -> None:
+    """Remove a model that was added; datasets with it stay as they are, but cannot be gone on with."""
+    from skope.gen.vehicles import user_models
+    from skope.gen.vehicles.fleet import fleet
+
+    if model in fleet():
+        raise UserError(f"{model}: is a model of the fleet, which stays; only models that were added can be removed")
+    console.result(f"removed {user_models.remove(model)}")
 
 
 def _corners(text: str | None) -> dict[str, str] | None:

@@ -114,6 +114,7 @@ def made(card: Card) -> list[str]:
         "keypoints come from where those bodies are.",
         f"Pictures are drawn by the renderer `{card.get('renderer')}`, with weather, light, exposure, noise and lens "
         "of each recording's own; visibility is told from the depth and instance images of the same frame.",
+        *_asked(values),
         *(
             [f"Models that only test sites show: {', '.join(fleet['held_out'])}."]
             if fleet.get("held_out") and not own
@@ -121,6 +122,21 @@ def made(card: Card) -> list[str]:
         ),
         f"Versions: {', '.join(f'{name} {version}' for name, version in versions.items())}.",
     ]
+
+
+def _asked(values: Mapping[str, Any]) -> list[str]:
+    """What was asked for of light and traffic, where it was."""
+    said = [
+        f"{what} is never another than {' or '.join(names)}, which was asked for."
+        for what, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))
+        if names
+    ]
+    share = values.get("vehicle_share")
+    if share:
+        said.append(
+            f"Of the traffic {share:.0%} is of the models that were asked for: {', '.join(values['vehicles'])}."
+        )
+    return said
 
 
 def _rules_in_numbers(card: Card) -> list[str]:

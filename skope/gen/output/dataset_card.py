@@ -80,7 +80,10 @@ def command(p: Parameters) -> str:
         parts.append(f"--image-format {p.encoding.image} --quality {p.encoding.quality}")
         parts += [] if p.encoding.depth else ["--no-depth"]
     parts += [f"--format {p.format}"] if p.format != "folder" else []
+    parts += [f"--weather {','.join(p.weather)}"] if p.weather else []
+    parts += [f"--time-of-day {','.join(p.time_of_day)}"] if p.time_of_day else []
     parts += [f"--vehicles {','.join(p.vehicles)}"] if p.vehicles else []
+    parts += [f"--share {p.vehicle_share}"] if p.vehicle_share else []
     if p.preset in _VARIED:
         parts += [f"--views {p.views}", _switch("town-jitter", p.town_jitter), _switch("shape-jitter", p.shape_jitter)]
     else:

@@ -60,7 +60,14 @@ class Parameters:
     cameras: Mapping[str, Range] = field(default_factory=dict)
     """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
-    """Models of the user (`skope gen vehicles add`) that drive beside the fleet: name to SHA-256 of the files."""
+    """Models that were asked for: name to SHA-256 of the files of a model of the user (`skope gen vehicles add`), to
+    nothing for a model of the fleet."""
+    vehicle_share: float | None = None
+    """Share of the traffic that `vehicles` make together; None for a tenth of the fleet's number each."""
+    weather: tuple[str, ...] = ()
+    """Weathers that recordings may have; empty for those of the sites and of `presets.toml`."""
+    time_of_day: tuple[str, ...] = ()
+    """Hours that recordings may have; empty likewise."""
     shape_jitter: bool = False
     """Whether each vehicle gets a shape of its own near its model's."""
     views: int = 0
@@ -95,7 +102,7 @@ class Parameters:
 
     def to_dict(self) -> dict[str, Any]:
         """The parameters as JSON values."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _ASKED or getattr(self, f.name)}
         return {
             **values,
             "sites": list(self.sites),
@@ -103,6 +110,7 @@ class Parameters:
             "settings": {name: list(pair) for name, pair in self.settings.items()},
             "cameras": {name: list(pair) for name, pair in self.cameras.items()},
             **{name: list(pair) if (pair := getattr(self, name)) else None for name in _RANGES},
+            **{name: list(values[name]) for name in _NAMES if name in values},
             "own": self.own.to_dict() if self.own else None,
             "encoding": asdict(self.encoding),
         }
@@ -131,7 +139,9 @@ class Parameters:
                 made[name] = (low, high)
         for name in ("settings", "cameras"):
             made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
-        return cls(**{**made, "sites": tuple(values["sites"])})
+        for name in ("sites", *_NAMES):
+            made[name] = tuple(values.get(name, ()))
+        return cls(**made)
 
 
 @dataclass(frozen=True)
@@ -194,6 +204,7 @@ _NUMBER: Final = _Kind("a number", _is_number)
 _SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
 _OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
 _OBJECT_OR_NULL: Final = _Kind("an object or null", lambda value: isinstance(value, dict | None))
+_NUMBER_OR_NULL: Final = _Kind("a number or null", lambda value: value is None or _is_number(value))
 _RANGE_OR_NULL: Final = _Kind("a pair of numbers or null", lambda value: value is None or _is_range(value))
 _TEXTS: Final = _Kind("names", lambda value: isinstance(value, list) and all(map(_is_text, value)))
 _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
@@ -202,6 +213,10 @@ _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_ra
 
 _RANGES: Final = ("traffic", "distractors")
 """Fields that hold a range or None."""
+_NAMES: Final = ("weather", "time_of_day")
+"""Fields that hold names that were asked for."""
+_ASKED: Final = ("vehicle_share", *_NAMES)
+"""Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
     **dict.fromkeys(("seed", "recordings", "views"), _WHOLE),
@@ -209,16 +224,17 @@ _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("rules", "encoding"), _OBJECT),
     **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
     **dict.fromkeys(("vehicles", "versions"), _TEXT_BY_NAME),
-    "sites": _TEXTS,
+    **dict.fromkeys(("sites", *_NAMES), _TEXTS),
+    "vehicle_share": _NUMBER_OR_NULL,
     "frames": _COUNT_BY_NAME,
     **dict.fromkeys(("seasons", "shape_jitter", "town_jitter"), _SWITCH),
     "own": _OBJECT_OR_NULL,
     **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
 }
 _OPTIONAL: Final = frozenset(
-    ("distractors", "licence", "own", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views")
+    ("distractors", "licence", "own", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views", *_ASKED)
 )
-"""Fields that folders of before may lack."""
+"""Fields that may be missing: folders of before lack some."""
 _OWN_KINDS: Final[Mapping[str, _Kind]] = {
     "file": _TEXT,
     "digests": _TEXT_BY_NAME,

@@ -15,14 +15,17 @@ from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import FORMATS
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
-from skope.gen.scene.conditions import Range, check_settings
+from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
+from skope.gen.vehicles.fleet import fleet
+from skope.schema import WEATHERS
 
-_SUN = ("sun_elevation_deg", "sun_azimuth_deg", "clouds", "visibility_m")
+_OF_HOUR = ("sun_elevation_deg", "sun_azimuth_deg")
+_OF_WEATHER = ("clouds", "visibility_m")
 """Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
 
 
@@ -55,10 +58,39 @@ class DatasetRequest:
         check_settings(p.settings)
         camera_sampling.check_ranges(p.cameras)
         self._check_lens()
+        for flag, asked, known in (
+            ("--weather", p.weather, WEATHERS),
+            ("--time-of-day", p.time_of_day, TIMES_OF_DAY),
+        ):
+            for name in asked:
+                one_of(flag, name, known)
+            if len(set(asked)) < len(asked):
+                raise UserError(f"{flag}: expected different names, got {','.join(asked)}")
+        self._check_vehicles()
         if not 0 <= p.views <= 16:
             raise UserError(f"--views: expected a whole number from 0 to 16, got {p.views}")
         if self.own:
             self._check_own(self.own)
+
+    def _check_vehicles(self) -> None:
+        p = self.parameters
+        if p.vehicle_share is not None:
+            if not p.vehicles:
+                raise UserError("--share: is that of the models of --vehicles, of which there are none")
+            if not 0 < p.vehicle_share <= 1:
+                raise UserError(f"--share: expected a share above 0, up to 1, got {p.vehicle_share:g}")
+        for name in p.vehicles.keys() & fleet().keys():
+            if p.vehicle_share is None:
+                raise UserError(
+                    f"--vehicles {name}: is a model of the fleet, which drives by anyway; "
+                    "say with --share how much of the traffic it makes"
+                )
+            learnt = [info.site for info in self.dataset_plan().recordings if info.split == "train"]
+            if fleet()[name].held_out and learnt:
+                raise UserError(
+                    f"--vehicles {name}: is held out for test sites, and {learnt[0]} is a site for training; "
+                    "choose other --sites, or another model of `skope gen vehicles list`"
+                )
 
     def _check_lens(self) -> None:
         """Raise a UserError where the strongest distortion at the widest angle would fold the image."""
@@ -82,6 +114,9 @@ class DatasetRequest:
         lens = next((name for name in ("k1", "fisheye") if name in p.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
             raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
+        if photograph and (p.weather or p.time_of_day):
+            flag = "--weather" if p.weather else "--time-of-day"
+            raise UserError(f"{flag}: {own.path} shows a photograph, in whose light all recordings are")
         if p.views or p.town_jitter:
             flag = "--views" if p.views else "--town-jitter"
             raise UserError(f"{flag}: {own.path} is a road of your own; only the towns of the package can be changed")
@@ -109,6 +144,7 @@ class DatasetRequest:
                 settings=p.settings,
                 cameras=p.cameras,
                 vehicles=tuple(p.vehicles),
+                vehicle_share=p.vehicle_share,
                 shape_jitter=p.shape_jitter,
                 views=p.views if self.site(name).split == "train" else 0,
                 town_jitter=p.town_jitter,
@@ -129,12 +165,14 @@ class DatasetRequest:
 
     def _in_its_light(self, name: str, index: int) -> Site:
         """The site with the weather, hour and traffic of its recording `index`."""
+        p = self.parameters
         if self.own is None:
-            p = self.parameters
-            return in_its_light(site(name), index, p.seed, p.traffic, presets()[p.preset].get("light"))
-        own = replace(self.own.site, split=self.own.splits[index])
-        # A photograph shows one light, which all recordings share.
-        return own if self.own.road.photograph else in_its_light(own, index, self.parameters.seed)
+            planned = in_its_light(site(name), index, p.seed, p.traffic, presets()[p.preset].get("light"))
+        else:
+            own = replace(self.own.site, split=self.own.splits[index])
+            # A photograph shows one light, which all recordings share.
+            planned = own if self.own.road.photograph else in_its_light(own, index, p.seed)
+        return in_asked_light(planned, index, p.seed, p.weather, p.time_of_day)
 
     def frames_of(self, name: str) -> int:
         """Number of frames of the site of that name; where its split is not among `frames`, that of the first split."""
@@ -176,8 +214,31 @@ def in_its_light(
         # The site file decides the first recording's light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     weather, time_of_day = lights[(index - 1) % len(lights)].split()
-    fixed = {name: pair for name, pair in own.conditions.items() if name not in _SUN}
+    fixed = _without(own.conditions, _OF_WEATHER + _OF_HOUR)
     return replace(busy, weather=weather, time_of_day=time_of_day, conditions=fixed)
+
+
+def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str], times_of_day: Sequence[str]) -> Site:
+    """A site in the light of its recording `index`, where its weather or hour is not among those that are asked for.
+
+    One that is asked for takes the place of one that is not: in turns from recording to recording, begun with one that
+    `seed` draws for each site. Without names, each is as planned.
+    """
+    turn = index + int(rng(seed, planned.name, 0, Stream.ASKED_LIGHT).integers(len(WEATHERS) * len(TIMES_OF_DAY)))
+    weather, time_of_day = planned.weather, planned.time_of_day
+    if weathers and weather not in weathers:
+        weather = weathers[turn % len(weathers)]
+    if times_of_day and time_of_day not in times_of_day:
+        # Weathers take their turns faster, so that each comes at each hour.
+        time_of_day = times_of_day[turn // max(len(weathers), 1) % len(times_of_day)]
+    other_weather = _OF_WEATHER if weather != planned.weather else ()
+    other_hour = _OF_HOUR if time_of_day != planned.time_of_day else ()
+    fixed = _without(planned.conditions, other_weather + other_hour)
+    return replace(planned, weather=weather, time_of_day=time_of_day, conditions=fixed)
+
+
+def _without(conditions: Mapping[str, Range], names: Sequence[str]) -> dict[str, Range]:
+    return {name: pair for name, pair in conditions.items() if name not in names}
 
 
 def _range_pairs(table: Mapping[str, list[float]]) -> dict[str, Range]:

@@ -16,6 +16,7 @@ from skope import safe_names
 from skope.dataset import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import (
+    file_in_place_of,
     json_bytes,
     locked,
     no_links_out,
@@ -72,13 +73,10 @@ class Store:
         Raises:
             UserError: The folder holds other files, or a dataset of other parameters (the message names them).
         """
-        begun = self.read_plan()
+        begun = self._begun(wanted)
         if begun is None:
-            if any(path.name != ".lock" for path in self.root.iterdir()):
-                raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
             self._write_plan(wanted)
             return
-        self._refuse_other_parameters(begun, wanted)
         for leftover in self.root.rglob(".*.part*"):
             leftover.unlink(missing_ok=True)
         if self.complete:
@@ -90,6 +88,29 @@ class Store:
             unpack_shards(self.root)
         if not self.complete:
             self._write_plan(wanted)
+
+    def _begun(self, wanted: DatasetPlan) -> DatasetPlan | None:
+        """The plan of the dataset that the folder holds, if any; a UserError where `wanted` cannot be made there."""
+        begun = self.read_plan()
+        if begun is not None:
+            self._refuse_other_parameters(begun, wanted)
+        elif self.root.is_dir() and any(path.name != ".lock" for path in self.root.iterdir()):
+            raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
+        return begun
+
+    def frames_left(self, wanted: DatasetPlan) -> dict[RecordingInfo, int]:
+        """How many frames of each recording are still to be made; nothing is written.
+
+        Raises UserError where the folder cannot become `wanted`, as `begin` does.
+        """
+        file = file_in_place_of(self.root)
+        if file:
+            raise UserError(f"{self.root}: cannot be written: {file} is a file")
+        begun = self._begun(wanted)
+        if begun is None or not self.complete:
+            return {info: len(self.missing(info)) for info in wanted.recordings}
+        there = {(info.site, info.name): info.frames for info in begun.recordings}
+        return {info: info.frames - there.get((info.site, info.name), 0) for info in wanted.recordings}
 
     def read_plan(self) -> DatasetPlan | None:
         """What the folder's dataset is to become, from `.work/` or, when it is complete, from its card.
@@ -131,10 +152,11 @@ class Store:
         larger = {(info.site, info.name): info.frames for info in wanted.recordings}
         grows = all(larger.get((info.site, info.name), 0) >= info.frames for info in begun.recordings)
         before, asked = was.to_dict(), now.to_dict()
-        different = [name for name in sorted(asked) if before[name] != asked[name] and not (grows and name in _GROWS)]
+        names = sorted(before.keys() | asked.keys())
+        different = [name for name in names if before.get(name) != asked.get(name) and not (grows and name in _GROWS)]
         if different:
             list_ = ", ".join(
-                f"{name} = {_short_json(before[name])}, now {_short_json(asked[name])}" for name in different
+                f"{name} = {_short_json(before.get(name))}, now {_short_json(asked.get(name))}" for name in different
             )
             raise UserError(
                 f"{self.root}: was begun with other parameters ({list_}); "

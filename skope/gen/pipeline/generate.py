@@ -14,6 +14,7 @@ from skope.errors import UserError
 from skope.gen.output import dataset_card
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
+from skope.gen.pipeline.lighting_messages import lighting_messages
 from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
@@ -158,7 +159,7 @@ def _render(store: Store, pool: WorkerPool, console: Console) -> None:
     total = sum(info.frames for info in infos)
     with console.bar(total=total, unit="image", label="rendering") as bar:
         bar.update(total - todo)
-        for count in pool.render(store, missing, spec):
+        for count in pool.render(store, missing, spec, lighting_messages(console)):
             bar.update(count)
 
 

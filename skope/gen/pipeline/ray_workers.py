@@ -76,7 +76,13 @@ class RayPool:
                     store.write_recording(plan.info, data)
             yield len(plans)
 
-    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+    def render(
+        self,
+        store: Store,
+        missing: Mapping[RecordingInfo, list[int]],
+        spec: RenderJobSpec,
+        on_light: Callable[[str], None],
+    ) -> Iterator[int]:
         queue = JobQueue(missing, views=store.plan.parameters.views)
         held, sent = dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()
 

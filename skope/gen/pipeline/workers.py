@@ -10,8 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context, parent_process
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
@@ -26,6 +27,8 @@ from skope.gen.simulation.simulate import simulate_together
 
 CHUNK = 8
 """Frames per job: small enough that no worker idles long at the end."""
+_LISTEN_S: Final = 0.2
+"""Seconds between two looks at what workers tell while they are at their jobs."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,18 @@ class WorkerPool(Protocol):
         """Make the recordings of each simulation; yields how many are done since the last time."""
         ...
 
-    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
-        """Render the `missing` frames of each recording; yields how many frames are done since the last time."""
+    def render(
+        self,
+        store: Store,
+        missing: Mapping[RecordingInfo, list[int]],
+        spec: RenderJobSpec,
+        on_light: Callable[[str], None],
+    ) -> Iterator[int]:
+        """Render the `missing` frames of each recording; yields how many frames are done since the last time.
+
+        `on_light` is called with the site whose light a worker begins to work out, for each part of it. Workers of a
+        Ray cluster have no way to say so.
+        """
         ...
 
 
@@ -142,21 +155,36 @@ def simulate_job(root: Path, plans: Sequence[RecordingPlan]) -> int:
     return len(plans)
 
 
-def render_job(root: Path, spec: RenderJobSpec, job: RenderJob) -> int:
+def render_job(root: Path, spec: RenderJobSpec, job: RenderJob, on_light: Callable[[str], None]) -> int:
     """Render and write a job's frames to the dataset folder `root`; returns how many they are."""
     store = Store(root)
     path = store.recording_path(job.recording)
-    source, renderer = _open_recording(path, path.stat().st_mtime_ns, spec.renderer)
+    source, renderer = _open_recording(path, path.stat().st_mtime_ns, spec.renderer, on_light)
     for frame in frames_of(source, renderer, spec.rules, spec.encoding, job.frames):
         store.write_frame(frame)
     return len(job.frames)
 
 
+def _render_in_worker(root: Path, spec: RenderJobSpec, job: RenderJob) -> int:
+    """`render_job` of a worker process, which tells the main process what it lights."""
+    return render_job(root, spec, job, _tell_lighting)
+
+
+def _tell_lighting(site: str) -> None:
+    _lit_sites.put(site)
+
+
+_lit_sites: "SimpleQueue[str]"
+"""Of a worker process: where it tells the sites whose light it works out."""
+
+
 @lru_cache(maxsize=1)
-def _open_recording(path: Path, _changed: int, renderer: str) -> tuple[Recording, Renderer]:
+def _open_recording(
+    path: Path, _changed: int, renderer: str, on_light: Callable[[str], None]
+) -> tuple[Recording, Renderer]:
     """A recording and its renderer, kept until a job is of another one, or of a file written since (`_changed`, ns)."""
     source = recordings.load(path)
-    return source, make_renderer(renderer, source)
+    return source, make_renderer(renderer, source, partial(on_light, source.site))
 
 
 # ------------------------------------------------------------------------------------------------------ on this machine
@@ -168,12 +196,18 @@ class InProcessPool:
     def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
         return (simulate_job(store.root, plans) for plans in simulations)
 
-    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+    def render(
+        self,
+        store: Store,
+        missing: Mapping[RecordingInfo, list[int]],
+        spec: RenderJobSpec,
+        on_light: Callable[[str], None],
+    ) -> Iterator[int]:
         queue, recording = JobQueue(missing, views=store.plan.parameters.views), None
         while queue:
             job = queue.next_for(recording)
             recording = job.recording
-            yield render_job(store.root, spec, job)
+            yield render_job(store.root, spec, job, on_light)
 
 
 @dataclass
@@ -189,8 +223,13 @@ class ProcessPool:
 
     def __init__(self, count: int) -> None:
         context = get_context("spawn")
+        self._lit_sites: SimpleQueue[str] = context.SimpleQueue()
         self._workers = [
-            _Worker(ProcessPoolExecutor(1, mp_context=context, initializer=_start_worker, initargs=(number,)))
+            _Worker(
+                ProcessPoolExecutor(
+                    1, mp_context=context, initializer=_start_worker, initargs=(number, self._lit_sites)
+                )
+            )
             for number in range(count)
         ]
 
@@ -198,7 +237,13 @@ class ProcessPool:
         queue = deque(simulations)
         return self._keep_busy(queue, lambda worker: partial(simulate_job, store.root, queue.popleft()))
 
-    def render(self, store: Store, missing: Mapping[RecordingInfo, list[int]], spec: RenderJobSpec) -> Iterator[int]:
+    def render(
+        self,
+        store: Store,
+        missing: Mapping[RecordingInfo, list[int]],
+        spec: RenderJobSpec,
+        on_light: Callable[[str], None],
+    ) -> Iterator[int]:
         queue = JobQueue(missing, views=store.plan.parameters.views)
         for worker in self._workers:
             worker.recording = None
@@ -206,19 +251,29 @@ class ProcessPool:
         def next_for(worker: _Worker) -> Callable[[], int]:
             job = queue.next_for(worker.recording)
             worker.recording = job.recording
-            return partial(render_job, store.root, spec, job)
+            return partial(_render_in_worker, store.root, spec, job)
 
-        return self._keep_busy(queue, next_for)
+        return self._keep_busy(queue, next_for, on_light)
 
-    def _keep_busy(self, left: Any, next_for: Callable[[_Worker], Callable[[], int]]) -> Iterator[int]:
-        """Give every idle worker the job that `next_for` names while `left` is true; yields what jobs return."""
+    def _keep_busy(
+        self,
+        left: Any,
+        next_for: Callable[[_Worker], Callable[[], int]],
+        on_light: Callable[[str], None] = lambda _: None,
+    ) -> Iterator[int]:
+        """Give every idle worker the job that `next_for` names while `left` is true; yields what jobs return.
+
+        `on_light` is called with the sites that workers tell meanwhile.
+        """
         idle, busy = list(self._workers), dict[Future[int], _Worker]()
         try:
             while left or busy:
                 while left and idle:
                     worker = idle.pop(0)
                     busy[worker.pool.submit(next_for(worker))] = worker
-                done, _ = wait(busy, return_when=FIRST_COMPLETED)
+                done, _ = wait(busy, timeout=_LISTEN_S, return_when=FIRST_COMPLETED)
+                while not self._lit_sites.empty():
+                    on_light(self._lit_sites.get())
                 for future in done:
                     idle.append(busy.pop(future))
                     yield future.result()
@@ -259,10 +314,12 @@ def one_thread() -> None:
     cv2.setNumThreads(1)
 
 
-def _start_worker(number: int) -> None:
+def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
     """Set a worker process up: one thread, Ctrl-C left to the parent, and an end when the parent ends."""
     import signal
 
+    global _lit_sites
+    _lit_sites = lit_sites
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
     os.environ[WORKER] = str(number)

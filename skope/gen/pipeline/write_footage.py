@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +18,9 @@ from skope.errors import UserError
 from skope.files import read_json, replacing
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.output.frames import image_of
+from skope.gen.pipeline.lighting_messages import lighting_messages
 from skope.gen.render.choose_renderer import make_renderer
+from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.output_folders import changed
@@ -118,7 +121,8 @@ def write_footage(
     with ExitStack() as stack:
         plain = stack.enter_context(_open_video(footage.video, size, fps))
         drawn = stack.enter_context(_open_video(footage.overlay, size, fps)) if footage.overlay else None
-        frames = _render_frames(recording, renderer, footage.video.name)
+        drawn_by = make_renderer(renderer, recording, partial(lighting_messages(console), name))
+        frames = _render_frames(recording, drawn_by, footage.video.name)
         for pixels, image, vehicles in console.bar(frames, total=len(recording), unit="image", label="rendering"):
             numbered = [replace(vehicle, id=len(annotations) + i + 1) for i, vehicle in enumerate(vehicles)]
             plain.add(pixels)
@@ -134,9 +138,8 @@ def write_footage(
 
 
 def _render_frames(
-    recording: Recording, renderer_name: str, video: str
+    recording: Recording, renderer: Renderer, video: str
 ) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation]]]:
-    renderer = make_renderer(renderer_name, recording)
     for frame in range(len(recording)):
         view = renderer.render(frame)
         vehicles, _ = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=frame + 1)

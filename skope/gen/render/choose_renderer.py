@@ -1,5 +1,7 @@
 """Choose the renderer that this machine can run, and make one for a recording."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from skope.errors import UserError, one_of
@@ -34,19 +36,21 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
         return "pybullet", "TinyRenderer", f"renderer pybullet, which is plainer, because: {error}"
 
 
-def make_renderer(name: str, recording: Recording) -> Renderer:
+def make_renderer(name: str, recording: Recording, on_light: Callable[[], None] = lambda: None) -> Renderer:
     """Make a renderer for a recording's frames, with the distortion of its lens and the noise of its sensor.
 
     Args:
         name: "gl" or "pybullet", as `choose_renderer` returns it.
         recording: What is drawn.
+        on_light: Called, perhaps more than once, before "gl" works out the light of the recording's scenery, which may
+            take most of a minute; not called where the cache has it.
     """
     from skope.gen.render.sensor import Sensor
 
     if name == "gl":
         from skope.gen.render.gl.renderer import GLRenderer
 
-        return Sensor(recording, GLRenderer)
+        return Sensor(recording, partial(GLRenderer, on_light=on_light))
     from skope.gen.render.tiny_renderer import TinyRenderer
 
     assert name == "pybullet"

@@ -20,6 +20,8 @@ class Stream(Enum):
     PARKED_VEHICLES = auto()
     CONDITIONS = auto()
     """Weather, light, lens and sensor."""
+    ASKED_LIGHT = auto()
+    """Which of the weathers and hours that were asked for a site begins with."""
     CAMERA = auto()
     """Pose of the camera, where it is not the site's own."""
     VARIANT = auto()
@@ -55,6 +57,7 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.PAINT: (7,),
     Stream.SHAPE: (8,),
     Stream.ROAD_USER: (),
+    Stream.ASKED_LIGHT: (9,),
     Stream.DISTRACTORS: (14,),
     Stream.SEASON: (15,),
     Stream.RANDOMISED: (16,),

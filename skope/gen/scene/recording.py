@@ -67,7 +67,9 @@ class RecordingPlan:
     cameras: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of `skope.gen.scene.camera_sampling.LIMITS` that the camera is drawn from; empty for the site's own."""
     vehicles: tuple[str, ...] = ()
-    """Models of the user (`skope gen vehicles add`) that drive beside the fleet."""
+    """Models that were asked for, of the user (`skope gen vehicles add`) or of the fleet."""
+    vehicle_share: float | None = None
+    """Share of the traffic that `vehicles` make together; None for a tenth of the fleet's number each."""
     shape_jitter: bool = False
     """Whether each vehicle gets a shape of its own near its model's."""
     views: int = 0

@@ -50,10 +50,10 @@ def parked(
         rng: Draws bays, models, paints and places.
         most: Mean number of vehicles at most.
     """
-    if not bays:
+    fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.size_lwh[0] < BAY[0] + 0.2}
+    if not bays or not fitting:
         return []
     layout = Layout.of(town)
-    fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.size_lwh[0] < BAY[0] + 0.2}
     names, shares = list(fitting), np.array(list(fitting.values()))
     share, out = min(OCCUPIED, most / len(bays)), []
     for i, bay in enumerate(bays):

@@ -220,12 +220,23 @@ def _places(snapshots: Sequence[Snapshot]) -> Array:
 
 
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
-    """Models that drive by: the fleet (in the split `train` without held-out models) and the user's own models."""
+    """Models that drive by: the fleet (in the split `train` without held-out models) and those that were asked for.
+
+    With a share, the models that were asked for make it together, in equal parts, and the others make the rest.
+    """
     train = plan.site.split == "train"
     usual = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
-    share = ADDED_SHARE * sum(entry.share for entry in models.values())
-    return models | {name: FleetEntry(user_models.load(name), share) for name in plan.vehicles}
+    asked = {name: models[name].vehicle if name in models else user_models.load(name) for name in plan.vehicles}
+    others = {name: entry for name, entry in models.items() if name not in asked}
+    total = sum(entry.share for entry in others.values())
+    if plan.vehicle_share is None:
+        part = ADDED_SHARE * total
+    elif plan.vehicle_share < 1:
+        part = total * plan.vehicle_share / (1 - plan.vehicle_share) / len(asked)
+    else:
+        others, part = {}, 1.0
+    return others | {name: FleetEntry(vehicle, part) for name, vehicle in asked.items()}
 
 
 def lamps_on(conditions: Conditions) -> bool:

@@ -24,7 +24,7 @@ from skope.gen.site_files.site_camera import read_camera
 from skope.gen.site_files.toml_table import TomlTable
 from skope.gen.towns.netconvert import from_map
 from skope.gen.towns.road_graph import REACH, RoadGraph
-from skope.gen.towns.sites import Site, site_of
+from skope.gen.towns.sites import Site, site_of, sites
 from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import Occluder, Outline, OwnRoad
@@ -61,6 +61,21 @@ class OwnSite:
     def with_recordings(self, count: int) -> Self:
         """The site with `count` recordings, the last one in the split `test`, unless its file names the splits."""
         return replace(self, splits=self.splits or ("train",) * max(1, count - 1) + ("test",))
+
+
+def own_site(field: str, text: str) -> OwnSite | None:
+    """The user's own site where `text` is a site file, None where it is the name of a site of the package.
+
+    Raises UserError, which begins with `field`, where it is neither or both; or as `read_site` does.
+    """
+    path = Path(text)
+    if text not in sites():
+        if path.suffix != ".toml" and not path.is_file():
+            raise UserError(f"{field}: {text!r} is no site file, and none of {', '.join(sites())}")
+        return read_site(path)
+    if path.is_file():
+        raise UserError(f"{field}: {text} is a site of the package and a file here; write ./{text} for the file")
+    return None
 
 
 def read_site(path: Path) -> OwnSite:

@@ -31,6 +31,7 @@ MASSES: Final = (1.0, 1_000_000.0)
 """Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
 _VERSION: Final = 1
 _MESHES: Final = ("mesh", "wheel")
+_FILES: Final = ("mesh.npz", "vehicle.json")
 _FIELDS: Final = ("vertices", "normals", "triangles", "material")
 
 
@@ -105,11 +106,34 @@ def save(vehicle: AddedVehicle) -> Path:
         "sidecar": vehicle.sidecar.to_dict(),
     }
     row_bytes = (json.dumps(row, indent=1, allow_nan=False) + "\n").encode()
-    files = {path / "mesh.npz": mesh.getvalue(), path / "vehicle.json": row_bytes}
+    files = dict(zip((path / name for name in _FILES), (mesh.getvalue(), row_bytes), strict=True))
     if any(file.is_file() and file.read_bytes() != data for file, data in files.items()):
-        raise UserError(f"{path}: another model of that name was added already; choose another --name, or remove it")
+        raise UserError(
+            f"{path}: another model of that name was added already; choose another --name, "
+            f"or `skope gen vehicles remove {vehicle.model}`"
+        )
     for file, data in files.items():
         write_bytes(file, data)
+    return path
+
+
+def remove(name: str) -> Path:
+    """Remove a model's files, readable or not; returns their folder, which stays where it holds anything else.
+
+    Raises UserError where no model of that name was added, or its files cannot be removed.
+    """
+    if name not in names():
+        raise UserError(f"{name}: no such model was added; there are: {', '.join(names()) or 'none'}")
+    path = folder() / name
+    try:
+        # What makes it a model goes last: a removal that was stopped can be repeated.
+        for file in _FILES:
+            (path / file).unlink(missing_ok=True)
+        if not any(path.iterdir()):
+            path.rmdir()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be removed: {error.strerror or error}") from None
+    load.cache_clear()
     return path
 
 
@@ -182,6 +206,6 @@ def names() -> list[str]:
 
 def _digest(path: Path) -> str:
     digest = hashlib.sha256()
-    for name in ("mesh.npz", "vehicle.json"):
+    for name in _FILES:
         digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]

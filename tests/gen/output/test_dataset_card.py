@@ -69,6 +69,16 @@ def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     assert "seed 3" in text
 
 
+def test_the_readme_says_what_was_asked_for_of_light_and_traffic() -> None:
+    said = card_text.markdown(
+        content(weather=("rain", "fog"), time_of_day=("night",), vehicles={"suv": ""}, vehicle_share=0.2)
+    )
+    assert "The weather is never another than rain or fog, which was asked for." in said
+    assert "The time of day is never another than night, which was asked for." in said
+    assert "Of the traffic 20% is of the models that were asked for: suv." in said
+    assert "asked for" not in card_text.markdown(content())
+
+
 def test_the_card_of_another_tool_says_what_it_knows() -> None:
     known = {"version": 1, "keypoint_scheme": "skope33", "licence": "mine"}
     text = card_text.markdown(known)
@@ -125,6 +135,8 @@ def test_the_command_in_the_card_repeats_the_licence() -> None:
         {"preset": "varied", "format": "shards", "settings": {"noise": (1.0, 2.0)}},
         {"preset": "world"},
         {"preset": "world", "views": 0, "town_jitter": False, "shape_jitter": False},
+        {"preset": "demo", "weather": ("rain", "fog"), "time_of_day": ("night",)},
+        {"preset": "demo", "vehicles": {"suv": "", "pickup": ""}, "vehicle_share": 0.25},
         {"preset": "world", "views": 2, "encoding": Encoding(image="png", depth=False)},
     ],
     ids=str,

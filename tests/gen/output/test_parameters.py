@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,9 @@ PARAMETERS = Parameters(
     settings={"rain_mm_h": (2.0, 6)},
     cameras={"zoom_by": (0.9, 1.1)},
     vehicles={"mine": "ef"},
+    vehicle_share=0.25,
+    weather=("rain", "fog"),
+    time_of_day=("night",),
     shape_jitter=True,
     distractors=(0, 25),
     seasons=True,
@@ -60,6 +64,14 @@ def test_folders_of_before_lack_what_there_was_not() -> None:
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
 
 
+def test_what_was_not_asked_for_is_not_written() -> None:
+    """Cards of datasets without these options are the bytes that they were before there were any."""
+    asked = {"vehicle_share", "weather", "time_of_day"}
+    plain = replace(PARAMETERS, vehicle_share=None, weather=(), time_of_day=())
+    assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
+    assert Parameters.from_dict(through_json(plain.to_dict())) == plain
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -74,6 +86,8 @@ def test_folders_of_before_lack_what_there_was_not() -> None:
         ({"encoding": {"image": "gif", "quality": 95, "depth": True}}, "parameters.encoding: --image-format: "),
         ({"encoding": {"image": "jpeg", "quality": "95", "depth": True}}, "parameters.encoding: "),
         ({"distractors": 3}, "parameters.distractors: expected a pair of numbers or null, got 3"),
+        ({"weather": "rain"}, "parameters.weather: expected names, got 'rain'"),
+        ({"vehicle_share": "much"}, "parameters.vehicle_share: expected a number or null, got 'much'"),
         ({"haze": 3}, "parameters.haze: is a field that this version of skope does not know"),
     ],
 )

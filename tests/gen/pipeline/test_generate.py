@@ -108,6 +108,13 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path: Path) -> None:
         (["--vehicles", ""], ["--vehicles", "one or more"]),
         (["--vehicles", "mine,"], ["--vehicles", "one or more"]),
         (["--vehicles", "mine,mine"], ["--vehicles", "different"]),
+        (["--vehicles", "suv"], ["--vehicles suv", "--share"]),
+        (["--share", "0.2"], ["--share", "--vehicles"]),
+        (["--vehicles", "suv", "--share", "2"], ["--share", "2"]),
+        (["--weather", "snow"], ["--weather", "snow", "after_rain"]),
+        (["--time-of-day", "noon,"], ["--time-of-day", "low_sun"]),
+        (["--site", "nowhere"], ["--site", "nowhere", "t01_mill_corner"]),
+        (["--site", "t01_mill_corner", "--sites", "t01_mill_corner"], ["--site", "--sites"]),
         (["--size", "wide"], ["--size", "wide"]),
         (["--size", "0x0"], ["--size"]),
         (["--frames", "0"], ["--frames"]),
@@ -265,6 +272,19 @@ def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> Non
     path.unlink()
     assert skope("gen", "--out", str(out), *SMALL, "--workers", "1").returncode == 0
     assert content(out) == content(whole)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_light_that_is_worked_out_is_told_once_a_site(workers: str, tmp_path: Path) -> None:
+    """The towns are in the cache of the tests; the light of this seed is not."""
+    flags = ["--sites", "t01_mill_corner,t01_main_west", "--frames", "2", "--size", "64x36", "--workers", workers]
+    flags += ["--seed", f"4{workers}"]
+    told = []
+    for name in ("first", "again"):
+        done = skope("gen", "--out", str(tmp_path / name), *flags)
+        assert done.returncode == 0, done.stderr
+        told.append(sorted(line for line in done.stdout.splitlines() if line.startswith("working out")))
+    assert told == [[f"working out the light of {site}" for site in ("t01_main_west", "t01_mill_corner")], []]
 
 
 def test_a_dataset_that_another_tool_rewrote_goes_on(tmp_path: Path, whole: Path) -> None:

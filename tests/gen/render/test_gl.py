@@ -114,10 +114,12 @@ def test_the_scenery_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("SKOPE_CACHE", str(tmp_path))
     camera = Camera.looking([0, -9, 6.5], yaw=np.pi / 2, pitch_down=0.35, size=(64, 36))
     recording = standing(camera, [])
-    first = make_renderer("gl", recording).render(0)
+    lit: list[str] = []
+    first = make_renderer("gl", recording, lambda: lit.append("first")).render(0)
     (file,) = tmp_path.glob("light_*.npz")
-    again = make_renderer("gl", recording).render(0)
+    again = make_renderer("gl", recording, lambda: lit.append("again")).render(0)
     np.testing.assert_array_equal(first.rgb, again.rgb)
+    assert set(lit) == {"first"}
     file.write_bytes(b"damaged")
     np.testing.assert_array_equal(make_renderer("gl", recording).render(0).rgb, first.rgb)
     assert file.stat().st_size > 1000

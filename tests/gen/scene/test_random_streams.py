@@ -37,6 +37,7 @@ CRC, SPELT = [zlib.crc32(b"ab")], [97, 98]
         (Stream.TRAFFIC_SHARE, [7, *CRC, 2, 2]),
         (Stream.PARKED_VEHICLES, [7, *CRC, 2, 3]),
         (Stream.CONDITIONS, [7, *CRC, 2, 4]),
+        (Stream.ASKED_LIGHT, [7, *CRC, 2, 9]),
         (Stream.CAMERA, [7, *CRC, 2, 5]),
         (Stream.DISTRACTORS, [7, *CRC, 2, 14]),
         (Stream.SEASON, [7, *CRC, 2, 15]),

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,15 @@ import pytest
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import RecordingPlan
+from skope.gen.scenery.build import bays_of
+from skope.gen.simulation.parked import parked
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder
-from skope.gen.simulation.simulate import simulate
+from skope.gen.simulation.simulate import _models, simulate
 from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
+from skope.gen.traffic.demand import trips
 from skope.gen.traffic.sumo import LAMPS, STEP, Traffic
 from skope.gen.vehicles.fleet import fleet
 from tests.gen.scenes import driven
@@ -231,3 +235,37 @@ def test_vehicles_that_are_not_watched_yet_come_into_view_as_if_they_had_been_wa
     assert usual.vehicles == everyone.vehicles
     np.testing.assert_allclose(usual.T_world_chassis, everyone.T_world_chassis, atol=0.01)
     np.testing.assert_allclose(usual.velocity, everyone.velocity, atol=0.05)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.2, 0.2), (0.75, 0.75), (1.0, 1.0)])
+def test_models_that_were_asked_for_make_their_share_of_the_traffic(share: float, expected: float) -> None:
+    """Counted among the vehicles that set out in ten hours."""
+    names = ("suv", "bus")
+    plan = RecordingPlan(
+        site=site("t01_mill_corner"),
+        index=0,
+        frames=1,
+        interval=0.5,
+        size=(640, 360),
+        fov_deg=60,
+        seed=0,
+        vehicles=names,
+        vehicle_share=share,
+    )
+    rng = np.random.default_rng(1)
+    models = _models(plan)
+    drawn = [
+        trip.model
+        for trip in trips(plan.site.town.network, models, vehicles_per_hour=600.0, duration=36000.0, rng=rng)
+        if trip.model in models
+    ]
+    for name in names:
+        assert drawn.count(name) / len(drawn) == pytest.approx(expected / 2, abs=0.02)
+    usual = _models(replace(plan, vehicles=(), vehicle_share=None))
+    if share < 1:  # what the others are to each other stays as it was
+        assert models["van"].share / models["sedan"].share == usual["van"].share / usual["sedan"].share
+
+
+def test_where_all_vehicles_are_too_long_for_a_bay_none_is_parked() -> None:
+    town, bus = Town("town01"), {"bus": fleet()["bus"]}
+    assert parked(town, bays_of(town)[:20], bus, np.random.default_rng(0)) == []

@@ -1,6 +1,7 @@
 """From a model file with markers to a vehicle that drives in generated scenes."""
 
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.keypoint_markers import read_marked
 from skope.gen.vehicles.user_models import names
 from tests.gen.vehicles.test_keypoint_markers import nodes, renamed, swapped, without, written
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -119,6 +123,46 @@ def test_unknown_and_damaged_models_are_refused(own_folder: Path) -> None:
         user_models.load("broken")
 
 
+def test_a_removed_model_is_gone_and_the_others_stay(car: Path, own_folder: Path, tmp_path: Path) -> None:
+    code, text = run("vehicles", "add", str(written(tmp_path / "other.glb", nodes())))
+    assert code == 0, text
+    assert user_models.load("car").model == "car"
+    assert run("vehicles", "remove", "car") == (0, f"removed {own_folder / 'car'}\n")
+    assert names() == ["other"]
+    assert not car.parent.exists()
+    with pytest.raises(UserError, match="no model 'car' was added; there are: other"):
+        user_models.load("car")
+    # The name is free, for another model too.
+    code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())), "--mass", "900")
+    assert code == 0, text
+    assert user_models.load("car").mass == 900
+
+
+def test_a_damaged_model_can_be_removed_and_other_files_are_left(car: Path) -> None:
+    car.write_text("{")
+    (car.parent / "thesis.txt").write_text("mine")
+    code, text = run("vehicles", "remove", "car")
+    assert code == 0, text
+    assert [path.name for path in car.parent.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("sedan", "sedan: is a model of the fleet, which stays"),
+        ("lorry", "lorry: no such model was added; there are: car"),
+        ("../vehicles/car", "../vehicles/car: no such model was added"),
+        ("", ": no such model was added"),
+    ],
+)
+def test_what_is_no_added_model_is_not_removed(car: Path, name: str, said: str) -> None:
+    before = {path: path.read_bytes() for path in car.parent.iterdir()}
+    code, text = run("vehicles", "remove", name)
+    assert code != 0
+    assert text.startswith(said)
+    assert {path: path.read_bytes() for path in car.parent.iterdir()} == before
+
+
 @pytest.fixture
 def car(tmp_path: Path, own_folder: Path) -> Path:
     """The vehicle.json of a model that was added."""
@@ -152,3 +196,38 @@ def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: st
     code, text = run("vehicles", "check", "car")
     assert code == 1
     assert text.endswith("1 model, 1 findings\n")
+
+
+# -------------------------------------------------------------------------------------------------------- the example
+
+
+def test_the_example_drives_as_the_guide_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = (ROOT / "docs" / "vehicles.md").read_text(encoding="utf-8")
+    add, make = re.findall(r"^ {4}skope gen (.*courier[ .].*)$", guide, re.MULTILINE)
+    monkeypatch.chdir(ROOT)
+    code, text = run(*add.split())
+    assert code == 0, text
+    assert run("vehicles", "check", "courier")[1].endswith("1 model, no findings\n")
+    size = ["--size", "192x108", "--workers", "1", "--quiet"]
+    code, text = run(*make.split(), *size, "--out", str(tmp_path / "data"))
+    assert code == 0, text
+    dataset = open_dataset(tmp_path / "data")
+    assert list(check(dataset)) == []
+    file = dataset.read("medium")
+    assert {(image.weather, image.camera.width) for image in file.images} == {("rain", 192)}
+    models = [annotation.model for annotation in file.annotations]
+    assert 0.1 < models.count("courier") / len(models) < 0.9
+    # What is there stays as it is without the model, and can be checked.
+    run("vehicles", "remove", "courier")
+    assert list(check(dataset)) == []
+
+
+def test_the_example_is_what_its_script_makes(tmp_path: Path) -> None:
+    folder = ROOT / "examples" / "own_vehicle"
+    made = tmp_path / "courier.glb"
+    runpy.run_path(str(folder / "make_files.py"))["write"](made)
+    assert (folder / made.name).stat().st_size < 200_000
+    kept, again = read_marked(folder / made.name), read_marked(made)
+    np.testing.assert_array_equal(kept.points, again.points)
+    np.testing.assert_array_equal(kept.mesh.vertices, again.mesh.vertices)
+    assert kept.mesh.materials == again.mesh.materials

@@ -72,8 +72,8 @@ class Background:
         return {**self.uniforms, **{name: unit for unit, name in enumerate(self.textures)}}
 
 
-def light_the_scenery(device: Device, recording: Recording) -> Background:
-    """Work out the light of a recording's scenery."""
+def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[], None]) -> Background:
+    """Work out the light of a recording's scenery, or find it in the cache; `on_light` is called before the former."""
     camera, town, conditions = recording.camera, scenery(recording.town), recording.conditions
     daylight = Daylight.of(conditions)
     if recording.town.road and recording.town.road.photograph:
@@ -97,7 +97,7 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
-        light = _cached_light(stage, road if wet else None, _light_digest(device, recording))
+        light = _cached_light(stage, road if wet else None, _light_digest(device, recording), on_light)
         shown = _develop_textures(stage, light, geometry.color_attachments[0], road)
     else:
         photograph.draw_shadows(stage, sun_map, clip, recording, stage.daylight)
@@ -130,19 +130,28 @@ def light_the_scenery(device: Device, recording: Recording) -> Background:
     )
 
 
-def _cached_light(stage: Stage, road: Plane | None, digest: str) -> Arrays:
-    """The light of the scenery, and what a wet road mirrors, which workers without a GPU share out among them."""
+def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Callable[[], None]) -> Arrays:
+    """The light of the scenery, and what a wet road mirrors, which workers without a GPU share out among them.
+
+    `on_light` is called before each part that is not in the cache.
+    """
     shares = stage.light_parts(_PARTS if stage.device.software else 1)
-    parts: list[Callable[[], Arrays]] = [*shares]
+    works: list[Callable[[], Arrays]] = [*shares]
     if road:
-        parts.append(partial(stage.mirrored, road))
+        works.append(partial(stage.mirrored, road))
+
+    def make(work: Callable[[], Arrays]) -> Arrays:
+        on_light()
+        return work()
+
+    parts = [partial(make, work) for work in works]
 
     def join(made: Sequence[Arrays]) -> Arrays:
         return lighting.joined(made[: len(shares)]) | (dict(made[-1]) if road else {})
 
     if stage.device.software:
         return cached_from_parts("light", digest, parts, join)
-    return cached("light", digest, lambda: join([make() for make in parts]))
+    return cached("light", digest, lambda: join([part() for part in parts]))
 
 
 def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:

@@ -5,7 +5,7 @@ they and their shadows may touch: once for depth, slope and ids at pixel centres
 silhouette, and in colour over the scenery.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -56,12 +56,13 @@ CONTACT_MAP: Final = 1024
 class GLRenderer:
     """Draws the frames of one recording."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, on_light: Callable[[], None]) -> None:
+        """`on_light` is called before the light of the scenery is worked out, where no cache has it."""
         camera = recording.camera
         self._recording, self._camera = recording, camera
         self._device = device()
         self._pixels = Readback(self._device.context)
-        self._background = light_the_scenery(self._device, recording)
+        self._background = light_the_scenery(self._device, recording, on_light)
         self._placer = Placer(self._device, camera)
         size = (camera.width, camera.height)
         self._image: Window = (0, 0, *size)

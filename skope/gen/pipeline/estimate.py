@@ -1,0 +1,154 @@
+"""What a dataset will take, before it is begun: images, disk and time.
+
+Times are those of one core of a 2.1 GHz Xeon for work without a GPU, and of a worker process beside an NVIDIA H100 with
+one (docs/scale.md), where nothing else runs; other machines are faster or slower by what their cores are. Towns and
+vehicle models are reckoned to be in the cache, lights are not.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from skope.console import minutes
+from skope.gen.output.frames import Encoding
+from skope.gen.pipeline.config import DatasetRequest
+from skope.gen.pipeline.dataset_store import Store
+from skope.gen.pipeline.workers import CHUNK, default_workers
+from skope.gen.scene.recording import RecordingInfo, RecordingPlan
+
+START_S: Final = 6.0
+"""Time that worker processes take to start, and the dataset to be completed, seconds."""
+SIMULATION_S: Final = 1.4
+"""Core time of a simulation's beginning, seconds: traffic that comes into the town."""
+SIMULATED_SECOND_S: Final = 0.17
+"""Core time of a second that is recorded, seconds."""
+TOWN_S: Final = 6.0
+"""Core time of what stands along the roads, grown anew for a simulation, seconds."""
+SHAPES_S: Final = 5.0
+"""Core time of a recording's vehicles where each has a shape of its own, seconds."""
+_LIGHT_PARTS: Final = 4
+"""Of a light, that workers without a GPU share out."""
+_WET: Final = ("rain", "after_rain")
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Core time of a renderer: so many seconds, and so many more for a million pixels."""
+
+    frame: tuple[float, float]
+    """For a frame with a dozen vehicles, labelled and written."""
+    light: tuple[float, float]
+    """For the light of a camera in dry weather, where the cache has none."""
+    wet_light: tuple[float, float]
+
+
+RATES: Final[Mapping[str, Rate]] = {
+    "llvmpipe": Rate(frame=(0.18, 0.07), light=(6.0, 9.5), wet_light=(7.0, 18.0)),
+    "GPU": Rate(frame=(0.10, 0.02), light=(0.5, 0.0), wet_light=(0.5, 0.0)),
+    "pybullet": Rate(frame=(0.20, 1.0), light=(0.5, 28.0), wet_light=(0.5, 28.0)),
+}
+_LABELS_BYTES: Final = 30_000
+"""Of an image's annotations: a dozen vehicles."""
+_IMAGE_BYTES: Final = (360_000, 0.88)
+"""Of a JPEG file of quality 95 with a million pixels, and the power of the pixels that others go by."""
+_DEPTH_BYTES: Final = (240_000, 0.78)
+_BY_QUALITY: Final = {
+    "jpeg": ((1, 50, 80, 90, 95, 100), (0.05, 0.25, 0.45, 0.76, 1.0, 1.7)),
+    "webp": ((1, 50, 80, 95, 100), (0.05, 0.17, 0.30, 0.85, 1.1)),
+    "png": ((1, 100), (3.8, 3.8)),
+}
+"""Qualities, and sizes of files of those qualities as multiples of a JPEG's of quality 95."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is left to be made of a dataset."""
+
+    images: int
+    disk_bytes: float
+    seconds: float | None
+    """None where nothing is known of the workers."""
+    workers: int | None
+
+    @property
+    def line(self) -> str:
+        """The estimate in words."""
+        if not self.images:
+            return "all images are made already"
+        images = f"{self.images} image{'' if self.images == 1 else 's'} to make"
+        disk = f"{self.disk_bytes / 1e9:.1f} GB" if self.disk_bytes >= 1e9 else f"{self.disk_bytes / 1e6:.0f} MB"
+        if self.seconds is None:
+            return f"{images}, about {disk}; how long a cluster takes is not known"
+        workers = f"{self.workers} worker{'' if self.workers == 1 else 's'}"
+        return f"{images}, about {disk} and {minutes(self.seconds)} with {workers}"
+
+
+def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Estimate:
+    """Estimate what making a dataset, or what is left of it, takes on this machine.
+
+    Args:
+        request: What the dataset is to hold.
+        store: Its folder, which is read only.
+        workers: Number of worker processes on this machine; None for those of a cluster.
+
+    Raises:
+        UserError: The folder holds other files, or was begun with other parameters.
+    """
+    left = store.frames_left(request.dataset_plan())
+    plans = [plan for plan in request.plans() if left[plan.info]]
+    images = sum(left.values())
+    seconds = None
+    if workers is not None:
+        groups = [group for group in request.simulations() if not all(store.recorded(plan.info) for plan in group)]
+        cores = min(workers, default_workers())
+        seconds = START_S + _simulating(request, groups, cores) + _rendering(request, plans, left, cores)
+    return Estimate(images, images * _frame_bytes(request), seconds, workers)
+
+
+def _simulating(request: DatasetRequest, groups: Sequence[Sequence[RecordingPlan]], cores: int) -> float:
+    """Seconds that simulations take; each is made by one worker."""
+    each = [SIMULATION_S + SIMULATED_SECOND_S * sum(plan.frames * plan.interval for plan in group) for group in groups]
+    return max(sum(each) / cores, max(each, default=0.0))
+
+
+def _rendering(
+    request: DatasetRequest, plans: Sequence[RecordingPlan], left: Mapping[RecordingInfo, int], cores: int
+) -> float:
+    """Seconds that lights and frames take."""
+    p = request.parameters
+    kind = p.renderer if p.renderer == "pybullet" else "llvmpipe" if "llvmpipe" in p.driver else "GPU"
+    rate, (width, height) = RATES[kind], p.pixels()
+    megapixels = width * height / 1e6
+
+    def of(pair: tuple[float, float]) -> float:
+        return pair[0] + pair[1] * megapixels
+
+    lights = [of(rate.wet_light if plan.site.weather in _WET else rate.light) for plan in plans]
+    if request.own and request.own.road.photograph:
+        lights = []
+    lighting = max(sum(lights) / cores, max(lights, default=0.0) / _LIGHT_PARTS)
+    grown = TOWN_S * len({(plan.site.name, plan.leader) for plan in plans}) if p.town_jitter else 0.0
+    shapes = SHAPES_S * len(plans) if p.shape_jitter else 0.0
+    frames = sum(left[plan.info] for plan in plans)
+    drawing = of(rate.frame) * max(frames / cores, min(frames, CHUNK))
+    return lighting + (grown + shapes) / cores + drawing
+
+
+def _frame_bytes(request: DatasetRequest) -> float:
+    """Bytes of a frame's files and labels."""
+    p = request.parameters
+    width, height = p.pixels()
+    megapixels = width * height / 1e6
+    depth = _of_pixels(_DEPTH_BYTES, megapixels) if p.encoding.depth else 0.0
+    return _LABELS_BYTES + depth + _of_pixels(_IMAGE_BYTES, megapixels) * _size_by_quality(p.encoding)
+
+
+def _of_pixels(law: tuple[int, float], megapixels: float) -> float:
+    return float(law[0] * megapixels ** law[1])
+
+
+def _size_by_quality(encoding: Encoding) -> float:
+    qualities, sizes = _BY_QUALITY[encoding.image]
+    return float(np.interp(encoding.quality, qualities, sizes))
