@@ -2,9 +2,13 @@
 
 import copy
 
+import pytest
 import torch
+from torch import nn
+from torchvision.ops import FrozenBatchNorm2d
 
 from skope import detector
+from skope.backbone_norms import multiply_in
 from skope.detector import DetectorConfig
 from skope.train.fold_batchnorm import fold_norms
 from tests.test_detector import use_uneven_statistics
@@ -31,3 +35,18 @@ def test_folded_and_plain_agree() -> None:
 
 def test_norms_that_learn_are_left_alone() -> None:
     assert fold_norms(detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))) == 0
+
+
+@pytest.mark.parametrize("norm", ["frozen", "batch"])
+def test_norms_that_are_multiplied_in_for_good_leave_the_maps_as_they_were(norm: str) -> None:
+    torch.manual_seed(0)
+    model = detector.build(DetectorConfig(norm=norm, norm_eps=1e-3, min_size=96, max_size=160)).eval()
+    use_uneven_statistics(model)
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        before = model.backbone(pixels)
+        multiply_in(model)
+        after = model.backbone(pixels)
+    assert not any(isinstance(module, FrozenBatchNorm2d | nn.BatchNorm2d) for module in model.backbone.modules())
+    for name, one in before.items():
+        torch.testing.assert_close(after[name], one, rtol=1e-3, atol=1e-4)

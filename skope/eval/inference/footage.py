@@ -322,7 +322,8 @@ def _rate(capture: cv2.VideoCapture) -> float:
 
 def _three_channels(pixels: NDArray[np.generic]) -> Pixels:
     """Grey or 16-bit frames as 8-bit of three channels."""
-    eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels.astype(np.uint8)  # type: ignore[operator]
+    shifted = pixels >> 8 if pixels.dtype == np.uint16 else pixels  # type: ignore[operator]
+    eight = shifted.astype(np.uint8, copy=False)
     return np.repeat(eight[..., None], 3, axis=-1) if eight.ndim == 2 else eight
 
 

@@ -4,9 +4,8 @@ Left to autocast alone, boxes would be decoded from bfloat16: 8 bits of mantissa
 pixels. Here the convolutions of backbone, proposals and heads multiply in bfloat16 and answer in float32; boxes,
 suppression, the upsampling of heat maps and their maxima stay as they are.
 
-On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases, the block's
-input and take the positive part before they write (cuDNN's fused convolutions), and overlapping regions are suppressed
-for all images together.
+On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases and the block's
+input and take the positive part before they write (cuDNN's fused convolutions).
 """
 
 from collections import OrderedDict
@@ -19,7 +18,6 @@ from torchvision.models.resnet import Bottleneck
 
 from skope.backbone_norms import multiply_in
 from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
-from skope.eval.inference.backends.suppression import suppress_together
 
 
 def convert(model: KeypointRCNN) -> None:
@@ -30,8 +28,6 @@ def convert(model: KeypointRCNN) -> None:
     model.rpn.head = HandedProposals(model.backbone)
     heads.box_head = _InBfloat16(heads.box_head)
     heads.keypoint_head = _InBfloat16(heads.keypoint_head)
-    if next(model.parameters()).is_cuda:
-        suppress_together(model)
 
 
 class _InBfloat16(nn.Module):

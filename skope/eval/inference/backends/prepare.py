@@ -12,6 +12,7 @@ from skope.errors import UserError
 from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
+from skope.eval.inference.backends.suppression import suppress_together
 
 _IN_TORCH = ("bfloat16", "float32")
 
@@ -56,6 +57,8 @@ def prepare(
     number = _number_format(precision, None, ranged=False, device=device)
     if number == "bfloat16":
         bfloat16.convert(model)
+    if device.type == "cuda":
+        suppress_together(model)
     return number
 
 

@@ -88,7 +88,8 @@ class _Detections:
             (D, 4) boxes, (D,) scores and (D,) classes of the detections of each image, best first.
         """
         heads, counts = self._heads, [len(one) for one in proposals]
-        decoded = torch.split(heads.box_coder.decode(box_regression, list(proposals))[:, 1], counts)
+        of_classes = heads.box_coder.decode(box_regression, list(proposals)).reshape(-1, 2, 4)
+        decoded = torch.split(of_classes[:, 1], counts)
         vehicle = torch.split(softmax(class_logits, -1)[:, 1], counts)
         most = max(counts)
         boxes = torch.stack([pad(one, (0, 0, 0, most - len(one))) for one in decoded])
