@@ -207,7 +207,7 @@ def main() -> None:
         for way in ways:
             for size in sizes:
                 found = stages(options, way, size)
-                print(f"{way} at {size} px, ms: " + ", ".join(f"{k} {1000 * v:.0f}" for k, v in found.items()))
+                print(f"{way} at {size} px, ms: " + ", ".join(f"{k} {1000 * v:.3g}" for k, v in found.items()))
         return
     print("| way | short side | images/s | memory, MB | " + " | ".join(COLUMNS) + " |")
     print("|---" * (4 + len(COLUMNS)) + "|")

@@ -4,8 +4,8 @@ Left to autocast alone, boxes would be decoded from bfloat16: 8 bits of mantissa
 pixels. Here the convolutions of backbone, proposals and heads multiply in bfloat16 and answer in float32; boxes,
 suppression, the upsampling of heat maps and their maxima stay as they are.
 
-On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases and the block's
-input and take the positive part before they write (cuDNN's fused convolutions).
+On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases and
+the block's input and take the positive part before they write (cuDNN's fused convolutions).
 """
 
 from collections import OrderedDict
