@@ -30,7 +30,7 @@ from skope import coco, dataset, draw, image_selection, keypoints, safe_names
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import PRECISIONS, Settings
+from skope.eval.inference.settings import BACKENDS, PRECISIONS, Settings
 from skope.files import read_json, sha256_of, write_json
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
@@ -399,7 +399,7 @@ def run(options: argparse.Namespace) -> None:
         raise UserError(f"--out: {out} is inside the photographs' folder {root}, which is left as it is")
     given = weights = None
     if options.checkpoint:
-        settings = Settings(device=options.device, precision=options.precision)
+        settings = Settings(device=options.device, backend=options.backend, precision=options.precision)
         predictor = Predictor(options.checkpoint, settings, Console())
         predictor.check_scheme(photographs.file.scheme, photographs.source)
         weights = predictor.weights
@@ -416,7 +416,7 @@ def run(options: argparse.Namespace) -> None:
         "checkpoint": str(weights) if weights else None,
         "predictions": str(options.predictions) if options.predictions else None,
         "sha256": sha256_of(weights or options.predictions),
-        "number_format": options.precision if weights else None,
+        **computed_by(options),
         "score": options.score,
         "detections": len(results),
         **score_photographs(photographs, results, given, options.score),
@@ -433,8 +433,15 @@ def run(options: argparse.Namespace) -> None:
 
 def claim_folder(options: argparse.Namespace, photographs: Photographs, scored: Iterable[Path]) -> None:
     """Take the output folder; a UserError where it holds other work than that of the labels and the files `scored`."""
-    told = {"score": options.score, "number_format": options.precision if options.checkpoint else None}
+    told = {"score": options.score, **computed_by(options)}
     claim_output(options.out, "score_photographs.py", [photographs.source, *scored], told)
+
+
+def computed_by(options: argparse.Namespace) -> dict[str, str | None]:
+    """What computed the predictions, and in which number format, where this script made them."""
+    if not options.checkpoint:
+        return {"backend": None, "number_format": None}
+    return {"backend": options.backend, "number_format": options.precision}
 
 
 def predict(predictor: Predictor, photographs: Photographs) -> tuple[Result, ...]:
@@ -452,6 +459,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/real"))
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or cuda:N")
     parser.add_argument("--score", type=float, default=0.5, help="a detection counts from this score")
+    parser.add_argument("--backend", choices=BACKENDS, default="torch")
     parser.add_argument("--precision", choices=PRECISIONS, default="float32")
     try:
         run(parser.parse_args())

@@ -105,6 +105,11 @@ RUNS: Final[Sequence[Run]] = (
     Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
     Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
+    Run(
+        "research/live_stream.py",
+        "{footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
+        says="| minutes | images/s |",
+    ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 |"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
