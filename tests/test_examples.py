@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -30,6 +31,19 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert said.count("images/") == 6
     assert "a batch of 2 images with" in said
     return folder
+
+
+@pytest.mark.slow
+def test_the_files_of_the_own_road_can_be_made_again(tmp_path: Path) -> None:
+    folder = ROOT / "examples" / "own_road"
+    shutil.copytree(folder, tmp_path / "road")
+    for name in ("camera.yml", "empty.jpg"):
+        (tmp_path / "road" / name).unlink()
+    run(tmp_path, str(tmp_path / "road" / "make_files.py"))
+    assert (tmp_path / "road" / "camera.yml").read_bytes() == (folder / "camera.yml").read_bytes()
+    made, kept = (cv2.imread(str(place / "empty.jpg")) for place in (tmp_path / "road", folder))
+    assert made.shape == kept.shape
+    assert np.abs(made.astype(int) - kept).mean() < 8
 
 
 def test_every_example_is_run() -> None:
