@@ -25,12 +25,12 @@ once "${VIDEO%.mp4}.json" "$SKOPE" gen video "$SITE" --fps 5 --seconds 12 --size
 once "$RUN/seen/overlay.mp4" "$SKOPE" eval predict "$VIDEO" --camera "${VIDEO%.mp4}.json" --overlay --out "$RUN/seen"
 once "$RUN/tracks/birdseye.png" "$SKOPE" eval track "$RUN/seen" --out "$RUN/tracks"
 
-echo "== 4/5 fine-tune road33 on the six images of the other road, and measure again"
+echo "== 4/5 fine-tune road33 in one pass over the six images of the other road, and measure again"
 if [ -e "$TUNED/resume.pt" ]; then
     once "$RUN/tuned_score/report.html" "$SKOPE" train --out "$TUNED" --resume
 else
     # A frozen backbone and few regions an image make a step on two cores a matter of seconds.
-    "$SKOPE" train --data "$DATA" --out "$TUNED" --init road33 --epochs 2 --val-fraction 0 \
+    "$SKOPE" train --data "$DATA" --out "$TUNED" --init road33 --epochs 1 --val-fraction 0 \
         --set trainable_layers=0 --set keypoint_regions=8
 fi
 once "$RUN/tuned_score/report.html" \
