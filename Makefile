@@ -1,6 +1,7 @@
 # skope: set-up, the demonstration, checks, and the pipeline from data to report.
 #
-#   make demo        set up, generate, train a little, evaluate, say where to look
+#   make demo        set up, then what skope does in minutes: runs/demo/index.html shows it
+#   make chain       the whole chain from random weights: generate, train a little, evaluate
 #   make test        set up, run the tests (make test-slow: those that take minutes)
 #   make lint        ruff and mypy
 #   make paper       the paper's experiment: preset paper, recipe paper, its table beside ours; hours on a GPU
@@ -26,7 +27,7 @@ GPUS    ?= 0
 SCORED  ?= runs/real
 FOOTAGE ?= runs/bench_footage
 
-.PHONY: setup demo paper reference real test test-slow lint data model report docs bench clean
+.PHONY: setup demo chain paper reference real test test-slow lint data model report docs bench clean
 
 setup: $(STAMP)
 
@@ -35,7 +36,10 @@ $(STAMP): pyproject.toml constraints.txt scripts/setup.sh
 	touch $@
 
 demo: $(STAMP)
-	SKOPE=$(SKOPE) bash scripts/demo.sh
+	SKOPE=$(SKOPE) PYTHON=$(VENV)/bin/python bash scripts/demo.sh
+
+chain: $(STAMP)
+	SKOPE=$(SKOPE) bash scripts/chain.sh
 
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder

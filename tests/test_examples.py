@@ -32,6 +32,18 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
+def test_the_files_of_the_own_road_can_be_made_again(tmp_path: Path) -> None:
+    folder = ROOT / "examples" / "own_road"
+    shutil.copytree(folder, tmp_path / "road")
+    for name in ("camera.yml", "empty.jpg"):
+        (tmp_path / "road" / name).unlink()
+    run(tmp_path, str(tmp_path / "road" / "make_files.py"))
+    assert (tmp_path / "road" / "camera.yml").read_bytes() == (folder / "camera.yml").read_bytes()
+    made, kept = (cv2.imread(str(place / "empty.jpg")) for place in (tmp_path / "road", folder))
+    assert made.shape == kept.shape  # houses and hedges there are others since the picture was made
+
+
 def test_every_example_is_run() -> None:
     names = {path.name for path in (ROOT / "examples").glob("*.py")}
     assert names == {"generate_and_look.py", "label_images.py", "locate_vehicles.py"}

@@ -87,6 +87,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("bench_world.py", "--size 96x54 --frames 1 --workers 1", says="1 images of t01_mill_corner", apart=True),
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
+    Run("demo_page.py", "{out}/none --data {dataset}", says="no such file", code=2),  # a page: test_demo_page.py
     Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
     Run(
         "research/experiment_train.py",
@@ -243,7 +244,18 @@ esac
 """Stands for the programs of the virtual environment: notes what it is called with, and makes what make waits for."""
 
 COMMANDS: Final[Mapping[str, int]] = {
-    **{"setup": 0, "demo": 5, "paper": 5, "real": 1, "test": 1, "test-slow": 1, "lint": 3, "data": 1, "model": 2},
+    **{
+        "setup": 0,
+        "demo": 9,
+        "chain": 5,
+        "paper": 5,
+        "real": 1,
+        "test": 1,
+        "test-slow": 1,
+        "lint": 3,
+        "data": 1,
+        "model": 2,
+    },
     **{"report": 3, "reference": 2, "docs": 1, "bench": 10, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
@@ -359,9 +371,27 @@ def test_real_says_what_is_missing(make: Any) -> None:
     assert "REAL is not set" in done.stderr
 
 
-def test_the_demonstration_trains_anew_or_goes_on(make: Any, tmp_path: Path) -> None:
-    first = [shlex.join(call[1:]) for call in make("demo")[1]]
+def test_the_chain_trains_anew_or_goes_on(make: Any, tmp_path: Path) -> None:
+    first = [shlex.join(call[1:]) for call in make("chain")[1]]
     assert [line.split()[0] for line in first] == ["gen", "gen", "train", "eval", "eval"]
-    (tmp_path / "runs" / "demo").mkdir(parents=True)
-    (tmp_path / "runs" / "demo" / "resume.pt").touch()
-    assert "train --out runs/demo --resume" in [shlex.join(call[1:]) for call in make("demo")[1]]
+    (tmp_path / "runs" / "chain").mkdir(parents=True)
+    (tmp_path / "runs" / "chain" / "resume.pt").touch()
+    assert "train --out runs/chain --resume" in [shlex.join(call[1:]) for call in make("chain")[1]]
+
+
+def test_the_demonstration_does_what_is_not_done(make: Any, tmp_path: Path) -> None:
+    def words() -> list[str]:
+        return [" ".join(call[: 2 if call[0] == "python" else 3]) for call in make("demo")[1]]
+
+    whole = ["gen --sites", "eval --data", "gen video", "eval predict", "eval track", "train --data", "eval --data"]
+    assert words() == [*(f"skope {step}" for step in [*whole, "eval compare"]), "python scripts/demo_page.py"]
+    made = ("data/demo/dataset.json", "runs/demo/road33/report.html", "runs/demo/footage/t06_plaza_opening.json")
+    for name in (*made, "runs/demo/tuned/resume.pt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    going_on = ["eval predict", "eval track", "train --out", "eval --data", "eval compare"]
+    assert words() == [*(f"skope {step}" for step in going_on), "python scripts/demo_page.py"]
+    for name in ("seen/overlay.mp4", "tracks/birdseye.png", "tuned_score/report.html"):
+        (tmp_path / "runs" / "demo" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "runs" / "demo" / name).touch()
+    assert words() == ["skope eval compare", "python scripts/demo_page.py"]

@@ -38,7 +38,8 @@ def emptied(recording: Recording) -> Recording:
 
 if __name__ == "__main__":
     site = read_site(HERE / "drawn.toml").site
-    camera = site.place.camera
+    assert site.road
+    camera = site.road.camera
     write_camera(camera, HERE / "camera.yml")
     plan = RecordingPlan(
         site=site, index=0, frames=1, interval=0.5, size=(camera.width, camera.height), fov_deg=0.0, seed=0

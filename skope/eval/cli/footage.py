@@ -94,6 +94,14 @@ class SceneOptions(KeypointOptions):
                 console.result(words)
         return scene
 
+    @property
+    def place(self) -> Path:
+        """Folder of the file that lists the images."""
+        if self.folder:
+            return self.folder
+        assert self.annotations  # `scene` has seen to it
+        return self.annotations.parent
+
     def claim_output(self, out: Path, command: str, **options: Any) -> None:
         """Take the output folder of a command for these options and `options`."""
         inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
@@ -231,7 +239,16 @@ def track(
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
     scene = options.scene(noise, console=console)
     options.claim_output(out, "skope eval track", fps=fps, noise=noise)
-    job = TrackJob(scene=scene, fps=fps, noise=noise, score=options.score, sigma_px=options.sigma, video=video, out=out)
+    job = TrackJob(
+        scene=scene,
+        place=options.place,
+        fps=fps,
+        noise=noise,
+        score=options.score,
+        sigma_px=options.sigma,
+        video=video,
+        out=out,
+    )
     for line in run(job, console):
         console.result(line)
 

@@ -1,85 +1,177 @@
-"""Tracks seen from above: a plot, and a video of outlines that move."""
+"""Tracks seen from above, as one picture: where vehicles drove, how fast, and where they stood at one moment."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from skope.draw import PALETTE
+from skope.camera import Camera
+from skope.eval.pose.types import Ground
+from skope.eval.tracking import map_signs
+from skope.eval.tracking.ground_view import GroundView, Pixels
 from skope.eval.tracking.tracks import Track
 from skope.files import replacing
 from skope.types import Array
 
-Pixels = NDArray[np.uint8]
-_SIDE: Final = 900
-"""Pixels of the video's longer side."""
-_MARGIN: Final = 6.0
-_ROAD: Final = (44, 46, 50)
-_TRAIL: Final = 50
-"""Frames of a track that are drawn behind its vehicle."""
-
-
-def plot(path: Path, tracks: Sequence[Track], camera_xy: Array) -> None:
-    """Paths from above, coloured by speed, and the camera; metres, north up."""
-    import matplotlib as mpl
-    from matplotlib.collections import LineCollection
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, Normalize
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    axes = figure.subplots()
-    fastest = max((float(t.speed.max()) for t in tracks), default=1.0)
-    norm = mpl.colors.Normalize(0, max(fastest, 1.0) * 3.6)
-    lines = None
+_DPI: Final = 150
+_WIDTH: Final = 10.0
+"""Inches."""
+_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
+"""Where the map is: shares of the picture's width to the left and right, inches at the top and bottom."""
+_MARGIN_M: Final = 10.0
+_TALLEST: Final = 0.85
+_FLATTEST: Final = 0.45
+"""Height of the map over its width, at most and at least."""
+_CELLS: Final = 1500
+"""Cells of the road's picture along its longer side."""
+_STANDS_M: Final = 4.0
+"""A track shorter than this has no direction of travel."""
+_WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
+"""What points to a vehicle's front, in halves of its length and width."""
+
+
+def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
+    """Write the picture of the tracks; metres, the world's y upwards.
+
+    Args:
+        path: The .png file.
+        tracks: The tracks.
+        camera: What they were seen with.
+        ground: Where the road is; None: unknown, then the camera's field of view is left out.
+        road: (H, W, 3) what the camera sees of the empty road, of its size; it is laid under the tracks. None: nothing.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    low, high = _extent(tracks, camera.position[:2])
+    map_width = _WIDTH * (_PLACE["right"] - _PLACE["left"])
+    map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
+    height = map_height + _PLACE["top"] + _PLACE["bottom"]
+    figure = Figure(figsize=(_WIDTH, height), dpi=_DPI)
+    FigureCanvasAgg(figure)  # labels are measured before anything is written
+    axes = figure.add_axes(
+        (_PLACE["left"], _PLACE["bottom"] / height, map_width / _WIDTH, map_height / height),
+        xlim=(low[0], high[0]),
+        ylim=(low[1], high[1]),
+    )
+    if ground is not None:
+        cell = float((high - low).max()) / _CELLS
+        _draw_view(axes, GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell), road)
+    colors, norm = _speed_colors(tracks)
     for track in tracks:
-        points = track.position[:, None, :2]
-        lines = LineCollection(list(np.concatenate([points[:-1], points[1:]], axis=1)), cmap="viridis", norm=norm)
-        lines.set_array(track.speed[1:] * 3.6)
-        axes.add_collection(lines)
-        axes.annotate(str(track.number), track.position[-1, :2].tolist(), fontsize=7)
-    axes.plot(*camera_xy, marker="^", color="crimson", markersize=9, linestyle="none", label="camera")
-    axes.set(xlabel="x, m", ylabel="y, m", title=f"{len(tracks)} tracks", aspect="equal")
-    axes.autoscale_view()
-    axes.grid(alpha=0.3)
-    axes.legend()
-    if lines is not None:
-        figure.colorbar(lines, label="km/h")
+        _draw_path(axes, track, colors, norm)
+    frame = _fullest_frame(tracks)
+    present = [(track, frame - int(track.frames[0])) for track in tracks if frame in track.frames]
+    for track, i in present:
+        _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
+    taken = [map_signs.draw_camera(axes, camera), map_signs.draw_key(axes, tracks, camera)]
+    map_signs.draw_labels(axes, tracks, {track.number: i for track, i in present}, taken)
+    map_signs.draw_frame(axes)
+    _write_heading(figure, tracks, None if not present else float(present[0][0].times_s[present[0][1]]))
+    bar = figure.add_axes((0.915, _PLACE["bottom"] / height, 0.016, map_height / height))
+    map_signs.draw_scale(bar, colors, norm)
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120)
+        figure.savefig(temporary)
 
 
-def frames(tracks: Sequence[Track], count: int) -> Iterator[Pixels]:
-    """`count` pictures (H, W, 3) from above, north up: outlines with a line to their front, number and km/h."""
-    places = [t.position[:, :2] for t in tracks] or [np.zeros((1, 2))]
-    low = np.concatenate(places).min(axis=0) - _MARGIN
-    high = np.concatenate(places).max(axis=0) + _MARGIN
-    scale = _SIDE / float((high - low).max())
-    # Encoders want even sides.
-    width, height = (2 * round(v / 2) for v in (high - low) * scale)
+def _write_heading(figure: "Figure", tracks: Sequence[Track], moment_s: float | None) -> None:
+    """Over the map: how many vehicles in how long, and what lines and outlines are."""
+    place, height = _PLACE["left"], figure.get_figheight()
+    heading, note = "No vehicle was tracked", ""
+    if tracks:
+        seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
+        heading = f"{len(tracks)} {'vehicle' if len(tracks) == 1 else 'vehicles'} tracked over {seconds:.1f} s"
+        note = f"Lines: ways driven, numbered as in tracks.csv. Outlines: the vehicles at {moment_s:.1f} s."
+    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
+    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
 
-    def at(points: Array) -> NDArray[np.int32]:
-        flipped = (points - low) * scale * [1, -1] + [0, height]
-        return np.asarray(np.rint(flipped), dtype=np.int32)
 
-    for frame in range(count):
-        picture: Pixels = np.full((max(2, height), max(2, width), 3), _ROAD, dtype=np.uint8)
-        for track in tracks:
-            i = frame - int(track.frames[0])
-            if not 0 <= i < len(track.frames):
-                continue
-            color = PALETTE[track.number % len(PALETTE)]
-            cv2.polylines(picture, [at(track.position[max(0, i - _TRAIL) : i + 1, :2])], False, color, 1, cv2.LINE_AA)
-            ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
-            across = np.array([-ahead[1], ahead[0]])
-            length, breadth = track.size_lwh[:2] / 2
-            middle = track.position[i, :2]
-            corners = [
-                middle + a * length * ahead + b * breadth * across for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
-            ]
-            cv2.fillPoly(picture, [at(np.array(corners))], color, cv2.LINE_AA)
-            cv2.line(picture, at(middle).tolist(), at(middle + length * ahead).tolist(), _ROAD, 2, cv2.LINE_AA)
-            text = f"{track.number}: {track.speed[i] * 3.6:.0f}"
-            cv2.putText(picture, text, at(middle + across).tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
-        yield picture
+def _extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
+    """Corners (2,) of the map: all tracks and the camera, with a margin, in a shape that fills the picture."""
+    places = np.concatenate([camera_xy[None], *(t.position[:, :2] for t in tracks)])
+    low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
+    width, height = high - low
+    wanted = np.array([max(width, height / _TALLEST), max(height, width * _FLATTEST)])
+    middle = (low + high) / 2
+    return middle - wanted / 2, middle + wanted / 2
+
+
+def _fullest_frame(tracks: Sequence[Track]) -> int:
+    """The last of the frames with the most vehicles in them."""
+    if not tracks:
+        return 0
+    counts = np.bincount(np.concatenate([track.frames for track in tracks]))
+    return int(np.flatnonzero(counts == counts.max())[-1])
+
+
+def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
+    """Colours of speeds in km/h that are dark enough for a pale road, up to a round figure that nearly all keep."""
+    import matplotlib as mpl
+
+    whole = mpl.colormaps["plasma"]
+    colors = mpl.colors.LinearSegmentedColormap.from_list("speed", whole(np.linspace(0.02, 0.86, 64)))
+    speeds = np.concatenate([track.speed for track in tracks]) * 3.6 if tracks else np.zeros(1)
+    top = 10.0 * np.ceil(max(10.0, float(np.percentile(speeds, 99))) / 10)
+    return colors, mpl.colors.Normalize(0, top)
+
+
+def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
+    """The road's picture, and the edge of what the camera sees."""
+    extent = (view.low[0], view.high[0], view.low[1], view.high[1])
+    if road is not None:
+        axes.imshow(view.pale(road), extent=extent, interpolation="bilinear", zorder=0)
+    if view.seen.any() and not view.seen.all():
+        rows, columns = view.seen.shape
+        x = np.linspace(extent[0], extent[1], columns)
+        y = np.linspace(extent[3], extent[2], rows)
+        axes.contour(
+            x,
+            y,
+            view.seen.astype(float),
+            levels=[0.5],
+            colors=map_signs.CAMERA,
+            linewidths=1.0,
+            linestyles="dashed",
+            zorder=1,
+        )
+
+
+def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize") -> None:
+    """A track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Polygon
+
+    xy = track.position[:, :2]
+    steps = np.stack([xy[:-1], xy[1:]], axis=1)
+    axes.plot(*xy.T, color="white", linewidth=4.5, solid_capstyle="round", alpha=0.9, zorder=2)
+    lines = LineCollection(list(steps), cmap=colors, norm=norm, linewidths=2.6, capstyle="round", zorder=3)
+    lines.set_array(track.speed[1:] * 3.6)
+    axes.add_collection(lines)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+    if way[-1] < _STANDS_M:
+        return
+    size = 0.95 * map_signs.unit_m(axes)
+    for share in (0.5, 1.0):
+        i = int(np.clip(np.searchsorted(way, share * way[-1]), 1, len(xy) - 1))
+        ahead = track.velocity[i] / max(1e-9, float(track.speed[i]))
+        across = np.array([-ahead[1], ahead[0]])
+        corners = [xy[i] + size * (a * ahead + b * across) for a, b in ((1.4, 0), (-0.8, 0.9), (-0.3, 0), (-0.8, -0.9))]
+        color = colors(norm(track.speed[i] * 3.6))
+        axes.add_patch(Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.8, zorder=4))
+
+
+def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
+    """A vehicle's outline as it stands in its i-th frame, with a wedge towards its front."""
+    from matplotlib.patches import Polygon
+
+    outline, wedge = map_signs.corners(track, i, map_signs.OUTLINE), map_signs.corners(track, i, _WEDGE)
+    axes.add_patch(
+        Polygon(outline, facecolor=color, edgecolor=map_signs.INK, linewidth=1.2, joinstyle="round", zorder=6)
+    )
+    axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="none", zorder=7))

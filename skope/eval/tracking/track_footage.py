@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from skope.camera import Camera
 from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
-from skope.eval.tracking import birdseye, export
+from skope.eval.tracking import birdseye, birdseye_video, export
 from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
+from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.files import replacing, write_text
@@ -28,6 +31,8 @@ class TrackJob:
     """What to follow, and where to write it."""
 
     scene: Scene
+    place: Path
+    """Folder of the scene's file: what the file says of its footage is relative to it."""
     out: Path
     fps: float | None
     """Images a second; None: the images tell their times."""
@@ -54,13 +59,14 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     export.write_mot(job.out / "mot.txt", tracks)
     export.write_fcd(job.out / "fcd.xml", tracks, times)
     written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
-    birdseye.plot(job.out / "birdseye.png", tracks, scene.camera_of(scene.file.images[0]).position[:2])
+    camera = scene.camera_of(scene.file.images[0])
+    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, _road(job, camera, console))
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene)
         written.append("mot_truth.txt")
     if job.video:
         with replacing(job.out / "birdseye.mp4") as temporary:
-            write_video(temporary, birdseye.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
+            write_video(temporary, birdseye_video.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     progress.end()
     for name in written:
@@ -69,6 +75,16 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     yield f"{len(tracks)} tracks over {seconds:.1f} s"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
+
+
+def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
+    """The empty road as `camera` shows it; None where the footage is not at hand: tracks do without."""
+    try:
+        road = empty_road(job.place, job.scene.file)
+    except UserError as error:
+        console.say(f"birdseye.png does without a picture of the road: {error}")
+        return None
+    return road if road is not None and road.shape[1::-1] == (camera.width, camera.height) else None
 
 
 def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:

@@ -1,0 +1,73 @@
+"""The road as seen from straight above: what a camera's picture shows of it, laid onto the ground plane."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera import Camera
+from skope.eval.pose.types import Ground
+from skope.types import Array
+
+Pixels = NDArray[np.uint8]
+_PALE: Final = 0.62
+"""Share of the picture's own contrast that is left: what is drawn over it has to stand out."""
+_COARSE_M: Final = (0.6, 2.5)
+"""A pixel that covers so much of the road, metres, is shown in full, and from the second figure on not at all."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroundView:
+    """A rectangle of the road, north up, in square cells, as one camera sees it."""
+
+    camera: Camera
+    ground: Ground
+    low: Array
+    """(2,) world x, y of the rectangle's south-west corner, metres."""
+    high: Array
+    """(2,) world x, y of its north-east corner, metres."""
+    cell_m: float
+    """Side of a cell, metres."""
+
+    @cached_property
+    def _points(self) -> Array:
+        """(H, W, 3) the middles of the cells on the road, the northernmost row first."""
+        across, up = (np.maximum(1, np.rint((self.high - self.low) / self.cell_m))).astype(int)
+        x = self.low[0] + (np.arange(across) + 0.5) * self.cell_m
+        y = self.high[1] - (np.arange(up) + 0.5) * self.cell_m
+        xy = np.stack(np.meshgrid(x, y), axis=-1)
+        z = self.ground.height + (xy - self.ground.about) @ np.array(self.ground.slope)
+        return np.concatenate([xy, z[..., None]], axis=-1)
+
+    @cached_property
+    def pixels(self) -> Array:
+        """(H, W, 2) pixels of the camera's image that show the cells; NaN behind the camera."""
+        return self.camera.project(self._points)[0]
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(H, W) which cells lie in the camera's field of view."""
+        return self.camera.inside(self.pixels)
+
+    def pale(self, picture: Pixels) -> Pixels:
+        """(H, W, 3) the camera's `picture`, of its size, from above in pale grey; white where it shows no road.
+
+        It grows paler with the distance, where one of its pixels covers metres of road.
+        """
+        at = (np.nan_to_num(self.pixels, nan=-1e4) - 0.5).clip(-1e4, 1e4).astype(np.float32)
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        above = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        fine, none = _COARSE_M
+        share = _PALE * self.seen * np.clip((none - self._metres_a_pixel()) / (none - fine), 0, 1)
+        shown = np.rint(255 - share * (255 - above.astype(np.float64))).astype(np.uint8)
+        return np.repeat(shown[..., None], 3, axis=-1)
+
+    def _metres_a_pixel(self) -> Array:
+        """(H, W) length of the road along the line of sight that one pixel covers, roughly."""
+        eye = self.camera.position
+        away = self._points - eye
+        distance = np.linalg.norm(away, axis=-1)
+        return np.asarray(distance**2 / (self.camera.K[1, 1] * np.maximum(0.1, np.abs(away[..., 2]))))

@@ -1,0 +1,189 @@
+"""Signs on a map of tracks: the camera, labels that lie on nothing, a scale bar, north, the colours' meaning."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.camera import Camera
+from skope.eval.tracking.tracks import Track
+from skope.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.transforms import Bbox
+
+INK: Final = "#1b2733"
+FAINT: Final = "#6b7783"
+CAMERA: Final = "#c2185b"
+OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
+"""A vehicle's corners, in halves of its length and width."""
+_DRIVES: Final = 0.5
+"""A vehicle that is faster drives, m/s."""
+_BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Lengths that a scale bar may have."""
+
+
+def unit_m(axes: "Axes") -> float:
+    """A hundredth of the map's width, metres: what signs are measured in."""
+    return float(np.diff(axes.get_xlim())[0]) / 100
+
+
+def corners(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[Array]:
+    """World x, y of points on a vehicle: (1, 1) is its front left corner, (-1, -1) the rear right one."""
+    ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
+    across = np.array([-ahead[1], ahead[0]])
+    length, width = track.size_lwh[:2] / 2
+    return [track.position[i, :2] + a * length * ahead + b * width * across for a, b in shape]
+
+
+def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
+    """Where the camera hangs, and which way it looks; returns where that is in the picture, in pixels."""
+    from matplotlib.patches import Polygon, Wedge
+    from matplotlib.patheffects import withStroke
+
+    place, yaw, unit = camera.position[:2], camera.angles[0], unit_m(axes)
+    half = math.atan(camera.width / 2 / camera.K[0, 0])
+    edges = np.degrees([yaw - half, yaw + half])
+    axes.add_patch(Wedge(place.tolist(), 6 * unit, *edges, facecolor=CAMERA, alpha=0.3, zorder=4))
+    ahead = np.array([math.cos(yaw), math.sin(yaw)])
+    across = np.array([-ahead[1], ahead[0]])
+    # A box, and before it the lens, which widens.
+    side = [(-1.6, 0.8), (0.2, 0.8), (0.2, 0.35), (1.1, 0.8)]
+    shape = side + [(a, -b) for a, b in reversed(side)]
+    body = [place + unit * (a * ahead + b * across) for a, b in shape]
+    axes.add_patch(Polygon(body, facecolor=CAMERA, edgecolor="white", linewidth=0.8, zorder=8))
+    name = place - 3 * unit * ahead
+    text = axes.text(
+        float(name[0]),
+        float(name[1]),
+        "camera",
+        fontsize=9,
+        weight="bold",
+        color=CAMERA,
+        ha="center",
+        va="center",
+        zorder=9,
+    )
+    text.set_path_effects([withStroke(linewidth=3, foreground="white")])
+    box = text.get_window_extent()
+    return _box_around([*axes.transData.transform(body), box.min, box.max])
+
+
+def draw_labels(axes: "Axes", tracks: Sequence[Track], present: Mapping[int, int], taken: Sequence["Bbox"]) -> None:
+    """Each track's number, with the speed of the vehicles that are drawn and drive.
+
+    No label lies on another one, on a vehicle or on the boxes that are `taken`. It takes the place where
+    it hides least of the ways driven; what finds no place near its vehicle is left out: tracks.csv has them all.
+    """
+    # Window coordinates of matplotlib: pixels from the bottom left.
+    drawn = [corners(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
+    taken = [*taken, *(_box_around(axes.transData.transform(outline)) for outline in drawn)]
+    ways = axes.transData.transform(np.concatenate([track.position[:, :2] for track in tracks] or [np.zeros((0, 2))]))
+    inside = axes.get_window_extent()
+    for track in sorted(tracks, key=lambda t: t.number not in present):
+        i = present.get(track.number, len(track.frames) - 1)
+        drives = track.number in present and track.speed[i] > _DRIVES
+        name = f"#{track.number}  {track.speed[i] * 3.6:.0f} km/h" if drives else f"#{track.number}"
+        text = axes.text(
+            0, 0, name, fontsize=8, color=INK, ha="center", va="center", zorder=10,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": FAINT, "linewidth": 0.5},
+        )  # fmt: skip
+        own = text.get_window_extent()
+        half = np.array([own.width, own.height]) / 2 + 5
+        anchor = axes.transData.transform(track.position[i, :2])
+        free = [
+            middle
+            for middle in _around(anchor, half)
+            if inside.count_contains((box := _box_around([middle - half, middle + half])).corners()) == 4
+            and not any(box.overlaps(other) for other in taken)
+        ]
+        if not free:
+            text.remove()
+            continue
+        middle = min(free, key=lambda m: _box_around([m - half, m + half]).count_contains(ways))
+        taken.append(_box_around([middle - half, middle + half]))
+        start, end = axes.transData.inverted().transform(np.array([anchor, middle])).tolist()
+        text.set_position((end[0], end[1]))
+        axes.plot(*zip(start, end, strict=True), color=FAINT, linewidth=0.7, zorder=5)
+
+
+def _around(anchor: Array, half: Array) -> Iterator[Array]:
+    """Places for the middle of a label of half size (2,) around a point, the nearest first; pixels."""
+    for distance in (14, 26, 40, 56, 75):
+        for angle in np.radians((45, 135, -45, -135, 90, -90, 0, 180)):
+            towards = np.array([np.cos(angle), np.sin(angle)])
+            yield anchor + towards * (distance + half)
+
+
+def draw_frame(axes: "Axes") -> None:
+    """Coordinates along the edge, as tracks.csv has them."""
+    axes.tick_params(colors=FAINT, labelsize=7, length=3, width=0.6)
+    for spine in axes.spines.values():
+        spine.set(edgecolor=FAINT, linewidth=0.6)
+    axes.set_xlabel("x, m", fontsize=7, color=FAINT, loc="right", labelpad=1)
+    axes.set_ylabel("y, m", fontsize=7, color=FAINT, loc="top", labelpad=1)
+
+
+def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
+    """A scale bar, and the way north where the world is a map's, in the emptiest corner; returns where, in pixels."""
+    from matplotlib.patches import FancyBboxPatch
+
+    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    unit = unit_m(axes)
+    length = max(bar for bar in _BARS_M if bar <= max(1, (x1 - x0) / 5))
+    size = np.array([length + 11 * unit, 10 * unit])
+    places = np.concatenate([camera.position[None, :2], *(t.position[:, :2] for t in tracks)])
+    inset = 1.5 * unit
+    free = [(x, y) for y in (y0 + inset, y1 - inset - size[1]) for x in (x1 - inset - size[0], x0 + inset)]
+    low = np.array(free)[:, None] - 2 * unit
+    crowds = ((places > low) & (places < low + size + 4 * unit)).all(axis=-1).sum(axis=1)
+    x, y = free[int(np.argmin(crowds))]
+    axes.add_patch(
+        FancyBboxPatch(
+            (x, y),
+            size[0],
+            size[1],
+            boxstyle="round,pad=0,rounding_size=0.6",
+            facecolor="white",
+            edgecolor="none",
+            alpha=0.85,
+            zorder=9,
+        )
+    )
+    axes.plot(
+        [x + 2 * unit, x + 2 * unit + length],
+        [y + 2.5 * unit] * 2,
+        color=INK,
+        linewidth=3.5,
+        solid_capstyle="butt",
+        zorder=11,
+    )
+    label: dict[str, Any] = {"fontsize": 9, "color": INK, "ha": "center", "zorder": 11}
+    axes.text(x + 2 * unit + length / 2, y + 3.6 * unit, f"{length} m", va="bottom", **label)
+    if not np.allclose(camera.position[:2], 0):  # a camera that knows no map is the origin of its own world
+        arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 2, "mutation_scale": 14, "shrinkA": 0}
+        foot = x + size[0] - 4 * unit
+        axes.annotate("", (foot, y + 9.3 * unit), (foot, y + 4 * unit), arrowprops=arrow, zorder=11)
+        axes.text(foot, y + 3.7 * unit, "N", va="top", weight="bold", **label)
+    return _box_around(axes.transData.transform([(x, y), (x, y) + size]))
+
+
+def _box_around(points: ArrayLike) -> "Bbox":
+    """The upright box around points (N, 2)."""
+    from matplotlib.transforms import Bbox
+
+    return Bbox.from_extents(*np.min(points, axis=0), *np.max(points, axis=0))
+
+
+def draw_scale(axes: "Axes", colors: "Colormap", norm: "Normalize") -> None:
+    from matplotlib.cm import ScalarMappable
+
+    axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes)
+    axes.set_title("km/h", fontsize=9, color=INK, pad=6)
+    axes.tick_params(colors=INK, labelsize=9, length=3, width=0.6)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
