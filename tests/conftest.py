@@ -21,7 +21,6 @@ with suppress(ImportError):  # metrics and formats are worked on without it
 
 
 LONGEST: Final = (
-    "train/test_overfits.py",
     "train/test_exports.py",
     "gen/pipeline/test_generate.py",
     "gen/towns/test_networks.py",
@@ -90,18 +89,30 @@ def skope(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 
 
 @pytest.fixture(scope="session")
-def random_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder with the checkpoint of a small-input detector that has learned nothing."""
+def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder with the checkpoint of a small detector that has learned nothing; only `shrink` has it load."""
     import torch
 
     from skope import detector
+    from tests.train.conftest import shrink
 
-    torch.manual_seed(0)
     config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
-    model = detector.build(config)
-    with torch.no_grad():
-        # Leaves a handful of the 300 detections that random weights make: their keypoints take most of the time.
-        model.roi_heads.box_predictor.cls_score.bias[1] -= 4.2
+    with pytest.MonkeyPatch.context() as patch, torch.random.fork_rng(), torch.no_grad():
+        shrink(patch)
+        torch.manual_seed(0)
+        model = detector.build(config)
+        # Scores that lie well apart, and a handful of detections that are worth reporting.
+        model.roi_heads.box_predictor.cls_score.weight *= 10
+        model.roi_heads.box_predictor.cls_score.bias[1] -= 2.5
     folder = tmp_path_factory.mktemp("run")
     detector.save_weights(folder / detector.checkpoint_name(1), model, config, {})
     return folder
+
+
+@pytest.fixture
+def random_run(random_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The `random_weights`, in a process whose detectors are small: the whole network takes seconds to load."""
+    from tests.train.conftest import shrink
+
+    shrink(monkeypatch)
+    return random_weights

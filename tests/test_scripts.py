@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-import torch
 
-from skope import coco, detector
+from skope import coco
 from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose
 from tests.eval.cli.test_footage import numbered_video
@@ -41,7 +40,7 @@ class Run:
 
     script: str
     arguments: str
-    """May name the `inputs` in braces. Where they name `small`, detectors have a quarter of the weights."""
+    """May name the `inputs` in braces. Where they name `checkpoint`, all detectors are as small as it."""
     says: str = ""
     """What is in its output."""
     code: int = 0
@@ -80,7 +79,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
         "bench_train.py",
-        f"{TRAINING} --checkpoint {{checkpoint}} --batch-size 1 --steps 1 --warm-up 0 --rounds 1 --workers 0",
+        f"{TRAINING} --batch-size 1 --steps 1 --warm-up 0 --rounds 1 --workers 0",
         says="| torchvision |",
         apart=True,
         slow=True,
@@ -91,7 +90,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
     Run(
         "research/experiment_train.py",
-        f"{TRAINING} --init {{small}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
+        f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
         " --test-images 1 --workers 0 --out {out}",
         says="| exact | easy |",
     ),
@@ -122,7 +121,7 @@ RUNS: Final[Sequence[Run]] = (
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[str, Path]:
+def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> dict[str, Path]:
     """Small files that the scripts read, by their names in `Run.arguments`."""
     folder = tmp_path_factory.mktemp("scripts")
     dataset = make_dataset(folder / "dataset", images=1)
@@ -141,11 +140,6 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
     numbered_video(folder / "footage" / "v.mp4", 3)
     images = tuple(replace(image, time_s=0.1 * image.id) for image in (make_image(1), make_image(2), make_image(3)))
     coco.write(folder / "footage" / "v.json", AnnotationFile(images=images, annotations=()))
-    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
-    torch.manual_seed(0)
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch)
-        detector.save_weights(folder / "small.safetensors", detector.build(config), config, {})
     return {
         "dataset": dataset,
         "labels": dataset / "labels.json",
@@ -153,8 +147,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_run: Path) -> dict[s
         "road": folder / "road.json",
         "clip": folder / "clip",
         "footage": folder / "footage",
-        "checkpoint": random_run,
-        "small": folder / "small.safetensors",
+        "checkpoint": random_weights,
     }
 
 
@@ -206,8 +199,18 @@ def test_help(script: Script, name: str) -> None:
 def test_smallest_run(
     skope: Any, script: Script, inputs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
-    if "{small}" in run.arguments:
+    if "{checkpoint}" in run.arguments:
         shrink(monkeypatch)
+        start = subprocess.run
+
+        def start_small(command: Sequence[str], **options: Any) -> Any:
+            """Scripts that a script starts have the same small detectors."""
+            python, *words = command
+            assert python == sys.executable
+            return start([python, "-m", "tests.train.small_script", *words], **options)
+
+        monkeypatch.setattr(subprocess, "run", start_small)
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ["PYTHONPATH"]]))
     given = dict(inputs)
     if "{metrics}" in run.arguments:
         given["metrics"] = tmp_path / "metrics"

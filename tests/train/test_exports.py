@@ -2,7 +2,6 @@
 
 import importlib.util
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,30 +17,19 @@ from skope import detector
 from skope.console import Console
 from skope.dataset import read_image
 from skope.errors import UserError
-from skope.train import configure, input_moments
-from skope.train.augment import Augment
+from skope.train import input_moments
 from skope.train.export import OUTPUTS, Deployed, export
-from skope.train.recipe import RECIPES
 from tests import samples
 from tests.train.conftest import shrink
 from tests.train.test_loop import train
-
-SMALL = replace(
-    RECIPES["scratch"],
-    min_size=128,
-    max_size=256,
-    regions=64,
-    keypoint_regions=4,
-    bfloat16=configure.multiplies_bfloat16(),
-    val_fraction=0.0,
-)
+from tests.train.test_overfits import BY_HEART, scores_on_its_images
 
 
 @pytest.fixture(scope="module", autouse=True)
 def small_network() -> Iterator[None]:
     """Small detectors for all of this module: they learn as well, in a third of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        shrink(patch)
+        shrink(patch, body="resnet18")
         yield
 
 
@@ -50,8 +38,13 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A dataset of one image, and a detector that has seen it often."""
     folder = tmp_path_factory.mktemp("learnt")
     data = samples.make_dataset(folder / "data", images=1, splits=("train",))
-    recipe = replace(SMALL, epochs=40, learning_rate=0.04, augment=Augment(flip=0.0), warmup_steps=8)
-    return data, train(data, folder / "run", recipe)
+    return data, train(data, folder / "run", BY_HEART)
+
+
+def test_overfits_one_image_from_random_weights(learnt: tuple[Path, Path]) -> None:
+    """Targets, network and decoded coordinates agree from end to end."""
+    (score,) = scores_on_its_images(*learnt)
+    assert score > 0.9
 
 
 def images(data: Path) -> list[torch.Tensor]:
