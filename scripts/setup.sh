@@ -59,7 +59,7 @@ if ! "$python" -c 'import ensurepip, venv' 2> /dev/null; then
     system_packages "python$version-venv"
 fi
 
-echo "setup: virtual environment $VENV with Python $version; about 1.8 GB to download, 5.5 GB on disk"
+echo "setup: virtual environment $VENV with Python $version; about 3.8 GB to download, 7.8 GB on disk"
 [ -x "$VENV/bin/python" ] || "$python" -m venv "$VENV"
 "$VENV/bin/python" -m pip install --quiet "${pip_args[@]}" --constraint constraints.txt --editable '.[dev]'
 "$VENV/bin/skope" --version
