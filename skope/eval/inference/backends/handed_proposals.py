@@ -1,22 +1,19 @@
 """A pyramid that also computes the scores and offsets of its anchors, and what hands those to torchvision."""
 
-from collections import OrderedDict
-
 from torch import Tensor, nn
 
 
 class PyramidWithProposals(nn.Module):
-    """In place of the detector's backbone: notes what the proposals' head would answer to its maps."""
+    """In place of the detector's backbone: notes what the proposals' head would answer to its maps.
+
+    `forward` of those that compute it gives the feature maps of (N, 3, H, W) images, by name.
+    """
 
     def __init__(self, out_channels: int) -> None:
         super().__init__()
         self.out_channels = out_channels
         self.proposals: tuple[list[Tensor], list[Tensor]] = ([], [])
         """Scores and offsets of the anchors for the images that were seen last."""
-
-    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
-        """The feature maps of (N, 3, H, W) images, by name."""
-        raise NotImplementedError
 
 
 class HandedProposals(nn.Module):
