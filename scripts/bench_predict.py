@@ -4,11 +4,12 @@
     python scripts/bench_predict.py footage --frames 12
     python scripts/bench_predict.py footage --sizes 540 --ways torchvision,openvino-int8,video
     python scripts/bench_predict.py footage --stages                          # where the time of an image goes
-    python scripts/bench_predict.py footage --device cuda --sizes 1080 --ways torchvision,torch-bfloat16
+    python scripts/bench_predict.py footage --device cuda --sizes 1080 --ways torchvision,torch-bfloat16 --times 8
 
 The ways: torchvision's own call, image by image; skope's backends and number formats on every frame; and `video`, which
 is what `skope eval predict` does by default. Each runs in a process of its own, which has loaded the detector and seen
-one batch before the clock starts; decoding counts. Memory is the process's, on a GPU that of the GPU. Every frame is
+one batch before the clock starts; decoding counts. `--times` takes each clip for a video that repeats it, where a clip
+of some seconds is over before pipelines are full. Memory is the process's, on a GPU that of the GPU. Every frame is
 scored, at scores above 0.5 and IoU 0.6, after frames have confirmed each other as in `skope eval predict` (but for
 torchvision's call). Figures of `video_modes.py`.
 """
@@ -36,7 +37,7 @@ from skope import coco, detector
 from skope.console import Console
 from skope.detector import MIN_SCORE
 from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.footage import Cut, Footage, open_footage
+from skope.eval.inference.footage import Cut, Footage, Pixels, open_footage
 from skope.eval.inference.predict_footage import PredictJob, found_in
 from skope.eval.inference.predictor import GPU_BATCH, Predictor
 from skope.eval.inference.settings import Settings
@@ -92,17 +93,19 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     all_clips = clips(options)
     _, first = all_clips[0]
     predictor.detections([pixels for _, pixels in itertools.islice(first.frames(), GPU_BATCH)])
-    seconds, total = 0.0, Counts()
+    seconds, looked_at, total = 0.0, 0, Counts()
     for labels, footage in all_clips:
         truth = coco.read(labels)
         job = job_of(footage, way, options)
         begun = time.perf_counter()
-        rows = list(by_torchvision(predictor, footage, options) if way == "torchvision" else ours(predictor, job))
+        rows = list(by_torchvision(predictor, job, options) if way == "torchvision" else ours(predictor, job, options))
         seconds += time.perf_counter() - begun
+        looked_at += len(rows)
+        rows = rows[: len(rows) // options.times]
         total += count(first_frames(truth, len(rows)), kept(way, rows, job))
     on_gpu = torch.cuda.max_memory_allocated() / 2**20
     memory = on_gpu or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"rate": total.frames / seconds, "memory_mb": memory, "cells": total.cells()}
+    return {"rate": looked_at / seconds, "memory_mb": memory, "cells": total.cells()}
 
 
 def first_frames(truth: AnnotationFile, number: int) -> AnnotationFile:
@@ -116,12 +119,18 @@ def job_of(footage: Footage, way: str, options: argparse.Namespace) -> PredictJo
     return PredictJob(footage=footage, checkpoint=Path(), out=Path(), settings=settings, every_frame=way != "video")
 
 
-def ours(predictor: Predictor, job: PredictJob) -> Iterator[tuple[Image, list[Result]]]:
-    return ((image, found) for image, found, _ in found_in(job, predictor))
+def ours(predictor: Predictor, job: PredictJob, options: argparse.Namespace) -> Iterator[tuple[Image, list[Result]]]:
+    if job.key_every == 1:
+        return predictor.each_ahead(frames(job, options))
+    return ((image, found) for _ in range(options.times) for image, found, _ in found_in(job, predictor))
+
+
+def frames(job: PredictJob, options: argparse.Namespace) -> Iterator[tuple[Image, Pixels]]:
+    return itertools.chain.from_iterable(job.footage.frames() for _ in range(options.times))
 
 
 def by_torchvision(
-    predictor: Predictor, footage: Footage, options: argparse.Namespace
+    predictor: Predictor, job: PredictJob, options: argparse.Namespace
 ) -> Iterator[tuple[Image, list[Result]]]:
     """The model as torchvision has it, with its 1000 proposals and every detection above 0.05."""
     model, _, _ = detector.load_weights(predictor.weights, options.device)
@@ -129,7 +138,7 @@ def by_torchvision(
     model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
     model.rpn._post_nms_top_n["testing"] = 1000
     model.roi_heads.score_thresh, model.roi_heads.detections_per_img = MIN_SCORE, 100
-    for image, pixels in footage.frames():
+    for image, pixels in frames(job, options):
         with torch.inference_mode():
             (found,) = model([detector.as_tensor(pixels, options.device)])
         points = torch.cat([found["keypoints"][..., :2], found["keypoints_scores"].sigmoid()[..., None]], dim=-1)
@@ -193,6 +202,9 @@ def main() -> None:
     parser.add_argument("--ways", default=",".join(WAYS))
     parser.add_argument("--stages", action="store_true", help="where the time of an image goes instead")
     parser.add_argument("--frames", type=int, default=10**9, help="most frames of each clip")
+    parser.add_argument(
+        "--times", type=int, default=1, help="passes over each clip, as if it were so many times as long"
+    )
     parser.add_argument("--only", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:

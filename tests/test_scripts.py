@@ -67,7 +67,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
     Run(
         "bench_predict.py",
-        "{footage} --checkpoint {checkpoint} --frames 2 --only torch-float32@64",
+        "{footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
         says='"cells": ["0", ',
     ),
     Run(
