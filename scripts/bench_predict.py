@@ -39,7 +39,7 @@ from skope.detector import MIN_SCORE
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, Pixels, open_footage
 from skope.eval.inference.predict_footage import PredictJob, found_in
-from skope.eval.inference.predictor import GPU_BATCH, Predictor
+from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
 
@@ -92,7 +92,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     predictor = predictor_of(options, way, int(size))
     all_clips = clips(options)
     _, first = all_clips[0]
-    predictor.detections([pixels for _, pixels in itertools.islice(first.frames(), GPU_BATCH)])
+    predictor.detections([pixels for _, pixels in itertools.islice(first.frames(), predictor.batch_size)])
     seconds, looked_at, total = 0.0, 0, Counts()
     for labels, footage in all_clips:
         truth = coco.read(labels)
@@ -172,9 +172,8 @@ def stages(options: argparse.Namespace, way: str, size: int) -> dict[str, float]
         module.register_forward_pre_hook(lambda *_, stage=stage: begun.update({stage: now()}))
         module.register_forward_hook(lambda *_, stage=stage: spent.update({stage: spent[stage] + now() - begun[stage]}))
     _, footage = clips(options)[0]
-    size_of_batch = 1 if options.device == "cpu" else GPU_BATCH
     frames = [pixels for _, pixels in footage.frames()]
-    batches = [frames[i : i + size_of_batch] for i in range(0, len(frames), size_of_batch)]
+    batches = [frames[i : i + predictor.batch_size] for i in range(0, len(frames), predictor.batch_size)]
     predictor.detections(batches[0])
     spent.clear()
     since = now()

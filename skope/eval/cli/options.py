@@ -38,7 +38,7 @@ class MachineOptions:
         machine(help="Short side of the image in the network, pixels.", show_default="that of the training"),
     ] = None
     batch_size: Annotated[
-        int | None, machine(help="Images that go through the network together.", show_default="1, on a GPU 8")
+        int | None, machine(help="Images that go through the network together.", show_default="1, on a GPU 8 or 16")
     ] = None
 
     def settings(self, **others: Any) -> "Settings":

@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ import torch
 
 from skope import coco, detector
 from skope.console import Console
+from skope.errors import UserError
 from skope.eval.inference.backends import bfloat16
-from skope.eval.inference.predictor import Predictor, _batches, _decoded
+from skope.eval.inference.predictor import Predictor, _batches, _decoded, default_batch_size
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
 from tests.eval.conftest import files_of
@@ -123,6 +125,24 @@ def test_a_batch_finds_what_single_images_do(random_run: Path, tmp_path: Path) -
     for a, b in zip(one, two, strict=True):
         assert a.score == pytest.approx(b.score, abs=1e-4)
         assert a.bbox == pytest.approx(b.bbox, abs=0.05)
+
+
+@pytest.mark.parametrize(("gigabytes", "images"), [(8, 8), (24, 16), (141, 16)])
+def test_a_large_gpu_takes_more_images_at_a_time(gigabytes: int, images: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    card = SimpleNamespace(total_memory=gigabytes * 10**9)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
+    assert default_batch_size(torch.device("cuda:0")) == images
+    assert default_batch_size(torch.device("cpu")) == 1
+
+
+def test_too_little_memory_is_said_in_a_line(random_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    predictor = Predictor(random_run, Settings(device="cpu", batch_size=4), Console(quiet=True))
+    monkeypatch.setattr(detector, "detect", full)
+    with pytest.raises(UserError, match=r"^cpu: out of memory with 3 images .* lower --batch-size or --min-size$"):
+        predictor.detections([np.zeros((48, 64, 3), dtype=np.uint8)] * 3)
 
 
 def test_only_neighbours_of_equal_size_share_a_batch() -> None:
