@@ -3,13 +3,13 @@
 import contextlib
 import fcntl
 import itertools
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 from skope.errors import UserError
+from skope.files import json_bytes, parse_json
 
 
 class Progress:
@@ -58,7 +58,7 @@ class Progress:
 
     def _row(self, line: bytes) -> dict[str, Any] | None:
         try:
-            row = json.loads(line) if line.endswith(b"\n") else None
+            row = parse_json(line) if line.endswith(b"\n") else None
         except ValueError:  # the line that was being written when the run stopped
             return None
         return row if isinstance(row, dict) and set(row) == self._fields else None
@@ -73,7 +73,7 @@ class Progress:
     def add(self, row: dict[str, Any]) -> None:
         """Append a row to the file."""
         with self._writing():
-            self._file.write(json.dumps(row).encode() + b"\n")
+            self._file.write(json_bytes(row) + b"\n")
             self._file.flush()
 
     def end(self) -> None:
