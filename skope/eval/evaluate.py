@@ -85,7 +85,8 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(job.out / "tallies.json", json.dumps({"version": precision_recall.VERSION, "splits": tallies}) + "\n")
     beside = table.published() if job.beside_paper else None
-    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside)
+    subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
+    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
     write_text(job.out / REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
 

@@ -1,4 +1,4 @@
-"""Line charts as SVG, each with its numbers as a table below.
+"""Line charts and histograms as SVG, each with its numbers as a table below.
 
 A line is told by its dashes and the shape of its markers as well as by its colour.
 """
@@ -54,6 +54,16 @@ def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = Fal
         (x0, y0), (x1, y1) = axes.place(0, 0), axes.place(axes.x_end, axes.y_end)
         parts.append(f'<path class="ideal" d="M{x0} {y0}L{x1} {y1}"/>')
     parts += [_line(i, line, axes, every) for i, line in enumerate(lines)]
+    return _figure(title, axes, lines, parts, every)
+
+
+def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> str:
+    """A figure with a bar for each band of each group, whose `x` are the middles of bands of one width."""
+    parts = [_grid(axes), *(_bars(i, group, axes) for i, group in enumerate(groups))]
+    return _figure(title, axes, groups, parts, every=1)
+
+
+def _figure(title: str, axes: Axes, lines: Sequence[Line], parts: Sequence[str], every: int) -> str:
     drawing = tag(
         "svg",
         *parts,
@@ -98,6 +108,23 @@ def _line(number: int, line: Line, axes: Axes, every: int) -> str:
             note = f"; {line.notes[i]}" if line.notes else ""
             tip = f"{line.name}: {axes.x_label} {x:.3g}, {axes.y_label} {y:.3f}{note}"
             shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
+            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
+    return "".join(out)
+
+
+def _bars(number: int, group: Line, axes: Axes) -> str:
+    """The outline of a group's bars, filled faintly, and what is said where one is pointed at."""
+    half = (group.x[1] - group.x[0]) / 2
+    known = _known(group)
+    corners = [axes.place(x + side, y) for _, x, y in known for side in (-half, half)]
+    first, last = axes.place(group.x[0] - half, 0), axes.place(group.x[-1] + half, 0)
+    outline = "M" + "L".join(f"{px} {py}" for px, py in [first, *corners, last])
+    out = [f'<path class="band s{number % 4}" d="{outline}"/>']
+    for _, x, y in known:
+        px, py = axes.place(x, y)
+        tip = f"{group.name}: {axes.x_label} {x - half:.3g} to {x + half:.3g}, {axes.y_label} {y:.3f}"
+        shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
+        if y > 0:
             out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
     return "".join(out)
 

@@ -20,6 +20,12 @@ Flags = NDArray[np.bool_]
 LONGEST: Final = 960
 """Pixels of the longer edge of an embedded photograph."""
 QUALITY: Final = 78
+_LETTERS: Final = 11.0
+"""Size of letters, in `unit`s."""
+_WIDTH_OF_LETTER: Final = 0.6
+"""Of a semi-bold letter of a sans-serif font, on average, in sizes."""
+_LINES_AWAY: Final = 12
+"""A text is at most so many lines away from its box."""
 
 
 def embedded(path: Path, size: tuple[int, int]) -> str:
@@ -103,11 +109,37 @@ def place(point: Floats) -> str:
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
-def label(box_xywh: ArrayLike, text: str, scale: float, width: int) -> str:
-    """Text above a box, kept inside the image; it ends with the box where it begins in the image's last fifth."""
-    x0, y0, x1, _ = xywh_to_xyxy(box_xywh)
-    size = 11 * scale
-    late = x0 > 0.8 * width
-    x, anchor = (min(x1, width), "end") if late else (max(x0, 0.0), "start")
-    attributes = f'x="{x:.1f}" y="{max(y0 - 3, size):.1f}" text-anchor="{anchor}" font-size="{size:g}"'
-    return f"<text {attributes}>{escape(text)}</text>"
+def labels(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
+    """A text for each of some boxes in an image of `size` (width, height), near its box and clear of the other texts.
+
+    A text stands above its box, or else below it, or else as little higher or lower as there is room, with a line that
+    leads to the box. The texts of tall boxes, which are near, are placed first.
+    """
+    width, height = size
+    letters = _LETTERS * unit(width)
+    high = 1.25 * letters
+    taken: list[Floats] = []
+    out = []
+    for box_xywh, text in sorted(of, key=lambda pair: -float(np.asarray(pair[0])[3])):
+        x0, y0, _, y1 = xywh_to_xyxy(box_xywh)
+        long = _WIDTH_OF_LETTER * letters * len(text)
+        left = float(np.clip(x0, 0.0, max(0.0, width - long)))
+        above, below = y0 - high, y1 + 0.1 * high
+        tops = [above, below, *(y for k in range(1, _LINES_AWAY) for y in (above - k * high, below + k * high))]
+        inside = [top for top in tops if 0 <= top <= height - high] or [float(np.clip(above, 0, height - high))]
+        places = [np.array([left, top, left + long, top + high]) for top in inside]
+        place_of = next((one for one in places if not any(_overlap(one, other) for other in taken)), places[0])
+        taken.append(place_of)
+        _, top, _, bottom = place_of
+        if bottom < above:
+            out.append(path(f"M{left:.1f} {bottom:.1f}L{x0:.1f} {y0:.1f}", "leader"))
+        elif top > below + high:
+            out.append(path(f"M{left:.1f} {top:.1f}L{x0:.1f} {y1:.1f}", "leader"))
+        attributes = f'x="{left:.1f}" y="{bottom - 0.3 * letters:.1f}" font-size="{letters:g}"'
+        out.append(f"<text {attributes}>{escape(text)}</text>")
+    return "".join(out)
+
+
+def _overlap(a: Floats, b: Floats) -> bool:
+    """Whether two rectangles (4,) xyxy have a point inside both."""
+    return bool((np.maximum(a[:2], b[:2]) < np.minimum(a[2:], b[2:])).all())

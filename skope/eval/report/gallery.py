@@ -98,13 +98,11 @@ def _layers(
     matches, image = measured.matches, measured.file.images[index]
     unit = image_viewer.unit(image.width)
 
-    def label(box: Floats, text: str) -> str:
-        return image_viewer.label(box, text, unit, image.width)
-
     def drawn(points: Floats, placed: Flags, sure: Flags, joined: Flags) -> str:
         return image_viewer.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
 
     truth, found, wrong, words = [], [], [], []
+    labels: list[tuple[Floats, str]] = []
     ignored = [
         image_viewer.box(box_of(a, options.boxes))
         for a in measured.file.annotations
@@ -117,14 +115,14 @@ def _layers(
         placed = points[:, 2] > 0
         truth.append(image_viewer.box(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
         if not outcomes.found[g]:
-            wrong.append(label(box, "missed"))
+            labels.append((box, "missed"))
             words.append(f"{name} missed")
             continue
         counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
         counts = {kind: count for kind, count in counts.items() if count}
         if counts:
             wrong.append(_strays(points, matches.det_keypoints[outcomes.detection[g]], kinds[g] >= 0))
-            wrong.append(label(box, ", ".join(f"{count} {SHORT[kind]}" for kind, count in counts.items())))
+            labels.append((box, ", ".join(f"{count} {SHORT[kind]}" for kind, count in counts.items())))
             words.append(f"{name}: {', '.join(f'{count} {WORDS[kind]}' for kind, count in counts.items())}")
     false = false_detections(matches, outcomes)
     for d in np.flatnonzero(matches.det_image == index):
@@ -134,8 +132,9 @@ def _layers(
         placed, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
         found.append(image_viewer.box(box, name) + drawn(points, placed, sure, sure))
         if false[d]:
-            wrong.append(label(box, "false"))
+            labels.append((box, "false"))
             words.append(f"false {name}")
+    wrong.append(image_viewer.labels(labels, (image.width, image.height)))
     layers = {"ignored": ignored, "truth": truth, "found": found, "wrong": wrong}
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
 

@@ -18,6 +18,18 @@ from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
 
 _TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
+_COUNTS: Final = {
+    "images": "images",
+    "ground_truth": "vehicles",
+    "ignored": "ignored vehicles",
+    "detections": "detections",
+}
+_PRECISIONS: Final = {
+    "box_ap": "box AP",
+    "box_ap50": "box AP50",
+    "keypoint_ap": "keypoint AP",
+    "keypoint_ap50": "keypoint AP50",
+}
 _PARTS: Final = {
     "distance": "Distance, m",
     "height": "Height of the box, px",
@@ -38,6 +50,13 @@ _LAYERS: Final = {
 }
 
 
+_HOW_TO_READ: Final = tag(
+    "p",
+    "The best, the median and the worst images of each split. Quality is the share of an image's labelled keypoints "
+    "that are right, times vehicles / (vehicles + false detections). Lines lead from a wrong keypoint to its place.",
+)
+
+
 def render(
     document: Mapping[str, Any],
     measured: Sequence[SplitScores],
@@ -45,16 +64,36 @@ def render(
     options: Options,
     protocol: str,
     beside: Mapping[str, Any] | None,
+    subject: str,
 ) -> str:
-    """The whole report as HTML. Images are taken from below `root` where they are there."""
-    names = " ".join(split.file.name for split in measured)
+    """The whole report as HTML: what `subject` names, of which `document` has the figures.
+
+    Images are taken from below `root` where they are there.
+    """
+    names = ", ".join(split.file.name for split in measured)
+    links = {"images": "Images", "figures": "Figures", **{_anchor(s): f"Split {s.file.name}" for s in measured}}
     body = [
-        tag("h1", "Evaluation of vehicle keypoints"),
-        _about(document),
+        tag("h1", escape(subject)),
+        tag("nav", *(tag("a", escape(words), href=f"#{name}") for name, words in links.items())),
+        tag("section", tag("h2", "Images", id="images"), _HOW_TO_READ, *(_images(s, root, options) for s in measured)),
         _figures(document, protocol, beside),
-        *(_split(split, root, options) for split in measured),
+        *(_split(split, options) for split in measured),
     ]
-    return page(f"skope eval: {names}", *body)
+    return page(f"{subject} ({names})", *body)
+
+
+def _anchor(measured: SplitScores) -> str:
+    return f"split-{measured.file.name}"
+
+
+def _images(measured: SplitScores, root: Path, options: Options) -> str:
+    """The best, median and worst images of a split."""
+    name = measured.file.name
+    shown = gallery(measured, root, options)
+    if not shown:
+        return tag("p", escape(f"{name}: no image file is there."))
+    layers = switches(f"Layers of the images of {name}", _LAYERS, _LAYERS.keys() - {"ignored"})
+    return tag("div", layers, shown, class_="gallery")
 
 
 def _about(document: Mapping[str, Any]) -> str:
@@ -104,23 +143,18 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         tag("li", escape(f"Intervals of {name}: {evidence(split['intervals'])}"))
         for name, split in document["splits"].items()
     )
-    heads = ("split", "images", "vehicles", "ignored", "detections", "box AP", "AP50", "keypoint AP", "AP50")
-    counts = [
-        [
-            escape(name),
-            *(str(split[key]) for key in ("images", "ground_truth", "ignored", "detections")),
-            *(plain(value) for value in split["coco"].values()),
-        ]
-        for name, split in document["splits"].items()
-    ]
+    splits = document["splits"].values()
+    counts = [[words, *(str(split[key]) for split in splits)] for key, words in _COUNTS.items()]
+    counts += [[words, *(plain(split["coco"][key]) for split in splits)] for key, words in _PRECISIONS.items()]
     return tag(
         "section",
-        tag("h2", "Figures"),
+        tag("h2", "Figures", id="figures"),
+        _about(document),
         tag("fieldset", tag("legend", "Protocol"), choices, class_="choices"),
         *panels,
         tag("p", meaning),
         tag("ul", sources),
-        table(heads, counts, caption="Counts and average precision"),
+        table(("", *map(escape, document["splits"])), counts, caption="Counts and average precision"),
         tag("p", partial) if any(_lacks_low_scores(split) for split in document["splits"].values()) else "",
     )
 
@@ -155,7 +189,7 @@ def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) 
     return f"{text}<small>{scale * low:.{digits}f}–{scale * high:.{digits}f}</small>"
 
 
-def _split(measured: SplitScores, root: Path, options: Options) -> str:
+def _split(measured: SplitScores, options: Options) -> str:
     entry, name = measured.entry, measured.file.name
     loosest = f"{options.loosest:g}"
     boxes = Axes(x_label="recall", y_label="precision")
@@ -167,11 +201,13 @@ def _split(measured: SplitScores, root: Path, options: Options) -> str:
         chart("Are keypoint scores what they claim?", claimed, curves.reliability(measured), diagonal=True),
         chart("Keypoints: precision over recall", boxes, curves.keypoint_precision_recall(measured), every=5),
     ]
-    parts = [_part(title, entry["by"][key], loosest) for key, title in _PARTS.items() if key in entry["by"]]
-    shown = gallery(measured, root, options)
+    # A table of one row would say what the split's own figures say.
+    parts = [
+        _part(title, entry["by"][key], loosest) for key, title in _PARTS.items() if len(entry["by"].get(key, ())) > 1
+    ]
     return tag(
         "section",
-        tag("h2", escape(f"Split {name}")),
+        tag("h2", escape(f"Split {name}"), id=_anchor(measured)),
         tag(
             "div",
             *charts,
@@ -179,24 +215,10 @@ def _split(measured: SplitScores, root: Path, options: Options) -> str:
             class_="grid",
         ),
         _confidence(entry["confidence"], loosest),
-        tag("h3", f"By parts, IoU {loosest}"),
+        tag("h3", f"By parts, IoU {loosest}") if parts else "",
         tag("div", *parts, class_="grid"),
         tag("h3", "What goes wrong"),
         _failures(entry["failures"]),
-        tag("h3", "Images"),
-        tag(
-            "p",
-            "Quality is the share of an image's labelled keypoints that are right, times vehicles / (vehicles + false "
-            "detections). Lines lead from a wrong keypoint to its place.",
-        ),
-        tag(
-            "div",
-            switches(f"Layers of the images of {name}", _LAYERS, _LAYERS.keys() - {"ignored"}),
-            shown,
-            class_="gallery",
-        )
-        if shown
-        else tag("p", "No image file is there."),
     )
 
 

@@ -1,3 +1,4 @@
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -13,7 +14,8 @@ from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options, quality
 from skope.metrics.split_scores import SplitScores, measure
-from skope.page.charts import Axes, Line, chart
+from skope.page import image_viewer
+from skope.page.charts import Axes, Line, chart, histogram
 from skope.page.vehicle_outline import plan
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page
@@ -51,7 +53,7 @@ def report(skope: Any, tmp_path: Path) -> Page:
 def test_the_page_needs_nothing_from_outside(report: Page) -> None:
     for _, attributes in report.elements:
         for name in ("src", "href"):
-            assert (attributes.get(name) or "data:").startswith("data:")
+            assert (attributes.get(name) or "data:").startswith(("data:", "#"))
         assert "url(" not in (attributes.get("style") or "")
     assert len(report.all("script")) == len(report.all("style")) == 1
     policy = [a["content"] for a in report.all("meta") if a.get("http-equiv") == "Content-Security-Policy"]
@@ -150,11 +152,12 @@ def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Pat
     from skope.metrics.precision_recall import document
 
     measured = measured_split(4)
-    text = render(document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None)
+    text = render(document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None, "a&b")
     page = Page(text)
     assert "Split a<b" in page.text
     assert page.all("img") == []
-    assert "No image file is there." in page.text
+    assert "a<b: no image file is there." in page.text
+    assert "a&b" in page.text
 
 
 def test_a_chart_places_its_points_and_leaves_gaps_out() -> None:
@@ -175,3 +178,44 @@ def test_points_of_another_scheme_alone_are_drawn() -> None:
     file = replace(measured_split(4).file)
     measured = measure(file, detector_of(file), options, FleetInfo())
     assert list(measured.entry["by"]["keypoint"]) == [keypoints.NAMES[k] for k in few]
+
+
+def test_texts_over_an_image_stand_clear_of_each_other() -> None:
+    rng = np.random.default_rng(5)
+    boxes = [
+        np.array([x, y, 60, 30]) for x, y in zip(rng.integers(0, 600, 12), rng.integers(200, 260, 12), strict=True)
+    ]
+    drawn = Page(image_viewer.labels([(box, "2 L/R, 3 jitter") for box in boxes], (640, 480)))
+    texts = drawn.all("text")
+    assert len(texts) == 12
+    size = float(texts[0]["font-size"] or 0)
+    assert {float(text["font-size"] or 0) for text in texts} == {size}
+    long = 0.55 * size * len("2 L/R, 3 jitter")
+    places = [(float(text["x"] or 0), float(text["y"] or 0)) for text in texts]
+    for x, y in places:
+        assert x >= 0
+        assert x + long <= 640
+        assert size * 0.9 <= y <= 480
+    for (xa, ya), (xb, yb) in itertools.combinations(places, 2):
+        assert abs(xa - xb) >= long or abs(ya - yb) >= size
+
+
+def test_a_text_stands_right_above_a_box_alone_and_below_one_at_the_image_s_top() -> None:
+    (alone,) = Page(image_viewer.labels([(np.array([100, 200, 50, 50]), "missed")], (640, 480))).all("text")
+    assert float(alone["x"] or 0) == 100
+    assert 190 < float(alone["y"] or 0) < 200
+    (top,) = Page(image_viewer.labels([(np.array([100, 2, 50, 50]), "missed")], (640, 480))).all("text")
+    assert 52 < float(top["y"] or 0) < 70
+
+
+def test_a_histogram_has_a_bar_for_each_band() -> None:
+    axes = Axes(x_label="distance, m", y_label="share", x_end=4.0)
+    page = Page(histogram("t", axes, [Line(name="easy", x=[0.5, 1.5, 2.5, 3.5], y=[0.5, 0.0, 0.3, 0.2])]))
+    (band,) = [a for a in page.all("path") if "band" in (a.get("class") or "")]
+    numbers = [float(v) for v in re.findall(r"[\d.]+", band["d"] or "")]
+    corners = list(zip(numbers[::2], numbers[1::2], strict=True))
+    expected = [(0, 0), (0, 0.5), (1, 0.5), (1, 0), (2, 0), (2, 0.3), (3, 0.3), (3, 0.2), (4, 0.2), (4, 0)]
+    assert corners == [axes.place(*corner) for corner in expected]
+    tips = [a["data-tip"] for a in page.all("path") if "data-tip" in a]
+    assert tips[0] == "easy: distance, m 0 to 1, share 0.500"
+    assert len(tips) == 3

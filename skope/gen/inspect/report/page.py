@@ -1,4 +1,4 @@
-"""The page: summary and card, numbers and plots, and the gallery with its filters."""
+"""The page: the gallery with its filters, numbers and plots, and the card."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -68,19 +68,19 @@ def _page(
         f"skope gen: {dataset.root.resolve().name}",
         tag("h1", card_text.TITLE),
         tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.summary(dataset.card)}")),
-        tag("section", card_text.html(dataset.card)),
-        tag(
-            "section",
-            tag("h2", "Numbers"),
-            table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
-            tag("div", *plots(spreads, dataset.scheme), class_="grid"),
-        ),
         tag(
             "section",
             tag("h2", "Images"),
             tag("p", escape(f"{shown}{how} {_HINT}")),
             tag("div", _controls(chosen), *figures, class_="gallery"),
         ),
+        tag(
+            "section",
+            tag("h2", "Numbers"),
+            table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
+            tag("div", *plots(spreads, dataset.scheme), class_="grid"),
+        ),
+        tag("section", card_text.html(dataset.card)),
     )
 
 

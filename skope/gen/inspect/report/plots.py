@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.keypoints import Scheme
-from skope.page.charts import Axes, Line, chart
-from skope.page.html_pieces import bar, share, table
+from skope.page.charts import Axes, Line, histogram
+from skope.page.html_pieces import bar, share, table, tag
 from skope.page.vehicle_outline import Point, outline
 from skope.schema import Annotation, AnnotationFile
 
@@ -77,7 +77,7 @@ def _end(values: Mapping[str, NDArray[np.float64]], step: float) -> float:
 
 
 def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]], end: float) -> list[str]:
-    """A line for each split: the share of its vehicles in each band; nothing where no split has a value."""
+    """Bars for each split: the share of its vehicles in each band; nothing where no split has a value."""
     bands = np.linspace(0, end, _BANDS + 1)
     middles = ((bands[1:] + bands[:-1]) / 2).tolist()
     lines = [
@@ -90,12 +90,15 @@ def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]],
     highest = max(y for line in lines for y in line.y if y is not None)
     top = next(step for step in (0.05, 0.1, 0.2, 0.25, 0.5, 1.0) if step >= highest)
     axes = Axes(x_label=unit, y_label="share of vehicles", x_end=end, y_end=top)
-    return [chart(title, axes, lines, every=2)]
+    return [histogram(title, axes, lines)]
 
 
 def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
     counts = sum((Counter(group) for group in groups), Counter())
     total = max(1, counts.total())
+    if len(counts) == 1:
+        ((name, count),) = counts.items()
+        return tag("p", tag("b", escape(f"{title}: ")), escape(f"{name} ({count} {unit})"))
     rows = [[escape(name), str(count), bar(count / total)] for name, count in counts.most_common()]
     return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
 
