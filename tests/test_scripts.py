@@ -87,6 +87,8 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_world.py", "--size 96x54 --frames 1 --workers 1", says="1 images of t01_mill_corner", apart=True),
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
     Run("demo_page.py", "{out}/none --data {dataset}", says="no such file", code=2),  # a page: test_demo_page.py
+    Run("draw_docs.py", "nonsense", says="no picture is called nonsense", code=2),
+    Run("draw_docs.py", "vehicle_sheet --out {out}", says="vehicle_sheet.jpg", apart=True, slow=True),
     Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
     Run(
         "research/experiment_train.py",

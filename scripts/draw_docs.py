@@ -1,0 +1,163 @@
+"""Make the pictures of README and docs again, with the commands that they show; ten minutes on two cores.
+
+    make demo                                                  # what birdseye, footage_overlay, gallery and report show
+    python scripts/draw_docs.py                                # all
+    python scripts/draw_docs.py noon fog --out elsewhere       # some
+
+`gallery` and `report` are photographed by Chromium. docs/method.md has its figures from `draw_method.py`, and
+docs/real_footage.jpg is a frame of somebody's footage: `skope eval predict VIDEO --overlay`.
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.dataset import open_dataset, read_image
+from skope.files import replacing
+
+Pixels = NDArray[np.uint8]
+
+ROOT: Final = Path(__file__).parents[1]
+SITE: Final = "t01_mill_corner"
+MOST_BYTES: Final = 290_000
+"""A page shows many of them."""
+OVERLAY_FRAME: Final = 30
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where pictures come from."""
+
+    work: Path
+    """For what is made on the way."""
+    data: Path
+    """Dataset of `make demo`."""
+    run: Path
+    """What else `make demo` made."""
+
+
+def skope(*words: object) -> None:
+    subprocess.run([sys.executable, "-m", "skope", *map(str, words), "--quiet"], check=True, cwd=ROOT)
+
+
+def generated(folder: Path, *options: object) -> Pixels:
+    """The last image of a dataset that is generated."""
+    skope("gen", *options, "--size", "1280x720", "--out", folder)
+    dataset = open_dataset(folder)
+    image = max((image for split in dataset.splits for image in dataset.read(split).images), key=lambda one: one.id)
+    return read_image(folder / image.file_name)
+
+
+def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
+    """What makes a picture of one junction in some weather."""
+
+    def draw(places: Places) -> Pixels:
+        options = ("--site", SITE, "--weather", sky, "--time-of-day", time, "--frames", 2)
+        return generated(places.work / name, *options)
+
+    return draw
+
+
+def own_road(places: Places) -> Pixels:
+    return generated(places.work / "own_road", "--site", ROOT / "examples/own_road/site.toml", "--frames", 4)
+
+
+def vehicle_sheet(places: Places) -> Pixels:
+    skope("gen", "vehicles", "show", "suv", "--out", places.work / "vehicles")
+    return narrowed(read_image(places.work / "vehicles" / "suv.png"), 1350)
+
+
+def birdseye(places: Places) -> Pixels:
+    return narrowed(read_image(places.run / "tracks" / "birdseye.png"), 1500)
+
+
+def footage_overlay(places: Places) -> Pixels:
+    video = cv2.VideoCapture(str(places.run / "seen" / "overlay.mp4"))
+    video.set(cv2.CAP_PROP_POS_FRAMES, OVERLAY_FRAME)
+    there, frame = video.read()
+    if not there:
+        sys.exit(f"{places.run / 'seen' / 'overlay.mp4'}: has no frame {OVERLAY_FRAME}: run `make demo`")
+    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def gallery(places: Places) -> Pixels:
+    skope("gen", "report", places.data, "--out", places.work / "gallery")
+    return photographed(places.work / "gallery" / "index.html", 1240, 860)
+
+
+def report(places: Places) -> Pixels:
+    return photographed(places.run / "road33" / "report.html", 1100, 1000)
+
+
+def photographed(page: Path, width: int, height: int) -> Pixels:
+    """The upper part of a page."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "page.png"
+        flags = ["--headless=new", "--no-sandbox", "--hide-scrollbars", f"--user-data-dir={folder}/profile"]
+        flags += [f"--window-size={width},{height}", f"--screenshot={path}", page.resolve().as_uri()]
+        subprocess.run(["chromium", *flags], check=True, capture_output=True)
+        return read_image(path)
+
+
+def narrowed(pixels: Pixels, width: int) -> Pixels:
+    scale = min(1.0, width / pixels.shape[1])
+    return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+PICTURES: Final[dict[str, Callable[[Places], Pixels]]] = {
+    "noon": weather("noon", "clear", "noon"),
+    "low_sun": weather("low_sun", "clear", "low_sun"),
+    "rain_night": weather("rain_night", "rain", "night"),
+    "fog": weather("fog", "fog", "noon"),
+    "own_road": own_road,
+    "vehicle_sheet": vehicle_sheet,
+    "birdseye": birdseye,
+    "footage_overlay": footage_overlay,
+    "gallery": gallery,
+    "report": report,
+}
+NEEDS_BROWSER: Final = ("gallery", "report")
+
+
+def write(path: Path, pixels: Pixels) -> None:
+    """As JPEG, in the best quality that `MOST_BYTES` allow."""
+    for quality in range(90, 40, -5):
+        made, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+        if made and len(data) <= MOST_BYTES:
+            break
+    with replacing(path) as temporary:
+        temporary.write_bytes(data.tobytes())
+    print(f"{path}: {pixels.shape[1]}x{pixels.shape[0]}, {len(data) // 1000} kB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}; all by default")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs")
+    parser.add_argument("--data", type=Path, default=ROOT / "data/demo", help="dataset of `make demo`")
+    parser.add_argument("--run", type=Path, default=ROOT / "runs/demo", help="what else `make demo` made")
+    options = parser.parse_args()
+    names = options.names or list(PICTURES)
+    if unknown := set(names) - PICTURES.keys():
+        parser.error(f"no picture is called {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
+    if set(names) & set(NEEDS_BROWSER) and shutil.which("chromium") is None:
+        parser.error(f"{', '.join(NEEDS_BROWSER)}: chromium is not installed")
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        places = Places(Path(folder), options.data, options.run)
+        for name in names:
+            write(options.out / f"{name}.jpg", PICTURES[name](places))
+
+
+if __name__ == "__main__":
+    main()
