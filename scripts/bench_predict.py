@@ -10,8 +10,8 @@ The ways: torchvision's own call, image by image; skope's backends and number fo
 is what `skope eval predict` does by default. Each runs in a process of its own, which has loaded the detector and seen
 one batch before the clock starts; decoding counts. `--times` takes each clip for a video that repeats it, where a clip
 of some seconds is over before pipelines are full. Memory is the process's, on a GPU that of the GPU. Every frame is
-scored, at scores above 0.5 and IoU 0.6, after frames have confirmed each other as in `skope eval predict` (but for
-torchvision's call). Figures of `video_modes.py`.
+scored at IoU 0.6: what `skope eval predict` writes, after frames have confirmed each other, and of torchvision's call
+what scores above 0.5. Figures of `video_modes.py`.
 """
 
 import argparse
@@ -102,7 +102,8 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
         seconds += time.perf_counter() - begun
         looked_at += len(rows)
         rows = rows[: len(rows) // options.times]
-        total += count(first_frames(truth, len(rows)), kept(way, rows, job))
+        score = SCORE if way == "torchvision" else 0.0
+        total += count(first_frames(truth, len(rows)), kept(way, rows, job), score)
     on_gpu = torch.cuda.max_memory_allocated() / 2**20
     memory = on_gpu or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {"rate": looked_at / seconds, "memory_mb": memory, "cells": total.cells()}
@@ -148,7 +149,7 @@ def by_torchvision(
 def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> list[Result]:
     """The results that count."""
     if way == "torchvision":
-        return [result for _, found in rows for result in found if result.score > SCORE]
+        return [result for _, found in rows for result in found]
     confirmation = Confirmation(SCORE, every=job.key_every)
     for image, found in rows:
         confirmation.add(image.time_s or 0.0, found)

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from score_photographs import recall_at_precision
 
 from skope import coco
 from skope.files import read_json
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import Matches, match
+from skope.metrics.precision_recall import recall_at_precision
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 

@@ -36,6 +36,7 @@ from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
 from skope.metrics.failures import OTHER_END, OTHER_SIDE
 from skope.metrics.match import Matches, match
+from skope.metrics.precision_recall import recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
 from skope.output_folders import claim_output
 from skope.schema import Annotation, AnnotationFile, Result
@@ -290,25 +291,6 @@ def box_figures(file: AnnotationFile, results: Sequence[Result], score: float) -
         "recall": _ratio(hits, truth),
         "phantoms_a_frame": _ratio(phantoms, len(file.images)),
     }
-
-
-def recall_at_precision(
-    scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
-) -> dict[str, float | None]:
-    """The greatest recall over all least scores at which `precision` is reached, and the highest such least score.
-
-    `scores` and `hit` are (D,), of the detections that count; `truth` is the number of vehicles. 0 where the precision
-    is never reached, None without vehicles.
-    """
-    order = np.argsort(-scores, kind="stable")
-    hits = np.cumsum(hit[order])
-    # Detections of one score come in together.
-    last = np.flatnonzero(np.diff(scores[order], append=-1.0))
-    reached = last[hits[last] / (last + 1) >= precision]
-    if not truth or not len(reached):
-        return {"recall": 0.0 if truth else None, "score": None}
-    best = reached[np.argmax(hits[reached])]
-    return {"recall": float(hits[best] / truth), "score": float(scores[order][best])}
 
 
 def _ratio(numerator: int, denominator: int) -> float | None:

@@ -209,20 +209,6 @@ def test_a_flip_must_fit_clearly_better(script: ModuleType) -> None:
     assert script.flip_of(one, far) is None
 
 
-def test_recall_at_precision_from_a_curve(script: ModuleType) -> None:
-    """Hits and false ones by falling score; the last two of one score come in together."""
-    scores = np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.4])
-    hit = np.array([True, False, True, True, True, True, False])
-    # Precision 1, 1/2, 2/3, 3/4, 4/5, then 5/7; recall is hits of 10.
-    order = np.array([3, 0, 5, 2, 6, 1, 4])
-    for wanted, recall, least in ((1.0, 0.1, 0.9), (0.8, 0.4, 0.5), (0.81, 0.1, 0.9), (0.71, 0.5, 0.4)):
-        at = script.recall_at_precision(scores[order], hit[order], 10, wanted)
-        assert at == {"recall": recall, "score": least}
-    assert script.recall_at_precision(scores[1:2], hit[1:2], 10, 0.9) == {"recall": 0.0, "score": None}
-    assert script.recall_at_precision(scores[:0], hit[:0], 10, 0.9) == {"recall": 0.0, "score": None}
-    assert script.recall_at_precision(scores[1:2], hit[1:2], 0, 0.9) == {"recall": None, "score": None}
-
-
 def test_recall_at_precision_of_photographs_is_blind_to_what_is_left_out(script: ModuleType) -> None:
     boxes = [(10.0, 10.0, 40.0, 30.0), (60.0, 10.0, 40.0, 30.0), (110.0, 10.0, 40.0, 30.0)]
     truth = [vehicle(i, 1, box) for i, box in enumerate(boxes, start=1)]

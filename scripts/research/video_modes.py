@@ -7,7 +7,8 @@
 
 The first folder holds the labels of `skope gen video`; each other one is a mode, with a folder of `skope eval predict`
 for each file of labels. The table has vehicles (not ignored, in all frames together), precision, phantoms a frame,
-recall, that of vehicles in their first second, and PCK@0.1 of what is found, at IoU 0.6.
+recall, that of vehicles in their first second, PCK@0.1 of what is found, and the recall of the detections whose scores
+are high enough for a precision of 0.90, at IoU 0.6.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from skope import coco
 from skope.dataset import PREDICTIONS
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import match
+from skope.metrics.precision_recall import recall_at_precision
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 
@@ -29,7 +31,11 @@ IOU: Final = 0.6
 ALPHA: Final = 0.1
 JUST_ENTERED_S: Final = 1.0
 """How long a vehicle counts as one that has just entered."""
-COLUMNS: Final = ("vehicles", "precision", "phantoms a frame", "recall", "of those in their first second", "PCK %")
+PRECISION: Final = 0.9
+COLUMNS: Final = (
+    *("vehicles", "precision", "phantoms a frame", "recall", "of those in their first second", "PCK %"),
+    f"recall at precision {PRECISION:.2f}",
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,10 @@ class Counts:
     phantoms: int = 0
     labelled: int = 0
     correct: int = 0
+    scores: tuple[float, ...] = ()
+    """Of all detections that count, those with low scores too."""
+    hits: tuple[bool, ...] = ()
+    """Whether each of them is a vehicle."""
 
     def __add__(self, other: "Counts") -> "Counts":
         return Counts(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
@@ -57,12 +67,16 @@ class Counts:
             ratio(self.entering_found, self.entering),
         )
         pck = ratio(100 * self.correct, self.labelled)
-        return [str(self.vehicles), *(_text(share, 3) for share in shares), _text(pck, 1)]
+        at = recall_at_precision(np.array(self.scores), np.array(self.hits, dtype=bool), self.vehicles, PRECISION)
+        return [str(self.vehicles), *(_text(share, 3) for share in shares), _text(pck, 1), _text(at["recall"], 3)]
 
 
-def count(truth: AnnotationFile, results: Sequence[Result]) -> Counts:
-    """Compare what was found in each frame of a clip with its labels."""
-    matches = match(truth, results, score=0.0, thresholds=(IOU,))
+def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) -> Counts:
+    """Compare what was found in each frame of a clip, with scores above `score`, with its labels."""
+    everything = match(truth, results, score=0.0, thresholds=(IOU,))
+    hit = everything.taken[IOU] >= 0
+    counted = hit | ~everything.det_on_ignored
+    matches = match(truth, results, score=score, thresholds=(IOU,))
     outcomes = outcomes_at(matches, IOU, Options())
     times = np.array([image.time_s or 0.0 for image in truth.images])[matches.gt_image]
     tracks = np.array([vehicle.track_id for vehicle in matches.vehicles])
@@ -81,6 +95,8 @@ def count(truth: AnnotationFile, results: Sequence[Result]) -> Counts:
         phantoms=int(((matches.taken[IOU] < 0) & ~matches.det_on_ignored).sum()),
         labelled=int(outcomes.labelled[found].sum()),
         correct=int(outcomes.correct(ALPHA)[found].sum()),
+        scores=tuple(everything.det_score[counted].tolist()),
+        hits=tuple(hit[counted].tolist()),
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.metrics import counts
@@ -15,7 +16,16 @@ from skope.metrics.counts import Options, Outcomes, ratio
 from skope.metrics.match import Matches, match
 from skope.schema import AnnotationFile, Result
 
-__all__ = ["Options", "document", "figures", "localisation", "match_split", "score_split", "summary"]
+__all__ = [
+    "Options",
+    "document",
+    "figures",
+    "localisation",
+    "match_split",
+    "recall_at_precision",
+    "score_split",
+    "summary",
+]
 
 VERSION: Final = 1
 """Version of the layout of `metrics.json`."""
@@ -119,3 +129,22 @@ def localisation(outcomes: Outcomes) -> dict[str, Any]:
 def _finite(value: Any) -> float | None:
     """None where most keypoints are not predicted at all."""
     return float(value) if np.isfinite(value) else None
+
+
+def recall_at_precision(
+    scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
+) -> dict[str, float | None]:
+    """The greatest recall over all least scores at which `precision` is reached, and the highest such least score.
+
+    `scores` and `hit` are (D,), of the detections that count; `truth` is the number of vehicles. 0 where the precision
+    is never reached, None without vehicles.
+    """
+    order = np.argsort(-scores, kind="stable")
+    hits = np.cumsum(hit[order])
+    # Detections of one score come in together.
+    last = np.flatnonzero(np.diff(scores[order], append=-1.0))
+    reached = last[hits[last] / (last + 1) >= precision]
+    if not truth or not len(reached):
+        return {"recall": 0.0 if truth else None, "score": None}
+    best = reached[np.argmax(hits[reached])]
+    return {"recall": float(hits[best] / truth), "score": float(scores[order][best])}

@@ -7,7 +7,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.metrics.counts import Options
 from skope.metrics.match import THRESHOLDS, match
-from skope.metrics.precision_recall import score_split
+from skope.metrics.precision_recall import recall_at_precision, score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case
@@ -225,3 +225,17 @@ def test_metrics_equal_the_loops(block: int) -> None:
                 for name in seen:
                     seen[name] += expected["counts"][name]
     assert min(seen.values()) > 50  # the cases do exercise what they are for
+
+
+def test_recall_at_precision_from_a_curve() -> None:
+    """Hits and false ones by falling score; the last two of one score come in together."""
+    scores = np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.4])
+    hit = np.array([True, False, True, True, True, True, False])
+    # Precision 1, 1/2, 2/3, 3/4, 4/5, then 5/7; recall is hits of 10.
+    order = np.array([3, 0, 5, 2, 6, 1, 4])
+    for wanted, recall, least in ((1.0, 0.1, 0.9), (0.8, 0.4, 0.5), (0.81, 0.1, 0.9), (0.71, 0.5, 0.4)):
+        at = recall_at_precision(scores[order], hit[order], 10, wanted)
+        assert at == {"recall": recall, "score": least}
+    assert recall_at_precision(scores[1:2], hit[1:2], 10, 0.9) == {"recall": 0.0, "score": None}
+    assert recall_at_precision(scores[:0], hit[:0], 10, 0.9) == {"recall": 0.0, "score": None}
+    assert recall_at_precision(scores[1:2], hit[1:2], 0, 0.9) == {"recall": None, "score": None}
