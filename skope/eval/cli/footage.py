@@ -83,11 +83,14 @@ class SceneOptions(KeypointOptions):
         """
         from skope.eval.pose.fit_ground import with_fitted_ground
         from skope.eval.pose.views import read_scene
+        from skope.eval.pose.write_camera import doubt
 
         _probability("--score", self.score)
         _pixels("--noise", *noise)
         _pixels("--sigma", self.sigma)
         scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
+        if self.camera and (words := doubt(self.camera)):
+            console.result(f"{words}: distances and speeds may all be off by as much, beyond what sigma says")
         if self.ground in _FITTED:
             scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:
@@ -182,8 +185,13 @@ def predict(
         typer.echo(f"skope: skipped: {reason}", err=True)
     if footage.skipped:
         raise typer.Exit(1)
+    here = shlex.quote(str(out))
     if fixed:
-        console.result(f"next: skope eval track {shlex.quote(str(out))}")
+        console.result(f"next: skope eval track {here}")
+    elif footage.clip is not None:
+        console.result(
+            f"next, for metres: skope eval camera {here}, or your own: skope eval track {here} --camera FILE"
+        )
 
 
 def pose(

@@ -81,7 +81,10 @@ class Scene:
         """The camera of an image, at the image's size. Raises UserError where neither scene nor image has one."""
         camera = self.camera or image.camera
         if camera is None:
-            raise UserError(f"{self.file.name}: {image.file_name} has no camera; give one with --camera")
+            raise UserError(
+                f"{self.file.name}: {image.file_name} has no camera; give one with --camera "
+                "(`skope eval camera` finds one from vehicles or marked points)"
+            )
         return sized(camera, (image.width, image.height), image.file_name)
 
     def views(

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -58,6 +59,8 @@ def from_vehicles(
     yield f"focal length {fit.camera.K[0, 0]:.0f} px, one standard deviation {fit.sigma_focal:.0f}"
     yield f"tilt down {pitch:.2f} deg, {sigma['pitch_deg']:.2f}; roll {roll:.2f} deg, {sigma['roll_deg']:.2f}"
     yield f"height {fit.camera.position[2]:.2f} m, {fit.sigma_height:.2f}; from {fit.vehicles} vehicles"
+    if where[0] is not None:
+        yield f"next: skope eval track {shlex.quote(str(where[0]))} --camera {shlex.quote(str(out))}"
 
 
 def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
@@ -75,6 +78,17 @@ def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
     for number, (pixel, place, distance) in enumerate(zip(pixels, world, off, strict=True), start=1):
         where = f"point {number}: pixel ({pixel[0]:g}, {pixel[1]:g}), world ({', '.join(f'{v:g}' for v in place)})"
         yield f"{where}: {distance:.2f} px off{'; wrong?' if distance > _WRONG_PX else ''}"
+
+
+def doubt(path: Path) -> str | None:
+    """How uncertain the camera of a file is that `from_vehicles` wrote, in words; None for other files."""
+    try:
+        document = json.loads(read_bytes(path))
+        sigma = document["sigma"]
+        focal, height = sigma["focal"] / document["K"][0][0], sigma["height"]
+        return f"{path}: focal length within {focal:.0%}, height within {height:.2f} m (one standard deviation each)"
+    except (ValueError, KeyError, TypeError, IndexError, ZeroDivisionError):
+        return None
 
 
 def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str]:

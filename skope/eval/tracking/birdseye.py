@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from skope.camera import Camera
+from skope.console import counted
 from skope.eval.pose.types import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_view import GroundView, Pixels
@@ -25,6 +26,10 @@ _WIDTH: Final = 10.0
 _PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
 """Where the map is: shares of the picture's width to the left and right, inches at the top and bottom."""
 _MARGIN_M: Final = 10.0
+_SURE_M: Final = 1.5
+"""The map is of the places that are known as well as this, one standard deviation: farther ones would make it small."""
+_MANY: Final = 20
+"""More tracks than these have thinner lines with one arrowhead, and labels only where their vehicles are drawn."""
 _TALLEST: Final = 0.85
 _FLATTEST: Final = 0.45
 """Height of the map over its width, at most and at least."""
@@ -49,7 +54,7 @@ def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | N
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    low, high = _extent(tracks, camera.position[:2])
+    low, high = extent(tracks, camera.position[:2])
     map_width = _WIDTH * (_PLACE["right"] - _PLACE["left"])
     map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
     height = map_height + _PLACE["top"] + _PLACE["bottom"]
@@ -65,13 +70,14 @@ def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | N
         _draw_view(axes, GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell), road)
     colors, norm = _speed_colors(tracks)
     for track in tracks:
-        _draw_path(axes, track, colors, norm)
+        _draw_path(axes, track, colors, norm, many=len(tracks) > _MANY)
     frame = _fullest_frame(tracks)
     present = [(track, frame - int(track.frames[0])) for track in tracks if frame in track.frames]
     for track, i in present:
         _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
     taken = [map_signs.draw_camera(axes, camera), map_signs.draw_key(axes, tracks, camera)]
-    map_signs.draw_labels(axes, tracks, {track.number: i for track, i in present}, taken)
+    labelled = tracks if len(tracks) <= _MANY else [track for track, _ in present]
+    map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
     map_signs.draw_frame(axes)
     _write_heading(figure, tracks, None if not present else float(present[0][0].times_s[present[0][1]]))
     bar = figure.add_axes((0.915, _PLACE["bottom"] / height, 0.016, map_height / height))
@@ -81,20 +87,21 @@ def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | N
 
 
 def _write_heading(figure: "Figure", tracks: Sequence[Track], moment_s: float | None) -> None:
-    """Over the map: how many vehicles in how long, and what lines and outlines are."""
+    """Over the map: how many tracks in how long, and what lines and outlines are."""
     place, height = _PLACE["left"], figure.get_figheight()
     heading, note = "No vehicle was tracked", ""
     if tracks:
         seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
-        heading = f"{len(tracks)} {'vehicle' if len(tracks) == 1 else 'vehicles'} tracked over {seconds:.1f} s"
+        heading = f"{counted(len(tracks), 'track')} of vehicles in {seconds:.1f} s"
         note = f"Lines: ways driven, numbered as in tracks.csv. Outlines: the vehicles at {moment_s:.1f} s."
     figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
     figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
 
 
-def _extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
-    """Corners (2,) of the map: all tracks and the camera, with a margin, in a shape that fills the picture."""
-    places = np.concatenate([camera_xy[None], *(t.position[:, :2] for t in tracks)])
+def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
+    """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
+    sure = [t.position[t.position_sigma <= _SURE_M, :2] for t in tracks]
+    places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.position[:, :2] for t in tracks))])
     low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
     width, height = high - low
     wanted = np.array([max(width, height / _TALLEST), max(height, width * _FLATTEST)])
@@ -117,7 +124,7 @@ def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
     whole = mpl.colormaps["plasma"]
     colors = mpl.colors.LinearSegmentedColormap.from_list("speed", whole(np.linspace(0.02, 0.86, 64)))
     speeds = np.concatenate([track.speed for track in tracks]) * 3.6 if tracks else np.zeros(1)
-    top = 10.0 * np.ceil(max(10.0, float(np.percentile(speeds, 99))) / 10)
+    top = 10.0 * np.ceil(max(10.0, float(np.percentile(speeds, 95))) / 10)
     return colors, mpl.colors.Normalize(0, top)
 
 
@@ -142,22 +149,27 @@ def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
         )
 
 
-def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize") -> None:
-    """A track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel."""
+def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize", *, many: bool) -> None:
+    """A track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel.
+
+    One of `many` is thin.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
 
     xy = track.position[:, :2]
     steps = np.stack([xy[:-1], xy[1:]], axis=1)
-    axes.plot(*xy.T, color="white", linewidth=4.5, solid_capstyle="round", alpha=0.9, zorder=2)
-    lines = LineCollection(list(steps), cmap=colors, norm=norm, linewidths=2.6, capstyle="round", zorder=3)
+    axes.plot(*xy.T, color="white", linewidth=2.8 if many else 4.5, solid_capstyle="round", alpha=0.9, zorder=2)
+    lines = LineCollection(
+        list(steps), cmap=colors, norm=norm, linewidths=1.5 if many else 2.6, capstyle="round", zorder=3
+    )
     lines.set_array(track.speed[1:] * 3.6)
     axes.add_collection(lines)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
     if way[-1] < _STANDS_M:
         return
-    size = 0.95 * map_signs.unit_m(axes)
-    for share in (0.5, 1.0):
+    size = (0.6 if many else 0.95) * map_signs.unit_m(axes)
+    for share in (1.0,) if many else (0.5, 1.0):
         i = int(np.clip(np.searchsorted(way, share * way[-1]), 1, len(xy) - 1))
         ahead = track.velocity[i] / max(1e-9, float(track.speed[i]))
         across = np.array([-ahead[1], ahead[0]])

@@ -1,4 +1,4 @@
-"""Tracks seen from above, as a video of outlines that move."""
+"""Tracks seen from above, as a video of outlines that move over the road."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -7,49 +7,100 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera import Camera
 from skope.draw import PALETTE
+from skope.eval.pose.types import Ground
+from skope.eval.tracking import map_signs
+from skope.eval.tracking.birdseye import extent
+from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.tracks import Track
 from skope.types import Array
 
 Pixels = NDArray[np.uint8]
-_SIDE: Final = 900
+_SIDE: Final = 1200
 """Pixels of the video's longer side."""
-_MARGIN: Final = 6.0
-_ROAD: Final = (44, 46, 50)
-_TRAIL: Final = 50
-"""Frames of a track that are drawn behind its vehicle."""
+_INK: Final = (27, 39, 51)
+_CAMERA: Final = (194, 24, 91)
+_TRAIL_S: Final = 2.0
+"""For how long the way behind a vehicle is drawn, seconds."""
+_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def frames(tracks: Sequence[Track], count: int) -> Iterator[Pixels]:
-    """`count` pictures (H, W, 3) from above, north up: outlines with a line to their front, number and km/h."""
-    places = [t.position[:, :2] for t in tracks] or [np.zeros((1, 2))]
-    low = np.concatenate(places).min(axis=0) - _MARGIN
-    high = np.concatenate(places).max(axis=0) + _MARGIN
-    scale = _SIDE / float((high - low).max())
-    # Encoders want even sides.
-    width, height = (2 * round(v / 2) for v in (high - low) * scale)
+class _Map:
+    """Where places of the road are in the pictures, and what all of them show."""
 
-    def at(points: Array) -> NDArray[np.int32]:
-        flipped = (points - low) * scale * [1, -1] + [0, height]
+    def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
+        low, high = extent(tracks, camera.position[:2])
+        self._low, self._scale = low, _SIDE / float((high - low).max())
+        # Encoders want even sides.
+        self._width, self._height = (2 * round(v / 2) for v in (high - low) * self._scale)
+        self.background: Pixels = np.full((self._height, self._width, 3), 255, dtype=np.uint8)
+        if ground is not None and road is not None:
+            view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=1 / self._scale)
+            pale = view.pale(road)
+            self.background = np.asarray(cv2.resize(pale, (self._width, self._height)), dtype=np.uint8)
+        spot = self.at(camera.position[:2]).tolist()
+        cv2.circle(self.background, spot, 7, _CAMERA, -1, cv2.LINE_AA)
+        write(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA)
+        self._draw_scale()
+
+    def at(self, places: Array) -> NDArray[np.int32]:
+        """(..., 2) pixels of places (..., 2), metres."""
+        flipped = (places - self._low) * self._scale * [1, -1] + [0, self._height]
         return np.asarray(np.rint(flipped), dtype=np.int32)
 
-    for frame in range(count):
-        picture: Pixels = np.full((max(2, height), max(2, width), 3), _ROAD, dtype=np.uint8)
+    def holds(self, place: Array) -> bool:
+        """Whether a place (2,) is on the map."""
+        x, y = self.at(place).tolist()
+        return bool(0 <= x < self._width and 0 <= y < self._height)
+
+    def _draw_scale(self) -> None:
+        """A bar of a round length at the lower right."""
+        metres = max(bar for bar in map_signs.BARS_M if bar <= max(1, self._width / self._scale / 5))
+        right, low = self._width - 20, self._height - 20
+        left = right - round(metres * self._scale)
+        cv2.line(self.background, (left, low), (right, low), _INK, 4)
+        write(self.background, f"{metres} m", (left, low - 10))
+
+
+def frames(
+    tracks: Sequence[Track], times_s: Sequence[float], camera: Camera, ground: Ground | None, road: Pixels | None
+) -> Iterator[Pixels]:
+    """A picture (H, W, 3) from above for each time, north up: outlines with a line to their front, number and km/h.
+
+    Camera, ground and the picture of the empty road are as `birdseye.draw` takes them.
+    """
+    shown = _Map(tracks, camera, ground, road)
+    for frame, time_s in enumerate(times_s):
+        picture = shown.background.copy()
         for track in tracks:
             i = frame - int(track.frames[0])
-            if not 0 <= i < len(track.frames):
-                continue
-            color = PALETTE[track.number % len(PALETTE)]
-            cv2.polylines(picture, [at(track.position[max(0, i - _TRAIL) : i + 1, :2])], False, color, 1, cv2.LINE_AA)
-            ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
-            across = np.array([-ahead[1], ahead[0]])
-            length, breadth = track.size_lwh[:2] / 2
-            middle = track.position[i, :2]
-            corners = [
-                middle + a * length * ahead + b * breadth * across for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
-            ]
-            cv2.fillPoly(picture, [at(np.array(corners))], color, cv2.LINE_AA)
-            cv2.line(picture, at(middle).tolist(), at(middle + length * ahead).tolist(), _ROAD, 2, cv2.LINE_AA)
-            text = f"{track.number}: {track.speed[i] * 3.6:.0f}"
-            cv2.putText(picture, text, at(middle + across).tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
+            if 0 <= i < len(track.frames) and shown.holds(track.position[i, :2]):
+                _draw(picture, shown, track, i)
+        write(picture, f"{time_s:.1f} s", (20, 34), size=0.8)
         yield picture
+
+
+def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
+    """A vehicle in its i-th frame, and the way that it has come."""
+    color = PALETTE[track.number % len(PALETTE)]
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
+    outline = shown.at(np.array(map_signs.corners(track, i, map_signs.OUTLINE)))
+    cv2.fillPoly(picture, [outline], color, cv2.LINE_AA)
+    cv2.polylines(picture, [outline], True, _INK, 1, cv2.LINE_AA)
+    middle, front = shown.at(np.array(map_signs.corners(track, i, ((0.0, 0.0), (1.0, 0.0)))))
+    cv2.line(picture, middle.tolist(), front.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+    x, y = outline.max(axis=0)[0], outline.min(axis=0)[1]
+    write(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
+
+
+def write(
+    picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
+) -> None:
+    """Write a text with a white edge, its lower left corner at a place, moved where it would leave the picture."""
+    (width, height), _ = cv2.getTextSize(text, _FONT, size, 1)
+    x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
+    y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
+    for thick, ink in ((4, (255, 255, 255)), (1, color)):
+        cv2.putText(picture, text, (x, y), _FONT, size, ink, thick, cv2.LINE_AA)

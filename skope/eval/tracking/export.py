@@ -15,13 +15,15 @@ from skope.files import replacing
 
 _COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
-    "length", "width", "height",
+    "length", "width", "height", "measured", "sigma_position", "sigma_speed",
 )  # fmt: skip
 _SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "van": "delivery"}
 
 
 def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -> None:
     """Write a row for each frame of each track: metres, seconds, m/s, m/s^2, degrees counter-clockwise from world x.
+
+    docs/from-camera-to-tracks.md says what the columns mean.
 
     Args:
         path: The .csv file.
@@ -47,6 +49,9 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
                         *(f"{v:.3f}" for v in track.velocity[i]),
                         f"{along[i]:.3f}",
                         *(f"{v:.2f}" for v in track.size_lwh),
+                        int(track.measured[i]),
+                        f"{track.position_sigma[i]:.3f}",
+                        f"{track.speed_sigma[i]:.3f}",
                     ]
                 )
 

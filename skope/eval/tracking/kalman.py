@@ -105,17 +105,34 @@ def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
     return mean - gain * slides, kept @ spread @ kept.T + variance * np.outer(gain, gain)
 
 
-def smoothed(transitions: Sequence[Array], predictions: Sequence[State], filtered: Sequence[State]) -> Array:
-    """(M, 6) means of the states of M frames, each of which knows what came later (Rauch, Tung and Striebel, 1965).
+def smoothed(
+    transitions: Sequence[Array], predictions: Sequence[State], filtered: Sequence[State]
+) -> tuple[Array, Array]:
+    """States of M frames, each of which knows what came later (Rauch, Tung and Striebel, 1965).
 
     Args:
         transitions: (6, 6) each, to each frame from the one before; the first is not used.
         predictions: States before each frame's measurement; the first is not used.
         filtered: States after each frame's measurement.
+
+    Returns:
+        Means (M, 6) and covariances (M, 6, 6).
     """
-    states = np.array([mean for mean, _ in filtered]).reshape(-1, 6)
+    means = np.array([mean for mean, _ in filtered]).reshape(-1, 6)
+    spreads = np.array([spread for _, spread in filtered]).reshape(-1, 6, 6)
     for k in range(len(filtered) - 2, -1, -1):
         ahead, spread_ahead = predictions[k + 1]
         gain = np.linalg.solve(spread_ahead, transitions[k + 1] @ filtered[k][1]).T
-        states[k] += gain @ (states[k + 1] - ahead)
-    return states
+        means[k] += gain @ (means[k + 1] - ahead)
+        spreads[k] += gain @ (spreads[k + 1] - spread_ahead) @ gain.T
+    return means, spreads
+
+
+def deviations(means: Array, spreads: Array) -> tuple[Array, Array]:
+    """Standard deviations of M states: (M,) of the place in its worst direction, metres, and (M,) of the speed, m/s."""
+    place = np.sqrt(np.linalg.eigvalsh(spreads[:, :2, :2])[:, -1])
+    velocity, speed = means[:, 2:4], np.linalg.norm(means[:, 2:4], axis=1)
+    ahead = np.divide(velocity, speed[:, None], out=np.zeros_like(velocity), where=speed[:, None] > 0)
+    along = np.einsum("mi,mij,mj->m", ahead, spreads[:, 2:4, 2:4], ahead)
+    worst = np.linalg.eigvalsh(spreads[:, 2:4, 2:4])[:, -1]
+    return place, np.sqrt(np.where(speed > 0, along, worst))

@@ -23,7 +23,7 @@ OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 """A vehicle's corners, in halves of its length and width."""
 _DRIVES: Final = 0.5
 """A vehicle that is faster drives, m/s."""
-_BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar may have."""
 
 
@@ -73,8 +73,14 @@ def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
     return _box_around([*axes.transData.transform(body), box.min, box.max])
 
 
-def draw_labels(axes: "Axes", tracks: Sequence[Track], present: Mapping[int, int], taken: Sequence["Bbox"]) -> None:
-    """Each track's number, with the speed of the vehicles that are drawn and drive.
+def draw_labels(
+    axes: "Axes",
+    tracks: Sequence[Track],
+    labelled: Sequence[Track],
+    present: Mapping[int, int],
+    taken: Sequence["Bbox"],
+) -> None:
+    """The numbers of the tracks that are `labelled`, with the speed of the vehicles that are drawn and drive.
 
     No label lies on another one, on a vehicle or on the boxes that are `taken`. It takes the place where
     it hides least of the ways driven; what finds no place near its vehicle is left out: tracks.csv has them all.
@@ -84,10 +90,9 @@ def draw_labels(axes: "Axes", tracks: Sequence[Track], present: Mapping[int, int
     taken = [*taken, *(_box_around(axes.transData.transform(outline)) for outline in drawn)]
     ways = axes.transData.transform(np.concatenate([track.position[:, :2] for track in tracks] or [np.zeros((0, 2))]))
     inside = axes.get_window_extent()
-    for track in sorted(tracks, key=lambda t: t.number not in present):
+    for track in sorted(labelled, key=lambda t: t.number not in present):
         i = present.get(track.number, len(track.frames) - 1)
-        drives = track.number in present and track.speed[i] > _DRIVES
-        name = f"#{track.number}  {track.speed[i] * 3.6:.0f} km/h" if drives else f"#{track.number}"
+        name = label(track, i) if track.number in present else f"#{track.number}"
         text = axes.text(
             0, 0, name, fontsize=8, color=INK, ha="center", va="center", zorder=10,
             bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": FAINT, "linewidth": 0.5},
@@ -109,6 +114,12 @@ def draw_labels(axes: "Axes", tracks: Sequence[Track], present: Mapping[int, int
         start, end = axes.transData.inverted().transform(np.array([anchor, middle])).tolist()
         text.set_position((end[0], end[1]))
         axes.plot(*zip(start, end, strict=True), color=FAINT, linewidth=0.7, zorder=5)
+
+
+def label(track: Track, i: int) -> str:
+    """A track's number, with the speed that a driving vehicle has in its i-th frame."""
+    drives = track.speed[i] > _DRIVES
+    return f"#{track.number}  {track.speed[i] * 3.6:.0f} km/h" if drives else f"#{track.number}"
 
 
 def _around(anchor: Array, half: Array) -> Iterator[Array]:
@@ -134,7 +145,7 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     unit = unit_m(axes)
-    length = max(bar for bar in _BARS_M if bar <= max(1, (x1 - x0) / 5))
+    length = max(bar for bar in BARS_M if bar <= max(1, (x1 - x0) / 5))
     size = np.array([length + 11 * unit, 10 * unit])
     places = np.concatenate([camera.position[None, :2], *(t.position[:, :2] for t in tracks)])
     inset = 1.5 * unit

@@ -60,13 +60,15 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     export.write_fcd(job.out / "fcd.xml", tracks, times)
     written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
     camera = scene.camera_of(scene.file.images[0])
-    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, _road(job, camera, console))
+    road = _road(job, camera, console)
+    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road)
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene)
         written.append("mot_truth.txt")
     if job.video:
         with replacing(job.out / "birdseye.mp4") as temporary:
-            write_video(temporary, birdseye_video.frames(tracks, len(times)), 1 / float(np.median(np.diff(times))))
+            above = birdseye_video.frames(tracks, times, camera, scene.ground, road)
+            write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     progress.end()
     for name in written:

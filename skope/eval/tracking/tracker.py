@@ -3,8 +3,11 @@
 Each vehicle is a point that moves with a slowly changing acceleration (`skope.eval.tracking.kalman`). A detection joins
 the track from which it more likely comes than from a vehicle that nobody has seen before (Jonker and Volgenant's
 assignment, as scipy has it): what counts is how certain track and pose are and how much time has passed, not how many
-frames. For a vehicle without a pose, or whose pose is elsewhere all of a sudden, the box in the image keeps the track.
-Trackers of boxes alone would lose what the poses know: metres, headings and how certain they are.
+frames. Before that, a detection whose box lies where one track's box was a moment ago, and no other one's, joins that
+track if its pose allows it: along the line of sight poses are uncertain by metres, where boxes are by pixels. For a
+vehicle without a pose, or whose pose is elsewhere all of a sudden, the box keeps the track; where poses stay elsewhere,
+it ends and another one begins, as nothing on wheels jumps. Trackers of boxes alone would lose what the poses know:
+metres, headings and how certain they are.
 """
 
 import math
@@ -22,6 +25,7 @@ from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside
 from skope.eval.tracking.kalman import GATE
 from skope.eval.tracking.tracks import OpenTrack, Track, begin, finished
+from skope.types import Array
 
 __all__ = ["Track", "follow"]
 
@@ -40,6 +44,10 @@ _OVERLAP: Final = 0.3
 """Least IoU by which a box without a pose continues a track."""
 _JUMP_OVERLAP: Final = 0.5
 """Least IoU by which a box continues a track though its pose is elsewhere."""
+_FRESH_S: Final = 0.15
+"""For how long a box says where in the image a vehicle is by itself, seconds."""
+_CLEAR: Final = 2.0
+"""How many times as large as that with any other box the overlap of two boxes is that are clearly one vehicle's."""
 _JUMPS: Final = 3
 """After so many poses elsewhere that is where the vehicle is."""
 _LOST_S: Final = 3.0
@@ -74,8 +82,9 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
             for track in live:
                 track.predict(frame, time_s, F, Q)
         new = _associate(live, image, time_s)
-        ended = {id(track) for track in give_up_duplicates(live, time_s)}
-        ended |= {id(track) for track in live if time_s - track.last_pose_s > _LOST_S}
+        live += [track.successor for track in live if track.successor is not None]
+        ended = {id(track) for track in live if track.successor or time_s - track.last_pose_s > _LOST_S}
+        ended |= {id(track) for track in give_up_duplicates([t for t in live if id(t) not in ended], time_s)}
         for track in live:
             if id(track) in ended:
                 track.end()
@@ -92,10 +101,15 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
 
 
 def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float) -> list[Posed]:
-    """Give the detections of an image to tracks, first by place, then by box; returns those of new vehicles."""
+    """Give an image's detections to tracks, by clear boxes, by place, then by box; returns those of new vehicles."""
     posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
-    cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
     left = dict(enumerate(posed))
+    cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
+    for t, s in _clear_pairs(live, posed, time_s):
+        if np.isfinite(cost[t, s]):
+            live[t].update(*posed[s])
+            cost[t], cost[:, s] = np.inf, np.inf
+            del left[s]
     for t, s in cheapest_pairs(cost, _NEW):
         live[t].update(*posed[s])
         del left[s]
@@ -103,6 +117,31 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
     for given in _by_box(live, [detection for detection, _ in left.values()], _JUMP_OVERLAP, time_s):
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
     return _without_duplicates(live, list(left.values()))
+
+
+def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: float) -> list[tuple[int, int]]:
+    """Tracks and detections, by index, whose boxes overlap, a moment apart, as no other pair of either does."""
+    fresh = [(t, box) for t, track in enumerate(live) if (box := _fresh_box(track, time_s)) is not None]
+    if not fresh or not posed:
+        return []
+    overlap = box_math.iou(
+        box_math.xywh_to_xyxy(np.array([box for _, box in fresh])),
+        box_math.xywh_to_xyxy(np.array([detection.bbox for detection, _ in posed])),
+    )
+    out = []
+    for k, s in np.argwhere(overlap >= _JUMP_OVERLAP).tolist():
+        others = max(np.delete(overlap[k], s).max(initial=0.0), np.delete(overlap[:, s], k).max(initial=0.0))
+        if overlap[k, s] >= _CLEAR * others:
+            out.append((fresh[k][0], s))
+    return out
+
+
+def _fresh_box(track: OpenTrack, time_s: float) -> Array | None:
+    """(4,) the box of the image before, if that was a moment ago."""
+    before = track.steps[-2] if len(track.steps) > 1 else None
+    if before is None or before.detection is None or time_s - before.time_s > _FRESH_S:
+        return None
+    return before.detection.bbox
 
 
 def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Posed]:
@@ -156,11 +195,28 @@ def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: 
 
 
 def _take_by_box(track: OpenTrack, detection: Detection) -> None:
-    """Note a detection by its box; where its poses keep saying that the vehicle is elsewhere, believe them."""
-    track.jumps += detection.pose is not None
+    """Note a detection by its box; where poses keep saying that the vehicle is elsewhere, let another track have it."""
     step = track.steps[-1]
-    if detection.pose is None or track.jumps < _JUMPS:
-        step.detection = replace(detection, pose=None)
-        return
-    step.predicted = step.filtered = kalman.widened(step.filtered, detection.pose.place)
-    track.update(detection, detection.pose)
+    step.detection = replace(detection, pose=None)
+    if detection.pose is not None:
+        track.elsewhere[step.frame] = detection
+        if len(track.elsewhere) >= _JUMPS:
+            track.successor = _successor(track)
+
+
+def _successor(track: OpenTrack) -> OpenTrack:
+    """A track of what was seen since the last pose of one: of the poses elsewhere the last ones that fit together."""
+    new: OpenTrack | None = None
+    for step in track.steps:
+        if new is not None:
+            new.predict(step.frame, step.time_s, *kalman.motion(step.time_s - new.steps[-1].time_s))
+            new.steps[-1].detection = step.detection
+        detection = track.elsewhere.get(step.frame)
+        if detection is None or detection.pose is None:
+            continue
+        if new is not None and np.isfinite(_cost(new, detection.pose)):
+            new.update(detection, detection.pose)
+        else:
+            new = begin(step.frame, step.time_s, detection, detection.pose)
+    assert new is not None
+    return new

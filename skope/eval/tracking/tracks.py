@@ -41,6 +41,12 @@ class Track:
     """(M, 2) m/s^2."""
     heading: Array
     """(M,) radians, counter-clockwise from world x."""
+    position_sigma: Array
+    """(M,) standard deviation of the place in its worst direction, metres, given the camera and the ground."""
+    speed_sigma: Array
+    """(M,) standard deviation of the speed, m/s, given these."""
+    measured: NDArray[np.bool_]
+    """(M,) in which frames a pose was taken; in the others position and speed follow from the frames around."""
     boxes: Array
     """(M, 4) boxes of the detections, x, y, width, height in pixels; NaN where the vehicle was missed."""
     scores: Array
@@ -50,7 +56,7 @@ class Track:
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """(M,) in which frames it was detected."""
+        """(M,) in which frames it has a box: it was detected there, or followed from other frames."""
         return np.isfinite(self.scores)
 
     @cached_property
@@ -89,6 +95,10 @@ class TrackPart:
     times_s: Array
     states: Array
     """(M, 6) means of the smoothed states, as in `skope.eval.tracking.kalman`."""
+    position_sigmas: Array
+    """(M,) standard deviations of the places in their worst direction, metres."""
+    speed_sigmas: Array
+    """(M,) standard deviations of the speeds, m/s."""
     heights: Array
     """(M,) z of the road, metres."""
     headings: Array
@@ -119,8 +129,10 @@ class OpenTrack:
     """How many of its poses have each body type."""
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
-    jumps: int = 0
-    """Detections since `last_pose` whose pose is elsewhere."""
+    elsewhere: dict[int, Detection] = field(default_factory=dict)
+    """By frame, the detections since `last_pose` that its box says are this vehicle and whose pose is elsewhere."""
+    successor: "OpenTrack | None" = None
+    """What goes on from `elsewhere` in place of this track, which then ends with `last_pose`."""
     surrounding: "OpenTrack | None" = None
     """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
     surrounded_s: float = 0.0
@@ -163,18 +175,18 @@ class OpenTrack:
         self.last_pose = pose
         self.kinds[pose.kind] += 1
         self.last_pose_s = step.time_s
-        self.jumps = 0
+        self.elsewhere = {}
 
     def settle(self, until_s: float) -> None:
         """Smooth, and keep what came before `until_s` as it then is."""
         count = sum(step.time_s < until_s for step in self.steps)
-        self.parts.append(_part(self.steps[:count], _smoothed(self.steps)[:count]))
+        self.parts.append(_part(self.steps[:count], *(states[:count] for states in _smoothed(self.steps))))
         del self.steps[:count]
 
     def end(self) -> None:
         """Smooth what is left, up to the last pose."""
         self.steps = [step for step in self.steps if step.time_s <= self.last_pose_s]
-        self.parts.append(_part(self.steps, _smoothed(self.steps)))
+        self.parts.append(_part(self.steps, *_smoothed(self.steps)))
         self.steps = []
 
     @property
@@ -209,21 +221,25 @@ def finished(track: OpenTrack, number: int) -> Track:
         velocity=states[:, 2:4],
         acceleration=states[:, 4:6],
         heading=smoothed_headings(times, columns["headings"], columns["heading_sigmas"], states[:, 2:4]),
+        position_sigma=columns["position_sigmas"],
+        speed_sigma=columns["speed_sigmas"],
+        measured=measured,
         boxes=columns["boxes"],
         scores=columns["scores"],
         truth_ids=columns["truth_ids"],
     )
 
 
-def _smoothed(steps: Sequence[TrackStep]) -> Array:
-    """(M, 6) smoothed means of the states."""
+def _smoothed(steps: Sequence[TrackStep]) -> tuple[Array, Array]:
+    """Means (M, 6) and covariances (M, 6, 6) of the smoothed states."""
     return kalman.smoothed(
         [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
     )
 
 
-def _part(steps: Sequence[TrackStep], states: Array) -> TrackPart:
+def _part(steps: Sequence[TrackStep], states: Array, spreads: Array) -> TrackPart:
     count = len(steps)
+    position_sigmas, speed_sigmas = kalman.deviations(states, spreads)
     heights, headings, heading_sigmas, scores = np.full((4, count), np.nan)
     sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
     truth_ids = np.full(count, -1, dtype=np.int64)
@@ -239,6 +255,8 @@ def _part(steps: Sequence[TrackStep], states: Array) -> TrackPart:
         frames=np.array([step.frame for step in steps], dtype=np.intp),
         times_s=np.array([step.time_s for step in steps]),
         states=states,
+        position_sigmas=position_sigmas,
+        speed_sigmas=speed_sigmas,
         heights=heights,
         headings=headings,
         heading_sigmas=heading_sigmas,

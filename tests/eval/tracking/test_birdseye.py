@@ -15,7 +15,7 @@ from skope import coco
 from skope.camera import Camera
 from skope.dataset import read_image
 from skope.eval.pose.types import Ground
-from skope.eval.tracking import birdseye, map_signs
+from skope.eval.tracking import birdseye, birdseye_video, map_signs
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.tracks import Track
@@ -43,6 +43,9 @@ def track(number: int, places: Any, *, size: tuple[float, float, float] = (4.5, 
         velocity=velocity,
         acceleration=np.zeros((count, 2)),
         heading=np.arctan2(velocity[:, 1], velocity[:, 0]),
+        position_sigma=np.full(count, 0.1),
+        speed_sigma=np.full(count, 0.2),
+        measured=np.ones(count, dtype=bool),
         boxes=np.full((count, 4), np.nan),
         scores=np.full(count, np.nan),
         truth_ids=np.full(count, -1),
@@ -109,7 +112,7 @@ def test_labels_lie_neither_on_each_other_nor_on_vehicles() -> None:
         for row in range(4)
         for column in range(5)
     ]
-    map_signs.draw_labels(axes, tracks, {t.number: 0 for t in tracks}, [])
+    map_signs.draw_labels(axes, tracks, tracks, {t.number: 0 for t in tracks}, [])
     boxes = [text.get_window_extent() for text in axes.texts]
     assert len(boxes) > 10
     vehicles = [axes.transData.transform(map_signs.corners(t, 0, map_signs.OUTLINE)) for t in tracks]
@@ -126,6 +129,37 @@ def test_any_number_of_tracks_makes_a_picture(tmp_path: Path, count: int) -> Non
     road = np.full((CAMERA.height, CAMERA.width, 3), 90, dtype=np.uint8)
     birdseye.draw(tmp_path / "b.png", tracks, CAMERA, GROUND if count else None, road)
     assert read_image(tmp_path / "b.png").shape[1] == 1500
+
+
+def test_the_map_is_of_what_is_known_well() -> None:
+    near, far = track(1, [[10.0, 0.0], [20.0, 0.0]]), track(2, [[20.0, 5.0], [500.0, 5.0]])
+    far = replace(far, position_sigma=np.array([0.5, 30.0]))
+    low, high = birdseye.extent([near, far], CAMERA.position[:2])
+    assert high[0] < 100
+    for x, y in ([3, -2], [10, 0], [20, 5]):
+        assert low[0] < x < high[0]
+        assert low[1] < y < high[1]
+    _, all_far = birdseye.extent([replace(far, position_sigma=np.full(2, 30.0))], CAMERA.position[:2])
+    assert all_far[0] > 500
+
+
+def test_the_video_moves_what_drives_over_the_road() -> None:
+    """One vehicle, 10 m in a second; the rest of the pictures stays as it is."""
+    drives = track(1, np.array([10.0, 0.0]) + np.arange(11)[:, None] * [1.0, 0.0])
+    road = np.full((CAMERA.height, CAMERA.width, 3), 90, dtype=np.uint8)
+    pictures = list(birdseye_video.frames([drives], drives.times_s.tolist(), CAMERA, GROUND, road))
+    assert len(pictures) == 11
+    first, last = pictures[0].astype(int), pictures[-1].astype(int)
+    height, width = first.shape[:2]
+    assert (height % 2, width % 2, max(height, width)) == (0, 0, 1200)
+    low, high = birdseye.extent([drives], CAMERA.position[:2])
+    scale = width / (high - low)[0]
+    changed = np.argwhere((np.abs(first - last).sum(axis=-1) > 30)[60:])
+    columns = np.percentile(changed[:, 1], [0, 100]) / scale + low[0]
+    assert columns[0] == pytest.approx(10 - 2.25, abs=0.5)
+    assert columns[1] > 20 + 2.25 - 0.5
+    nothing = list(birdseye_video.frames([], [0.0, 0.1], CAMERA, None, None))
+    assert len(nothing) == 2
 
 
 def test_footage_that_is_gone_is_told_and_tracks_are_written(skope: Any) -> None:

@@ -95,17 +95,56 @@ def test_headings_follow_a_turn(fps: float) -> None:
     assert off.max() < 6
 
 
-def test_a_pose_that_jumps_leaves_the_box_its_track_until_it_says_so_for_good() -> None:
+def test_a_pose_that_jumps_leaves_the_box_its_track_and_one_that_stays_there_begins_another() -> None:
     times = (np.arange(60) / 10).tolist()
 
     def image(i: int) -> list[Detection]:
         elsewhere = 20 <= i < 22 or i >= 40
         return [detection(0.8 * i, 30.0 if elsewhere else 0.0, 0.0, box=2.0 * i)]
 
-    (track,) = follow((image(i) for i in range(60)), times)
-    assert track.seen.all()
-    assert np.abs(track.position[15:30, 1]).max() < 1.0  # two frames elsewhere are not believed
-    assert np.abs(track.position[45:, 1] - 30).max() < 1.0
+    before, after = follow((image(i) for i in range(60)), times)
+    assert (before.frames.tolist(), after.frames.tolist()) == (list(range(40)), list(range(40, 60)))
+    assert before.seen.all()
+    assert after.seen.all()
+    assert np.abs(before.position[:, 1]).max() < 1.0  # two frames elsewhere are not believed
+    assert np.abs(after.position[:, 1] - 30).max() < 1.0
+    for track in (before, after):
+        assert track.speed == pytest.approx(8.0, abs=0.5)
+
+
+def test_boxes_tell_neighbours_apart_whose_poses_do_not() -> None:
+    """Two cars in a queue far away, whose poses are 4 m off along the line of sight, all of them for a second."""
+    times = (np.arange(60) / 20).tolist()
+
+    def image(i: int) -> list[Detection]:
+        off = 9.0 if 20 <= i < 40 else 0.0
+        first = detection(100 + off, 0.0, 0.0, sigma=4.0, box=300.0 + i)
+        second = detection(109 + off, 0.0, 0.0, sigma=4.0, box=400.0 + i, truth=2)
+        return [first, second]
+
+    assert sorted(map(sorted, names(follow((image(i) for i in range(60)), times)))) == [[1], [2]]
+
+
+def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
+    """Of vehicles that drive as the model of motion has it, measured with the noise that is stated, now and then."""
+    rng, times = np.random.default_rng(0), (np.arange(120) / 10).tolist()
+    places, speeds = [], []
+    for _ in range(40):
+        acceleration, v, x = 0.0, 12.0, 0.0
+        real = []
+        for _ in times:
+            real.append((x, v))
+            x, v = x + 0.1 * v, v + 0.1 * acceleration
+            acceleration += -acceleration * 0.1 / 1.5 + rng.normal(0, math.sqrt(0.1))
+        seen_at = [rng.normal(place, 0.1) if i % 5 == 0 else None for i, (place, _) in enumerate(real)]
+        images = [[] if at is None else [detection(at, rng.normal(0, 0.1), 0.0, box=20 * at)] for at in seen_at]
+        (found,) = follow(images, times)
+        assert found.measured.tolist() == [at is not None for at in seen_at[: len(found.frames)]]
+        truth = np.array(real)[found.frames]
+        places += ((found.position[:, 0] - truth[:, 0]) / found.position_sigma)[::5].tolist()
+        speeds += ((found.speed - truth[:, 1]) / found.speed_sigma)[::5].tolist()
+    for z in (places, speeds):
+        assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.35)
 
 
 def test_two_vehicles_that_pass_each_other_keep_their_names() -> None:
