@@ -1,5 +1,7 @@
 # skope: set-up, the demonstration, checks, and the pipeline from data to report.
 #
+#   make help        these lines
+#   make setup       .venv with everything; each of the others does that first
 #   make demo        set up, then what skope does in minutes: runs/demo/index.html shows it
 #   make chain       the whole chain from random weights: generate, train a little, evaluate
 #   make test        set up, run the tests (make test-slow: those that take minutes)
@@ -27,7 +29,10 @@ GPUS    ?= 0
 SCORED  ?= runs/real
 FOOTAGE ?= runs/bench_footage
 
-.PHONY: setup demo chain paper reference real test test-slow lint data model report docs bench clean
+.PHONY: help setup demo chain paper reference real test test-slow lint data model report docs bench clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
 
 setup: $(STAMP)
 

@@ -79,6 +79,11 @@ class _Lines(tqdm):  # type: ignore[misc]
         typer.echo(f"{words}, {self.postfix}" if self.postfix else words, err=True)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things in words: 1 image, 2 images."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def minutes(seconds: float) -> str:
     """A duration as people say it: 40 s, 12 min, 3.5 h."""
     if seconds < 100:

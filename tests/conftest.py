@@ -47,9 +47,10 @@ LONGEST: Final = (
 
 
 def pytest_configure() -> None:
-    """Keep the tests' scenery out of the user's cache; workers and subprocesses share it, and light it cheaply."""
+    """Keep scenery and vehicles apart from the user's; workers and subprocesses share them, and light cheaply."""
     if not WORKER:
         os.environ["SKOPE_CACHE"] = tempfile.mkdtemp(prefix="skope-cache-")
+        os.environ["SKOPE_VEHICLES"] = str(Path(os.environ["SKOPE_CACHE"]) / "vehicles")
         path = (str(Path(sitecustomize.__file__).parent), os.environ.get("PYTHONPATH", ""))
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, path))
 

@@ -31,7 +31,8 @@ BELT, ROOF = 1.30, 2.46
 AXLES, WHEEL_Y, WHEEL_RADIUS, WHEEL_WIDTH = (1.75, -1.55), 0.82, 0.34, 0.20
 ARCH_RADIUS, ARCH_Y = 0.42, 0.62
 PAINT, STRIPE, GLASS, TRIM = (20, 130, 140), (245, 200, 40), (25, 30, 35), (45, 45, 48)
-LAMP, RED, TYRE, HUB = (235, 235, 225), (190, 20, 20), (22, 22, 22), (170, 172, 175)
+LAMP, RED, AMBER = (235, 235, 225), (190, 20, 20), (255, 150, 20)
+TYRE, HUB = (22, 22, 22), (170, 172, 175)
 Parts = dict[str, trimesh.Trimesh]
 
 
@@ -52,16 +53,14 @@ def on_side(x: float, z: float, off: float = 0.0) -> np.ndarray:
     return np.array([x, half_width(np.array(z)) + off, z])
 
 
-def surface(polygons: list[np.ndarray], color: tuple[int, int, int]) -> trimesh.Trimesh:
-    """Convex polygons, counter-clockwise from outside, in one colour."""
+def surface(polygons: list[np.ndarray], color: tuple[int, int, int], lamp: str | None = None) -> trimesh.Trimesh:
+    """Convex polygons, counter-clockwise from outside, in one colour; a lamp's material has the lamp's name."""
     vertices = np.concatenate(polygons)
     starts = np.cumsum([0, *map(len, polygons)])
     faces = [[s, s + i, s + i + 1] for s, p in zip(starts, polygons, strict=False) for i in range(1, len(p) - 1)]
-    return painted(trimesh.Trimesh(vertices, faces, process=False), color)
-
-
-def painted(mesh: trimesh.Trimesh, color: tuple[int, int, int]) -> trimesh.Trimesh:
-    mesh.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(baseColorFactor=color))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    material = trimesh.visual.material.PBRMaterial(name=lamp, baseColorFactor=color)
+    mesh.visual = trimesh.visual.TextureVisuals(material=material)
     return mesh
 
 
@@ -120,6 +119,13 @@ def wheel() -> trimesh.Trimesh:
     return both_parts
 
 
+def indicators() -> Parts:
+    """Those of the left side, front and rear, and those of the right."""
+    left = [panel(FRONT, 0.74, 0.98, 0.62, 0.68), panel(TAIL, 0.85, 0.95, 0.74, 0.90)]
+    sides = {"left": left, "right": both(left)[len(left) :]}
+    return {f"indicators_{side}": surface(of, AMBER, f"indicator_{side}") for side, of in sides.items()}
+
+
 def parts() -> Parts:
     """The body by colours, in the vehicle frame."""
     window = [(1.02, 1.36), (1.80, 1.36), (1.36, 2.08), (1.02, 2.08)]
@@ -139,8 +145,11 @@ def parts() -> Parts:
             GLASS,
         ),
         "stripe": surface(both([np.array([on_side(x, z, 0.005) for x, z in stripe[::-1]])]), STRIPE),
-        "headlights": surface(both([panel(FRONT, 0.74, 0.98, 0.62, 0.89)]), LAMP),
-        "taillights": surface(both([panel(TAIL, 0.85, 1.15, 0.74, 0.90)]), RED),
+        "headlights": surface(both([panel(FRONT, 0.74, 0.98, 0.68, 0.89)]), LAMP, "headlight"),
+        **indicators(),
+        "taillights": surface(both([panel(TAIL, 0.95, 1.05, 0.74, 0.90)]), RED, "taillight"),
+        "brake_lights": surface(both([panel(TAIL, 1.05, 1.15, 0.74, 0.90)]), RED, "brake_light"),
+        "reverse_lights": surface(both([panel(TAIL, 0.75, 0.85, 0.74, 0.90)]), LAMP, "reverse_light"),
         "bumpers": surface(both([panel(0, 0.24, 0.58, 0.0, 0.90), panel(TAIL + 1, 0.24, 0.58, 0.0, 0.90)]), TRIM),
         "mirrors": surface(both(mirrors), TRIM),
     }

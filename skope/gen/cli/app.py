@@ -4,12 +4,12 @@ import shlex
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from skope.command_options import DATA, DIR, Commands, JsonOption, option
-from skope.console import Console
+from skope.console import Console, counted
 from skope.gen.cli import convert, inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
 from skope.output_folders import replaceable_output
@@ -24,6 +24,9 @@ for command in (
     *(inspect.check, inspect.stats, inspect.show, inspect.report, inspect.view, inspect.video),
 ):
     app.command()(command)
+
+LONG_RECORDING: Final = 150
+"""Frames of a recording from which it is said that they show one light only; the presets' have up to 105."""
 
 OutOption = Annotated[Path, output(metavar=DIR, help="Dataset folder.")]
 
@@ -46,10 +49,10 @@ def gen(
     request, why = dataset.request()
     start_pool, who = workers.pool_factory()
     expected = estimate(request, Store(out), workers.count()).line
+    _announce(console, request, f"{who}, {why}")
     if dry_run:
         console.result(expected)
         return
-    _announce(console, request, f"{who}, {why}")
     console.say(expected)
     made = generate_dataset(request, out, start_pool, console)
     _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
@@ -86,10 +89,14 @@ def _announce(console: Console, request: "DatasetRequest", who: str) -> None:
     own, parameters = request.own, request.parameters
     for line in own.said if own else ():
         console.say(line)
-    source, places = (
-        (str(own.path), "1 site") if own else (f"preset {parameters.preset}", f"{len(parameters.sites)} sites")
-    )
-    console.say(f"{source}: {request.images} images of {parameters.size} from {places}, seed {parameters.seed}, {who}")
+    plans = request.plans()
+    source = str(own.path) if own else f"preset {parameters.preset}"
+    places = f"{counted(len(parameters.sites), 'site')} in {counted(len(plans), 'recording')}"
+    images = f"{counted(request.images, 'image')} of {parameters.size}"
+    console.say(f"{source}: {images} from {places}, seed {parameters.seed}, {who}")
+    longest = max(plan.frames for plan in plans)
+    if longest > LONG_RECORDING and not (own and own.road.photograph):
+        console.say(f"{longest} frames in a row have one weather and light: --recordings shares them out to several")
 
 
 def _data(out: Path) -> str:

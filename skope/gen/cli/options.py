@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Final
 
 from skope.command_options import LIST, SITE, SIZE, panel
+from skope.console import counted
 from skope.errors import UserError
 
 if TYPE_CHECKING:
@@ -46,12 +47,20 @@ class DatasetOptions:
     site: Annotated[
         str | None, traffic(metavar=SITE, help="One site instead of --sites; or a site file, your own road and camera.")
     ] = None
-    frames: Annotated[int | None, traffic(help="Frames per site.")] = None
-    interval: Annotated[float | None, traffic(help="Seconds between frames.")] = None
+    frames: Annotated[int | None, traffic(help="Frames per site.", show_default="the preset's")] = None
+    recordings: Annotated[
+        int | None,
+        traffic(
+            help="Recordings that a site's frames are shared out to, each with its own weather, hour and traffic.",
+            show_default="the preset's",
+        ),
+    ] = None
+    interval: Annotated[float | None, traffic(help="Seconds between frames.", show_default="the preset's")] = None
     vehicles: Annotated[
         str | None,
         traffic(
-            metavar=LIST, help="Models of `skope gen vehicles add` that drive by too; with --share also of the fleet."
+            metavar=LIST,
+            help="Models of `skope gen vehicles list` that drive by too: added ones, with --share also the fleet's.",
         ),
     ] = None
     share: Annotated[
@@ -81,8 +90,8 @@ class DatasetOptions:
         str | None,
         camera(choices=HOURS, several=True, help="Hours of the recordings.", show_default="the sites' and preset's"),
     ] = None
-    size: Annotated[str | None, camera(metavar=SIZE, help="Image size.")] = None
-    fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.")] = None
+    size: Annotated[str | None, camera(metavar=SIZE, help="Image size.", show_default="the preset's")] = None
+    fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.", show_default="the preset's")] = None
     settings: Annotated[
         list[str] | None,
         camera(
@@ -147,6 +156,7 @@ class DatasetOptions:
             encoding=Encoding(image=self.image_format, quality=self.quality, depth=self.depth),
             sites=tuple(sites.split(",")) if sites is not None else None,
             frames=self.frames,
+            recordings=self.recordings,
             interval_s=self.interval,
             size=self.size,
             fov_deg=self.fov,
@@ -219,4 +229,4 @@ class WorkerOptions:
         if self.address is not None:
             raise UserError("--address: is for --engine ray")
         count = count or default_workers()
-        return partial(local_pool, count), f"{count} worker{'' if count == 1 else 's'}"
+        return partial(local_pool, count), counted(count, "worker")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skope.command_options import DIR, VEHICLE_SHEETS, Commands, option
-from skope.console import Console
+from skope.console import Console, counted
 from skope.errors import UserError
 from skope.gen.cli.options import RendererOption
 from skope.output_folders import replaceable_output
@@ -65,7 +65,7 @@ def check(console: Console, name: NameArgument = None) -> None:
     for text in damaged:
         console.result(text)
     count, total = count + len(damaged), len(models) + len(damaged)
-    console.result(f"{total} model{'' if total == 1 else 's'}, {count or 'no'} findings")
+    console.result(f"{counted(total, 'model')}, {count or 'no'} findings")
     if count:
         raise typer.Exit(1)
 
@@ -92,7 +92,7 @@ def show(
     ) as drawn:
         for model, vehicle in console.bar(models.items(), total=len(models), unit="model", label="drawing"):
             draw.write(drawn / f"{model}.png", sheet(vehicle, engine))
-    console.result(f"wrote {len(models)} sheet{'' if len(models) == 1 else 's'} to {out}")
+    console.result(f"wrote {counted(len(models), 'sheet')} to {out}")
 
 
 @app.command()

@@ -5,13 +5,14 @@ a vehicle has an empty file. What is ignored has no place here: an ignored vehic
 trainers.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Final
 
 import numpy as np
 
-from skope.console import Console
+from skope.console import Console, counted
 from skope.dataset import Dataset
 from skope.errors import UserError
 from skope.files import write_text
@@ -29,8 +30,8 @@ TRAIN, VAL = "train", "val"
 def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -> None:
     """Write a dataset for Ultralytics to `out`; `names` are the keypoints to write, in their order (empty: all)."""
     chosen = _indices(dataset.scheme, names)
-    parts = _parts(dataset)
-    ignored = 0
+    parts = _parts(dataset, console)
+    kept, ignored = 0, Counter[str]()
     for name, file in parts.items():
         own = file.by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
@@ -40,13 +41,18 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             if labels.exists():
                 raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
             rows = [_row(vehicle, image, chosen) for vehicle in own[image.id] if not vehicle.ignored]
-            ignored += len(own[image.id]) - len(rows)
+            kept += len(rows)
+            ignored.update(vehicle.ignore_reason or "others" for vehicle in own[image.id] if vehicle.ignored)
             write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
         console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")
     if ignored:
-        console.say(f"{ignored} ignored vehicles are background here: this format has no place for them")
+        reasons = ", ".join(f"{number} {reason}" for reason, number in ignored.most_common())
+        console.say(
+            f"{counted(ignored.total(), 'ignored vehicle')} beside {kept} others: background here ({reasons}), as this "
+            "format has no place for them"
+        )
     write_text(out / "data.yaml", _yaml(dataset, list(parts), chosen, flip))
 
 
@@ -61,13 +67,17 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
     return [scheme.names.index(name) for name in names] or list(range(K))
 
 
-def _parts(dataset: Dataset) -> dict[str, AnnotationFile]:
+def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
     """The splits; without one to validate on, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
     if TRAIN not in parts:
         raise UserError(f"{dataset.root}: has no split {TRAIN}, which this format cannot do without")
     if VAL not in parts:
-        parts[TRAIN], parts[VAL] = held_back(parts[TRAIN], VALIDATED)
+        whole = parts[TRAIN]
+        parts[TRAIN], parts[VAL] = held_back(whole, VALIDATED)
+        between = len(whole.images) - len(parts[TRAIN].images) - len(parts[VAL].images)
+        gap = f"; {between} that resemble both are left out" if between else ""
+        console.say(f"{counted(len(parts[VAL].images), 'image')} of {TRAIN} become {VAL}, the last ones{gap}")
         if not parts[VAL].images:
             raise UserError(f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val")
     return parts

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -131,4 +132,8 @@ def _torch() -> str:
     done = subprocess.run([sys.executable, "-c", _TORCH], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"])[-1])
-    return done.stdout.strip()
+    try:
+        runtime = f"OpenVINO {metadata.version('openvino')}"
+    except metadata.PackageNotFoundError:
+        runtime = "no OpenVINO, with which a CPU predicts four times as fast (extra openvino)"
+    return f"{done.stdout.strip()}; {runtime}"

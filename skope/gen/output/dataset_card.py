@@ -71,7 +71,7 @@ def command(p: Parameters) -> str:
     parts.append(f"--site {p.own.file}" if p.own else f"--sites {','.join(p.sites)}")
     if len(counts) == 1:  # else they are the preset's
         parts.append(f"--frames {counts.pop()}")
-    parts.append(f"--interval {p.interval_s} --size {p.size}")
+    parts.append(f"--recordings {p.recordings} --interval {p.interval_s} --size {p.size}")
     if not p.own:
         parts.append(f"--fov {p.fov_deg}")
     parts.append(f"--renderer {p.renderer} --localizer {p.rules.localizer} --occlusion-rule {p.rules.occlusion}")

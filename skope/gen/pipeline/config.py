@@ -50,6 +50,8 @@ class DatasetRequest:
         for frames in p.frames.values():
             if frames < 1:
                 raise UserError(f"--frames: expected a whole number from 1, got {frames}")
+        if p.recordings < 1:
+            raise UserError(f"--recordings: expected a whole number from 1, got {p.recordings}")
         if p.seed < 0:
             raise UserError(f"--seed: expected a whole number from 0, got {p.seed}")
         if not 5 <= p.fov_deg <= 150:
@@ -105,6 +107,8 @@ class DatasetRequest:
 
     def _check_own(self, own: OwnSite) -> None:
         p = self.parameters
+        if p.recordings != len(own.splits):
+            raise UserError(f"--recordings: {own.path} names the splits of {len(own.splits)} recordings")
         camera, photograph, (width, height) = own.road.camera, own.road.photograph, p.pixels()
         if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
             raise UserError(
@@ -291,7 +295,7 @@ def from_preset(
     values = {name: value for name, value in row.items() if name in known}
     values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
     if own is not None:
-        own, camera = own.with_recordings(row["recordings"]), own.road.camera
+        own, camera = own.with_recordings(overrides.get("recordings") or row["recordings"]), own.road.camera
         values |= {
             "own": _record_of(own),
             "sites": (own.site.name,),

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.console import minutes
+from skope.console import counted, minutes
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
@@ -71,18 +71,21 @@ class Estimate:
     seconds: float | None
     """None where nothing is known of the workers."""
     workers: int | None
+    cores: int | None
+    """Number of cores that they share on this machine."""
 
     @property
     def line(self) -> str:
         """The estimate in words."""
         if not self.images:
             return "all images are made already"
-        images = f"{self.images} image{'' if self.images == 1 else 's'} to make"
+        images = f"{counted(self.images, 'image')} to make"
         disk = f"{self.disk_bytes / 1e9:.1f} GB" if self.disk_bytes >= 1e9 else f"{self.disk_bytes / 1e6:.0f} MB"
-        if self.seconds is None:
+        if self.seconds is None or self.workers is None or self.cores is None:
             return f"{images}, about {disk}; how long a cluster takes is not known"
-        workers = f"{self.workers} worker{'' if self.workers == 1 else 's'}"
-        return f"{images}, about {disk} and {minutes(self.seconds)} with {workers}"
+        workers = counted(self.workers, "worker")
+        shared = f" on {counted(self.cores, 'core')}" if self.cores != self.workers else ""
+        return f"{images}, about {disk} and {minutes(self.seconds)} with {workers}{shared}"
 
 
 def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Estimate:
@@ -99,12 +102,12 @@ def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Esti
     left = store.frames_left(request.dataset_plan())
     plans = [plan for plan in request.plans() if left[plan.info]]
     images = sum(left.values())
-    seconds = None
+    seconds = cores = None
     if workers is not None:
         groups = [group for group in request.simulations() if not all(store.recorded(plan.info) for plan in group)]
         cores = min(workers, default_workers())
         seconds = START_S + _simulating(request, groups, cores) + _rendering(request, plans, left, cores)
-    return Estimate(images, images * _frame_bytes(request), seconds, workers)
+    return Estimate(images, images * _frame_bytes(request), seconds, workers, cores)
 
 
 def _simulating(request: DatasetRequest, groups: Sequence[Sequence[RecordingPlan]], cores: int) -> float:

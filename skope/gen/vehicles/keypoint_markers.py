@@ -24,6 +24,8 @@ LENGTHS: Final = (2.0, 25.0)
 """Range of a vehicle's length, metres: models beyond it are in another unit."""
 _UNITS: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 _AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+LAMPS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
+"""Materials that light up: a surface whose material has one of these names is such a lamp."""
 _COLOR_STEPS: Final = 16
 """Levels that each channel of a model's colours is rounded to."""
 
@@ -33,7 +35,7 @@ class Marked:
     """A model in the vehicle frame."""
 
     mesh: Mesh
-    """The body; materials are colours such as "#a0b4c8"."""
+    """The body; materials are colours such as "#a0b4c8", and `LAMPS`."""
     wheel: Mesh
     """The front left wheel about its centre."""
     points: Array
@@ -48,8 +50,8 @@ class _Object:
     name: str
     vertices: Array
     triangles: NDArray[np.int64]
-    colors: NDArray[np.uint8]
-    """(T, 3) sRGB."""
+    materials: NDArray[np.str_]
+    """(T,) colour of each triangle, such as "#a0b4c8", or one of `LAMPS`."""
 
 
 def read_marked(
@@ -74,7 +76,7 @@ def read_marked(
     T = _to_vehicle(path, marks, np.array(list(centers.values())), up, forward) * scale
     at = {name: T @ center for name, center in centers.items()}
     corners = _wheel_corners(path, at)
-    turned = [_Object(o.name, o.vertices @ T.T, o.triangles, o.colors) for o in solid]
+    turned = [_Object(o.name, o.vertices @ T.T, o.triangles, o.materials) for o in solid]
     body = [o for o in turned if o.name not in corners.values()]
     if not body:
         raise UserError(f"{path}: nothing is left besides markers and wheels")
@@ -142,10 +144,18 @@ def _load_objects(path: Path) -> list[_Object]:
         triangles = np.asarray(geometry.faces, dtype=np.int64)
         if np.linalg.det(T[:3, :3]) < 0:
             triangles = triangles[:, ::-1]
-        out.append(_Object(str(node), vertices, triangles, _face_colors(geometry)))
+        out.append(_Object(str(node), vertices, triangles, _face_materials(geometry)))
     if not out:
         raise UserError(f"{path}: holds no surfaces")
     return out
+
+
+def _face_materials(geometry: Any) -> NDArray[np.str_]:
+    """(T,) colours as "#a0b4c8"; or all one lamp, where the material has its name (a copy as "headlight.001")."""
+    name = str(getattr(getattr(geometry.visual, "material", None), "name", "")).partition(".")[0].lower()
+    if name in LAMPS:
+        return np.full(len(geometry.faces), name)
+    return np.array([f"#{r:02x}{g:02x}{b:02x}" for r, g, b in _face_colors(geometry).tolist()])
 
 
 def _face_colors(geometry: Any) -> NDArray[np.uint8]:
@@ -171,11 +181,10 @@ def _face_colors(geometry: Any) -> NDArray[np.uint8]:
 
 
 def _colored_mesh(o: _Object, origin: Array) -> Mesh:
-    """A mesh about `origin` with a material for each colour."""
-    names, number = np.unique(o.colors, axis=0, return_inverse=True)
+    """A mesh about `origin` with a material for each colour and lamp."""
+    names, number = np.unique(o.materials, return_inverse=True)
     smooth = from_triangles(o.vertices - origin, o.triangles, "")
-    materials = tuple(f"#{r:02x}{g:02x}{b:02x}" for r, g, b in names.tolist())
-    return Mesh(smooth.vertices, smooth.normals, smooth.triangles, materials, number.reshape(-1).astype(np.int64))
+    return Mesh(smooth.vertices, smooth.normals, smooth.triangles, tuple(names.tolist()), number.astype(np.int64))
 
 
 # ------------------------------------------------------------------------------------------------------------- markers

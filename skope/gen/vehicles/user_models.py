@@ -113,7 +113,8 @@ def save(vehicle: AddedVehicle) -> Path:
             f"or `skope gen vehicles remove {vehicle.model}`"
         )
     for file, data in files.items():
-        write_bytes(file, data)
+        if not file.is_file():
+            write_bytes(file, data)
     return path
 
 
@@ -142,8 +143,7 @@ def load(name: str) -> AddedVehicle:
     """A model that was added under that name."""
     path = folder() / check_name("model", name)
     if not (path / "vehicle.json").is_file():
-        there = ", ".join(names()) or "none yet: skope gen vehicles add"
-        raise UserError(f"--vehicles: no model {name!r} was added; there are: {there}")
+        raise UserError(f"--vehicles: there is no model {name!r}; `skope gen vehicles list` names all")
     row = read_json(path / "vehicle.json")
     if not isinstance(row, dict):
         raise UserError(f"{path / 'vehicle.json'}: expected an object, got {row!r:.60}")

@@ -132,6 +132,7 @@ def test_the_command_in_the_card_repeats_the_licence() -> None:
     [
         {"preset": "demo"},
         {"preset": "demo", "views": 2, "town_jitter": True, "shape_jitter": True, "camera_jitter": True},
+        {"preset": "demo", "recordings": 4},
         {"preset": "varied", "format": "shards", "settings": {"noise": (1.0, 2.0)}},
         {"preset": "world"},
         {"preset": "world", "views": 0, "town_jitter": False, "shape_jitter": False},

@@ -1,5 +1,6 @@
 """What is asked for of light, traffic and sites, and the plans that follow from it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
-from skope.gen.pipeline.config import DatasetRequest, from_preset
+from skope.gen.pipeline.config import DatasetRequest, from_preset, presets
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import own_site
@@ -126,3 +127,40 @@ def test_other_light_or_traffic_is_other_work(tmp_path: Path) -> None:
     ):
         with pytest.raises(UserError, match=said):
             Store(tmp_path).begin(other.dataset_plan())
+
+
+def test_a_site_s_frames_are_shared_out_to_the_recordings_asked_for() -> None:
+    plans = asked("demo", recordings=5, frames=12).plans()
+    by_site = [[plan.frames for plan in plans if plan.site.name == name] for name in {p.site.name for p in plans}]
+    assert by_site == [[3, 3, 2, 2, 2]] * 13
+    assert lights(plans[:5]) == lights(asked("paper").plans()[:5])
+    assert len(set(lights(plans[:5]))) > 2
+
+
+def test_recordings_of_an_own_road_fit_its_file() -> None:
+    own = own_site("--site", str(EXAMPLE / "drawn.toml"))
+    assert own is not None
+    named = replace(own, splits=("train", "test"))
+    assert [plan.site.split for plan in asked(own=replace(own, splits=()), recordings=3).plans()] == [
+        "train",
+        "train",
+        "test",
+    ]
+    assert len(asked(own=named, recordings=2).plans()) == 2
+    with pytest.raises(UserError, match=r"^--recordings: \S+ names the splits of 2 recordings$"):
+        asked(own=named, recordings=3)
+    with pytest.raises(UserError, match="--recordings: expected a whole number from 1, got 0"):
+        asked(recordings=0)
+
+
+def test_the_guide_says_what_presets_hold() -> None:
+    guide = (EXAMPLE.parents[1] / "docs" / "generating.md").read_text(encoding="utf-8")
+    told = {
+        name: rest for name, *rest in re.findall(r"^\| `(\w+)` \| [^|]*? \| (.*?) \| (.*?) \| (\S+) \|$", guide, re.M)
+    }
+    assert told.keys() == presets().keys()
+    for name, (frames, recordings, size) in told.items():
+        row = presets()[name]
+        assert set(map(int, re.findall(r"\d+", frames))) == set(row["frames"].values())
+        assert int(re.findall(r"\d+", recordings)[0]) == row.get("recordings", row.get("recording_frames"))
+        assert size == row["size"]

@@ -91,8 +91,12 @@ def test_a_file_without_depth_or_of_less_quality_is_smaller(tmp_path: Path) -> N
 
 
 def test_an_estimate_in_words() -> None:
-    assert Estimate(1, 2.5e9, 3000.0, 1).line == "1 image to make, about 2.5 GB and 50 min with 1 worker"
-    assert Estimate(7, 2.5e6, None, None).line == "7 images to make, about 2 MB; how long a cluster takes is not known"
+    assert Estimate(1, 2.5e9, 3000.0, 1, 1).line == "1 image to make, about 2.5 GB and 50 min with 1 worker"
+    assert Estimate(7, 2.5e6, 60.0, 16, 2).line == "7 images to make, about 2 MB and 60 s with 16 workers on 2 cores"
+    assert (
+        Estimate(7, 2.5e6, None, None, None).line
+        == "7 images to make, about 2 MB; how long a cluster takes is not known"
+    )
 
 
 def test_a_wrong_number_of_workers_is_refused(skope: Any) -> None:

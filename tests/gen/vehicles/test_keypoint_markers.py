@@ -9,9 +9,11 @@ import trimesh
 
 from skope import keypoints
 from skope.errors import UserError
+from skope.gen.inspect import vehicle_checks
 from skope.gen.mesh import Mesh
+from skope.gen.render import vehicle_lamps
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.keypoint_markers import CORNERS, read_marked
+from skope.gen.vehicles.keypoint_markers import CORNERS, LAMPS, read_marked
 
 SEDAN = fleet()["sedan"].vehicle
 GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -150,3 +152,25 @@ def test_files_that_are_no_models_are_refused(tmp_path: Path, name: str, data: b
         (tmp_path / name).write_bytes(data)
     with pytest.raises(UserError, match=said):
         read_marked(tmp_path / name)
+
+
+def test_a_material_s_name_makes_a_lamp(tmp_path: Path) -> None:
+    """Also of a copy, as Blender numbers it; lamps of the renderer and of the check have the same names."""
+    path, scene = tmp_path / "car.glb", trimesh.Scene()
+    parts = nodes()
+    for x, name in ((2.2, "headlight"), (-2.2, "brake_light.002")):
+        lamp = trimesh.creation.box(bounds=[[x - 0.05, 0.5, 0.6], [x + 0.05, 0.7, 0.7]])
+        material = trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=(255, 0, 0))
+        lamp.visual = trimesh.visual.TextureVisuals(material=material)
+        parts[f"box {name}"] = lamp
+    for name, part in parts.items():
+        part.vertices = part.vertices @ GLTF.T
+        scene.add_geometry(part, node_name=name, geom_name=name)
+    scene.export(path)
+    mesh = read_marked(path).mesh
+    assert {"headlight", "brake_light"} == {name for name in mesh.materials if not name.startswith("#")}
+    for name, end in (("headlight", 1), ("brake_light", -1)):
+        corners = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]]
+        assert len(corners) == 12
+        assert (np.sign(corners[..., 0]) == end).all()
+    assert set(LAMPS) == set(vehicle_lamps._KINDS) == set(vehicle_checks.PARTS)
