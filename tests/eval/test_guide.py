@@ -19,12 +19,14 @@ SMALLER = {
     "--noise 0,1,2,5": "--noise 0,2",
     "--overlay --blur": "--overlay --blur --every 10 --score 0.05",
     "eval track seen": "eval track seen --score 0.05",
-    "--noise 1": "--noise 1 --vehicles 8",
+    "found.json": "found.json --vehicles 30",
+    "crossing.mp4 --overlay": "crossing.mp4 --overlay --end 0.6",
+    "eval camera crossing": "eval camera --annotations footage/site.json --noise 1 --vehicles 30",
 }
 
 
 def commands() -> list[str]:
-    return re.findall(r"^\s{4,}skope (.+)$", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return re.findall(r"^\s{4,}skope ([^#\n]+)", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE)
 
 
 def test_the_commands_that_are_made_smaller_stand_in_the_guide() -> None:
@@ -50,3 +52,5 @@ def test_every_command_of_the_guide_runs(skope: Any, tmp_path: Path) -> None:
             command = command.replace(long, short)
         code, out, err = skope(*command.split())
         assert code == 0, (command, out, err)
+        if command.startswith("gen video"):  # which stands for the reader's own footage
+            shutil.copy("footage/site.mp4", "crossing.mp4")
