@@ -23,6 +23,7 @@ from skope.eval.assignment import cheapest_pairs
 from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside
+from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
 from skope.eval.tracking.tracks import OpenTrack, Track, begin, finished
 from skope.types import Array
@@ -102,9 +103,15 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
 
 def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float) -> list[Posed]:
     """Give an image's detections to tracks, by clear boxes, by place, then by box; returns those of new vehicles."""
+    places = [whereabouts(track, time_s) for track in live]
     posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
     left = dict(enumerate(posed))
-    cost = np.array([[_cost(track, pose) for _, pose in posed] for track in live]).reshape(len(live), len(posed))
+    cost = np.array(
+        [
+            [_cost(track, pose) if place is None or place.holds(detection) else math.inf for detection, pose in posed]
+            for track, place in zip(live, places, strict=True)
+        ]
+    ).reshape(len(live), len(posed))
     for t, s in _clear_pairs(live, posed, time_s):
         if np.isfinite(cost[t, s]):
             live[t].update(*posed[s])
@@ -152,12 +159,18 @@ def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Pos
     out: list[Posed] = []
     for detection, pose in sorted(new, key=lambda pair: -pair[0].score):
         around = [track for track in live if encloses(track, pose.place, pose.covariance)]
-        unseen = [track for track in around if track.unseen]
+        unseen = [track for track in around if track.unseen and _can_be(track, detection)]
         if unseen:
             _take_by_box(unseen[0], detection)
         elif not around and not any(inside(other, pose.place - other.place, pose.covariance) for _, other in out):
             out.append((detection, pose))
     return out
+
+
+def _can_be(track: OpenTrack, detection: Detection) -> bool:
+    """Whether a detection of the latest image is where in the image the track's vehicle can be."""
+    place = whereabouts(track, track.steps[-1].time_s)
+    return place is None or place.holds(detection)
 
 
 def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
@@ -188,7 +201,7 @@ def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: 
     )
     given = []
     for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
-        if overlap[t, s] >= least:
+        if overlap[t, s] >= least and _can_be(free[t][0], rest[s]):
             _take_by_box(free[t][0], rest[s])
             given.append(rest[s])
     return given

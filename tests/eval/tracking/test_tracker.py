@@ -125,6 +125,22 @@ def test_boxes_tell_neighbours_apart_whose_poses_do_not() -> None:
     assert sorted(map(sorted, names(follow((image(i) for i in range(60)), times)))) == [[1], [2]]
 
 
+@pytest.mark.parametrize(("jump_px", "same"), [(30.0, True), (400.0, False)])
+def test_after_a_gap_a_track_does_not_go_on_with_what_is_elsewhere_in_the_image(jump_px: float, same: bool) -> None:
+    """Far away, where poses are off by metres."""
+    times = (np.arange(60) / 10).tolist()
+
+    def image(i: int) -> list[Detection]:
+        if 20 <= i < 35:
+            return []
+        late = i >= 35
+        x, box = 100 + 0.8 * i + 4.0 * late, 300 + 2.0 * i + jump_px * late
+        return [detection(x, 0.0, 0.0, sigma=3.0, box=box, truth=1 + late)]
+
+    found = names(follow((image(i) for i in range(60)), times))
+    assert sorted(map(sorted, found)) == ([[1, 2]] if same else [[1], [2]])
+
+
 def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
     """Of vehicles that drive as the model of motion has it, measured with the noise that is stated, now and then."""
     rng, times = np.random.default_rng(0), (np.arange(120) / 10).tolist()
