@@ -93,7 +93,10 @@ def _write_heading(figure: "Figure", tracks: Sequence[Track], moment_s: float | 
     if tracks:
         seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
         heading = f"{counted(len(tracks), 'track')} of vehicles in {seconds:.1f} s"
-        note = f"Lines: ways driven, numbered as in tracks.csv. Outlines: the vehicles at {moment_s:.1f} s."
+        note = (
+            "Lines: ways driven, numbered as in tracks.csv (a vehicle that was hidden may have two). "
+            f"Outlines: the vehicles at {moment_s:.1f} s."
+        )
     figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
     figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
 
