@@ -293,7 +293,7 @@ def test_the_shell_gets_a_script_that_asks_skope() -> None:
     [
         ("skope e", ["eval"]),
         ("skope gen vehicles ", ["list", "check", "show", "add", "remove"]),
-        ("skope gen --re", ["--renderer"]),
+        ("skope gen --ren", ["--renderer"]),
         ("skope gen --renderer ", list(RENDERERS)),
         ("skope eval --boxes g", ["given"]),
     ],

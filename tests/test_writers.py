@@ -132,8 +132,8 @@ WRITERS = {
     "gen stats --plots": Row(
         own="gen stats IN/one --plots OUT", other="gen stats IN/two --plots OUT", lost=without("stats.png")
     ),
-    "gen sites --map": Row(
-        own="gen sites --map --out OUT",
+    "gen sites --maps": Row(
+        own="gen sites --maps --out OUT",
         other="gen sites --site IN/road/site.toml --out OUT",
         lost=without("town07.png"),
     ),
@@ -143,7 +143,7 @@ WRITERS = {
         lost=without("site.png"),
     ),
     "gen vehicles show": Row(
-        own="gen vehicles show suv --out OUT", other="gen sites --map --out OUT", lost=without("suv.png")
+        own="gen vehicles show suv --out OUT", other="gen sites --maps --out OUT", lost=without("suv.png")
     ),
     "gen vehicles add": Row(
         own="gen vehicles add IN/car.glb --name OUT",

@@ -39,7 +39,7 @@ def test_every_poor_split_is_measured_printed_and_shown(tmp_path: Path) -> None:
         json.dumps(document, allow_nan=False)
         for protocol in ("pooled", "paper"):
             assert table.render(document, protocol, 100, beside=table.published())
-        Page(render(document, [measured], tmp_path, OPTIONS, "pooled", table.published()))
+        Page(render(document, [measured], tmp_path, OPTIONS, "pooled", table.published(), "a detector"))
 
 
 def test_tallies_give_the_figures_again() -> None:
