@@ -53,6 +53,7 @@ SMALLER: Final = {
     r"--seconds [\d.]+": "--seconds 1.2",
     r"--fps \d+": "--fps 10",
     r"--epochs \d+": "--epochs 1",
+    r"--checkpoint road33": "--checkpoint runs/skope",
 }
 OPTIONS: Final = {
     r"skope gen(?= --)": {"--frames": "1"},

@@ -4,13 +4,13 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
 import torch
 
-from skope.console import Console, minutes
+from skope.console import Console, counted, minutes
 from skope.detector import checkpoint_name
 from skope.errors import UserError
 from skope.files import write_text
@@ -139,6 +139,10 @@ class _Run:
         left -= self.training.steps_done * self.config.recipe.batch_size
         most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
         self._file, self._paths = splits.validation_images(self.parts, most)
+        if self._file.images and all(vehicle.ignored for vehicle in self._file.annotations):
+            said = f"{counted(len(self._file.images), 'image')} to validate on show no vehicle: nothing is validated"
+            self.console.say(f"{said} (--val-fraction)")
+            self._file = replace(self._file, images=(), annotations=())
         self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.processes.first else None
         self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:

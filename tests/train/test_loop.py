@@ -190,6 +190,17 @@ def test_what_a_run_leaves(tmp_path: Path) -> None:
     assert len(np.unique(curves.reshape(-1, 3), axis=0)) > 50
 
 
+def test_images_without_vehicles_validate_nothing(tmp_path: Path) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
+    path = data / "annotations" / "train.json"
+    file = coco.read(path)
+    last = file.images[-1].id
+    coco.write(path, replace(file, annotations=tuple(a for a in file.annotations if a.image_id != last)))
+    train(data, tmp_path / "run", replace(TINY, epochs=1, val_fraction=0.25))
+    assert "validation" not in json.loads((tmp_path / "run" / "metrics.jsonl").read_text())
+    assert not (tmp_path / "run" / "best.safetensors").exists()
+
+
 def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
     data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
     (tmp_path / "run").mkdir()

@@ -73,6 +73,8 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     outcomes = outcomes_at(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
     right = outcomes.correct(ALPHA)[outcomes.found]
+    if not len(matches.gt_image):
+        raise UserError(f"{job.data}: split {job.split}: shows no vehicle to fit to; name another --split")
     if not len(points):
         raise UserError(
             f"{job.data}: split {job.split}: none of {len(matches.gt_image)} vehicles is found with a score above "

@@ -55,7 +55,9 @@ def gen(
         return
     console.say(expected)
     made = generate_dataset(request, out, start_pool, console)
-    _next(console, out, "wrote" if made else "", f"skope train{_data(out)} --epochs 10")
+    learnt = any(plan.site.split == "train" for plan in request.plans())
+    command = f"skope train{_data(out)} --epochs 10" if learnt else f"skope eval{_data(out)}"
+    _next(console, out, "wrote" if made else "", command)
 
 
 @app.command()

@@ -1,4 +1,6 @@
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +9,7 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
+from skope import coco
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.image_selection import last_frames
@@ -134,6 +137,14 @@ def test_a_calibrated_checkpoint_says_so_and_scores_by_it(skope: Any, own_truth:
     code, _, err = skope("eval", "calibrate", *common, "--last", "0.5", "--score", "1")
     assert code == 2
     assert "none of" in err
+
+    empty = Path("empty/annotations/easy.json")
+    empty.parent.mkdir(parents=True)
+    coco.write(empty, replace(coco.read(root / "annotations" / "train.json"), annotations=()))
+    (Path("empty") / "dataset.json").write_bytes((root / "dataset.json").read_bytes())
+    shutil.copytree(root / "images", "empty/images")
+    code, _, err = skope("eval", "calibrate", "--data", "empty", *common[2:-2], "--split", "easy")
+    assert (code, "split easy: shows no vehicle to fit to" in err) == (2, True)
 
     code, out, err = skope("eval", "calibrate", *common, "--last", "1")
     assert code == 0, err
