@@ -20,14 +20,13 @@ from skope import coco
 from skope.files import read_json
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import Matches, match
-from skope.metrics.precision_recall import recall_at_precision
+from skope.metrics.precision_recall import AT_PRECISION, ranked, recall_at_precision
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 
 PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published_results.json"
 IOU = 0.6
 OPTIONS = Options(iou=(IOU,))
-AT_PRECISION = (0.90, 0.95)
 BANDS_PX = {"12 to 30 px high": (12, 30), "200 px and more": (200, math.inf)}
 """Heights of ground-truth boxes, from and below."""
 BY = ("distance", "height", "occlusion", "truncation", "unoccluded_within_40_m", "weather", "vehicle_type", "model")
@@ -112,10 +111,9 @@ def beside(folders: Sequence[Path], data: Path) -> str:
 def detector_cells(file: AnnotationFile, results: Sequence[Result]) -> list[str]:
     """PCK at the first fixed precision, box recalls at all, and recall and PCK of the bands of heights at the first."""
     everything = match(file, results, score=0.0, thresholds=(IOU,))
-    hit = everything.taken[IOU] >= 0
-    counted = hit | ~everything.det_on_ignored
+    scores, hits = ranked(everything, IOU)
     truth = len(everything.vehicles)
-    recalls = [recall_at_precision(everything.det_score[counted], hit[counted], truth, p) for p in AT_PRECISION]
+    recalls = [recall_at_precision(scores, hits, truth, p) for p in AT_PRECISION]
     found = [_share(one["recall"]) for one in recalls]
     if (least := recalls[0]["score"]) is None:
         return ["-", *found, *("-" for _ in BANDS_PX)]

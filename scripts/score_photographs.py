@@ -36,7 +36,7 @@ from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
 from skope.metrics.failures import OTHER_END, OTHER_SIDE
 from skope.metrics.match import Matches, match
-from skope.metrics.precision_recall import recall_at_precision
+from skope.metrics.precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
 from skope.output_folders import claim_output
 from skope.schema import Annotation, AnnotationFile, Result
@@ -45,7 +45,6 @@ IOU: Final = 0.5
 """Overlap from which a detection takes a vehicle."""
 LOWEST_PX: Final = 14.0
 """Vehicles lower than this are not labelled: a detection that is lower and took none is neither right nor wrong."""
-AT_PRECISION: Final = (0.90, 0.95)
 BANDS_PX: Final = ((0, 32), (32, 64), (64, 128), (128, math.inf))
 """Heights of ground-truth boxes, from and below."""
 EXCHANGES: Final = {

@@ -23,7 +23,7 @@ from skope import coco
 from skope.dataset import PREDICTIONS
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import match
-from skope.metrics.precision_recall import recall_at_precision
+from skope.metrics.precision_recall import ranked, recall_at_precision
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 
@@ -73,9 +73,7 @@ class Counts:
 
 def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) -> Counts:
     """Compare what was found in each frame of a clip, with scores above `score`, with its labels."""
-    everything = match(truth, results, score=0.0, thresholds=(IOU,))
-    hit = everything.taken[IOU] >= 0
-    counted = hit | ~everything.det_on_ignored
+    scores, hits = ranked(match(truth, results, score=0.0, thresholds=(IOU,)), IOU)
     matches = match(truth, results, score=score, thresholds=(IOU,))
     outcomes = outcomes_at(matches, IOU, Options())
     times = np.array([image.time_s or 0.0 for image in truth.images])[matches.gt_image]
@@ -95,8 +93,8 @@ def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) 
         phantoms=int(((matches.taken[IOU] < 0) & ~matches.det_on_ignored).sum()),
         labelled=int(outcomes.labelled[found].sum()),
         correct=int(outcomes.correct(ALPHA)[found].sum()),
-        scores=tuple(everything.det_score[counted].tolist()),
-        hits=tuple(hit[counted].tolist()),
+        scores=tuple(scores.tolist()),
+        hits=tuple(hits.tolist()),
     )
 
 

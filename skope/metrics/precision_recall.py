@@ -5,6 +5,7 @@ own figures, which is what the published table follows. Ratios without a denomin
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +33,8 @@ VERSION: Final = 1
 
 STRICT_ALPHA: Final = 0.05
 """PCK at this alpha is reported beside the one that was asked for."""
+AT_PRECISION: Final = (0.9, 0.95)
+"""Box recall is reported at these precisions: how detectors scale their scores makes no difference to it."""
 AREA_ALPHA: Final = 0.2
 """The area under PCK(alpha) runs from 0 to this, divided by it: 1 is perfect."""
 
@@ -129,6 +132,21 @@ def localisation(outcomes: Outcomes) -> dict[str, Any]:
 def _finite(value: Any) -> float | None:
     """None where most keypoints are not predicted at all."""
     return float(value) if np.isfinite(value) else None
+
+
+def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(D,) scores of the detections that count at an IoU threshold, and whether each of them is a vehicle."""
+    hit = matches.taken[threshold] >= 0
+    counted = hit | ~matches.det_on_ignored
+    return matches.det_score[counted], hit[counted]
+
+
+def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
+    """Box recall at each of `AT_PRECISION`, at the loosest IoU and whatever score it takes; keys as in JSON."""
+    every = match_split(file, results, replace(options, score=0.0, iou=(options.loosest,)))
+    scores, hits = ranked(every, options.loosest)
+    truth = len(every.vehicles)
+    return {f"{p:g}": recall_at_precision(scores, hits, truth, p)["recall"] for p in AT_PRECISION}
 
 
 def recall_at_precision(

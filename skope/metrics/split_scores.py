@@ -50,6 +50,11 @@ def measure(
     entry = {
         **precision_recall.summary(matches, options),
         "coco": average_precision(file, results, options) if all_scores else dict(NO_PRECISION),
+        "recall_at_precision": (
+            precision_recall.recalls(file, results, options)
+            if all_scores
+            else dict.fromkeys(f"{p:g}" for p in precision_recall.AT_PRECISION)
+        ),
         "by": breakdown(file.images, matches, options, fleet),
         "localisation": {f"{t:g}": precision_recall.localisation(outcomes[t]) for t in options.iou},
         "failures": {f"{t:g}": failures.counts(matches, outcomes[t], options) for t in options.iou},

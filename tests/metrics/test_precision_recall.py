@@ -7,7 +7,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.metrics.counts import Options
 from skope.metrics.match import THRESHOLDS, match
-from skope.metrics.precision_recall import recall_at_precision, score_split
+from skope.metrics.precision_recall import recall_at_precision, recalls, score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case
@@ -225,6 +225,26 @@ def test_metrics_equal_the_loops(block: int) -> None:
                 for name in seen:
                     seen[name] += expected["counts"][name]
     assert min(seen.values()) > 50  # the cases do exercise what they are for
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_recalls_at_precisions_equal_the_best_of_all_score_thresholds(block: int) -> None:
+    reached = 0
+    for case in range(50):
+        images, vehicles, detections = random_case(np.random.default_rng((block, case)))
+        ours = recalls(*as_records(images, vehicles, detections), Options(score=0.9, iou=(0.8, 0.6)))
+        # Detections score 0.5, 0.9, 0.92, 0.95 or 1.
+        rows = [
+            brute.evaluate(images, vehicles, detections, 0.6, "visible", score, 0.1, 0.0, list(range(33)))
+            for score in (0.0, 0.5, 0.9, 0.92, 0.95)
+        ]
+        shares = [(row["box_precision"]["pooled"], row["box_recall"]["pooled"]) for row in rows]
+        for name, precision in (("0.9", 0.9), ("0.95", 0.95)):
+            best = max((recall for share, recall in shares if share is not None and share >= precision), default=0.0)
+            truth = any(not vehicle["ignored"] for vehicle in vehicles)
+            assert ours[name] == (pytest.approx(best) if truth else None)
+            reached += best > 0 if truth else 0
+    assert reached > 5
 
 
 def test_recall_at_precision_from_a_curve() -> None:

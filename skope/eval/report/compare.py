@@ -88,6 +88,7 @@ def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
         "images": len(blocks[0].number),
         "iou": {t: _differences(blocks[0], [of[t] for of in columns]) for t in thresholds},
         "coco": [run.metrics["splits"][split]["coco"] for run in runs],
+        "recall_at_precision": [run.metrics["splits"][split].get("recall_at_precision", {}) for run in runs],
     }
 
 
@@ -170,6 +171,9 @@ def render(document: Mapping[str, Any], protocol: str) -> str:
         for ap in split["coco"][0]:
             values = [number(of[ap]) for of in split["coco"]]
             rows.append(["", ap.replace("_", " "), *values, *[""] * len(gaps)])
+        for precision in split["recall_at_precision"][0]:
+            values = [number(of.get(precision)) for of in split["recall_at_precision"]]
+            rows.append(["", f"box recall at precision {precision}", *values, *[""] * len(gaps)])
         table = text_table(["IoU", "figure", *letters, *gaps], rows, "ll" + "r" * len(letters) + "l" * len(gaps))
         lines += [f"  {line}" for line in table]
     return "\n".join(lines)

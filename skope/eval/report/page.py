@@ -9,6 +9,7 @@ from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import COLUMNS, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
+from skope.metrics.precision_recall import AT_PRECISION
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
@@ -146,6 +147,9 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
     splits = document["splits"].values()
     counts = [[words, *(str(split[key]) for split in splits)] for key, words in _COUNTS.items()]
     counts += [[words, *(plain(split["coco"][key]) for split in splits)] for key, words in _PRECISIONS.items()]
+    for precision in (f"{p:g}" for p in AT_PRECISION):
+        recalls = [plain(split["recall_at_precision"][precision]) for split in splits]
+        counts.append([f"box recall at precision {precision}", *recalls])
     return tag(
         "section",
         tag("h2", "Figures", id="figures"),

@@ -9,6 +9,7 @@ from typing import Any, Final
 from skope.errors import one_of
 from skope.metrics.counts import PROTOCOLS
 from skope.metrics.intervals import ENOUGH_SITES
+from skope.metrics.precision_recall import AT_PRECISION
 from skope.text_table import text_table
 
 _MEANING: Final = {
@@ -99,10 +100,11 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     head = ["split", "images", "vehicles", "ignored", f"detections > {score:g}"]
     rows = [
         [name, *(split[key] for key in ("images", "ground_truth", "ignored", "detections"))]
-        + [number(value) for value in split["coco"].values()]
+        + [number(value) for value in (*split["coco"].values(), *split["recall_at_precision"].values())]
         for name, split in splits.items()
     ]
-    return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50"], rows)
+    recalls = [f"recall at precision {p:g}" for p in AT_PRECISION]
+    return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50", *recalls], rows)
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:

@@ -48,8 +48,9 @@ def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
     }
     (split,) = metrics["splits"].values()
     assert list(metrics["splits"]) == ["crossing"]
-    assert list(split)[:7] == ["images", "ground_truth", "ignored", "detections", "iou", "coco", "by"]
-    assert list(split)[7:] == ["localisation", "failures", "confidence", "intervals"]
+    names = ["images", "ground_truth", "ignored", "detections", "iou", "coco", "recall_at_precision", "by"]
+    assert list(split)[:8] == names
+    assert list(split)[8:] == ["localisation", "failures", "confidence", "intervals"]
     assert (split["images"], split["ground_truth"], split["detections"]) == (2, 2, 2)
     assert split["iou"]["0.9"]["box_precision"] == {"paper": 1.0, "pooled": 0.5}
     assert split["coco"]["keypoint_ap50"] == pytest.approx(51 / 101)

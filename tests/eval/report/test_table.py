@@ -20,6 +20,7 @@ def split(pck: float | None) -> dict[str, Any]:
         "detections": 11,
         "iou": {t: {"pck": pck, **ratios} for t in ("0.9", "0.8", "0.7", "0.6")},
         "coco": {"box_ap": 0.125, "box_ap50": 0.5, "keypoint_ap": None, "keypoint_ap50": 0.0},
+        "recall_at_precision": {"0.9": 0.75, "0.95": None},
         "by": {},
     }
 
@@ -57,7 +58,7 @@ def test_the_protocol_decides_which_figures_are_shown() -> None:
 
 def test_counts_and_average_precision_stand_below() -> None:
     last = render(METRICS, "pooled", 120).splitlines()[-1]
-    assert last.split() == ["hard", "7", "20", "3", "11", "0.125", "0.500", "-", "0.000"]
+    assert last.split() == ["hard", "7", "20", "3", "11", "0.125", "0.500", "-", "0.000", "0.750", "-"]
 
 
 def test_the_published_rows_stand_below_ours() -> None:
