@@ -73,8 +73,9 @@ class Counts:
 
 def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) -> Counts:
     """Compare what was found in each frame of a clip, with scores above `score`, with its labels."""
-    scores, hits = ranked(match(truth, results, score=0.0, thresholds=(IOU,)), IOU)
-    matches = match(truth, results, score=score, thresholds=(IOU,))
+    everything = match(truth, results, score=0.0, thresholds=(IOU,))
+    scores, hits = ranked(everything, IOU)
+    matches = match(truth, results, score=score, thresholds=(IOU,)) if score else everything
     outcomes = outcomes_at(matches, IOU, Options())
     times = np.array([image.time_s or 0.0 for image in truth.images])[matches.gt_image]
     tracks = np.array([vehicle.track_id for vehicle in matches.vehicles])

@@ -80,16 +80,6 @@ def updated(state: State, pose: PoseMeasurement) -> State:
     return _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
 
 
-def widened(state: State, place: Array) -> State:
-    """A state so uncertain that the vehicle may as well be at `place` (2,), with any velocity."""
-    mean, spread = state
-    away = place - mean[:2]
-    wider = spread.copy()
-    wider[:2, :2] += away @ away * np.eye(2)
-    wider[2:4, 2:4] += _SPEED**2 * np.eye(2)
-    return mean, wider
-
-
 def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
     """A state that knows that wheels roll where the vehicle heads, or back: it hardly slides to its side."""
     aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
