@@ -16,7 +16,7 @@ from tests.samples import make_annotation, make_dataset
 def own_truth(random_run: Path, tmp_path: Path) -> tuple[Path, Path]:
     """A copy of the run, and a dataset whose vehicles are what it finds; the left half of the points is hidden."""
     run = tmp_path / "run"
-    shutil.copytree(random_run, run, ignore=shutil.ignore_patterns("eval"))
+    shutil.copytree(random_run, run)
     root = make_dataset(tmp_path / "data", images=2, splits=("train",))
     predictor = Predictor(run, Settings(device="cpu"), Console(quiet=True))
     path = root / "annotations" / "train.json"

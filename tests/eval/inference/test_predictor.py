@@ -1,6 +1,7 @@
 """A detector with random weights, from the checkpoint to the metrics."""
 
 import json
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,23 +25,24 @@ from tests.samples import make_annotation, make_dataset, make_image
 
 def test_a_checkpoint_is_evaluated_on_all_test_splits(skope: Any, random_run: Path, tmp_path: Path) -> None:
     root = make_dataset(tmp_path / "data", images=1, splits=("train", "hard", "easy"))
-    code, out, err = skope("eval", "--data", root, "--checkpoint", random_run, "--score", "0.999", "--device", "cpu")
+    run = shutil.copytree(random_run, tmp_path / "run")
+    code, out, err = skope("eval", "--data", root, "--checkpoint", run, "--score", "0.999", "--device", "cpu")
     assert code == 0, err
     lines = out.splitlines()
     assert any(line.endswith("for 1 images") and line.startswith("easy: about") for line in lines)
     assert lines[-1].startswith("Wrote metrics.json, tallies.json, predictions_{easy,hard}.json, overlays/ to ")
-    assert lines[-1].endswith(f"open {random_run}/eval/report.html")
+    assert lines[-1].endswith(f"open {run}/eval/report.html")
     assert any("No detection scores above 0.999 in easy, hard" in line for line in lines)
     assert any("--recipe scratch" in line and "--init coco" in line for line in lines)
-    assert list(json.loads((random_run / "eval" / "metrics.json").read_text())["splits"]) == ["easy", "hard"]
-    once = files_of(random_run / "eval")
+    assert list(json.loads((run / "eval" / "metrics.json").read_text())["splits"]) == ["easy", "hard"]
+    once = files_of(run / "eval")
     assert 0 < len(json.loads(once["predictions_easy.json"])) < 60
     assert set(once) >= {"predictions_easy.json", "predictions_hard.json", "overlays/easy_1.jpg", "overlays/hard_1.jpg"}
 
-    skope("eval", "--data", root, "--checkpoint", random_run, "--score", "0.999", "--device", "cpu", "--out", "again")
+    skope("eval", "--data", root, "--checkpoint", run, "--score", "0.999", "--device", "cpu", "--out", "again")
     assert files_of(Path("again")) == once
 
-    predictions = ("--predictions", random_run / "eval" / "predictions_easy.json", "--score", "0.999", "--out", "read")
+    predictions = ("--predictions", run / "eval" / "predictions_easy.json", "--score", "0.999", "--out", "read")
     skope("eval", "--data", root, "--split", "easy", *predictions)
     read = json.loads(Path("read/metrics.json").read_text())["splits"]["easy"]
     assert read == json.loads(once["metrics.json"])["splits"]["easy"]
