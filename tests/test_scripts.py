@@ -84,7 +84,13 @@ RUNS: Final[Sequence[Run]] = (
         apart=True,
         slow=True,
     ),
-    Run("bench_world.py", "--size 96x54 --frames 1 --workers 1", says="1 images of t01_mill_corner", apart=True),
+    Run(
+        "bench_world.py",
+        "--size 96x54 --frames 1 --workers 1",
+        says="1 images of t01_mill_corner",
+        apart=True,
+        slow=True,
+    ),
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
     Run("demo_page.py", "{out}/none --data {dataset}", says="no such file", code=2),  # a page: test_demo_page.py
     Run("draw_docs.py", "nonsense", says="no picture is called nonsense", code=2),

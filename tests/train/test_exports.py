@@ -40,7 +40,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("learnt")
     data = samples.make_dataset(folder / "data", images=1, splits=("train",))
     # Slower and longer than the whole network: at its rate the processor's rounding decides how well this one learns.
-    return data, train(data, folder / "run", replace(BY_HEART, epochs=60, learning_rate=0.02))
+    return data, train(data, folder / "run", replace(BY_HEART, epochs=50, learning_rate=0.02))
 
 
 def test_overfits_one_image_from_random_weights(learnt: tuple[Path, Path]) -> None:

@@ -296,7 +296,7 @@ def triangles_towards(position: np.ndarray, triangles: list[np.ndarray], i: int)
     return [t for t, angle, wide in zip(triangles, apart, spread, strict=True) if angle < wide + spread[i]]
 
 
-@pytest.mark.parametrize("name", ["pybullet", "gl"])
+@pytest.mark.parametrize("name", ["gl", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_visibility_agrees_with_ray_casting(name: str) -> None:
     """At the angular resolution of the default 1920x1080 camera."""
     count = agreement(name, driven("t01_mill_south", fov_deg=50), (0, 3))

@@ -31,6 +31,7 @@ from skope.gen.output import writers
 writers.DatasetWriter.finish = lambda self: os._exit(9)"""
 
 
+@pytest.mark.slow
 def test_shards_that_were_begun_are_extended(tmp_path: Path) -> None:
     """Killed between shards and manifest, then begun again with more frames, and with a site that comes first."""
     assert made(tmp_path / "d", SITES, 2, before=DIES_BEFORE_THE_MANIFEST).returncode == 9

@@ -25,7 +25,7 @@ def camera_of(distortion: Distortion) -> Camera:
     )
 
 
-@pytest.mark.parametrize("name", ["gl", "pybullet"])
+@pytest.mark.parametrize("name", ["gl", pytest.param("pybullet", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("distortion", [BROWN, FISHEYE], ids=["brown", "fisheye"])
 def test_depth_and_ids_are_those_of_each_pixels_own_ray(name: str, distortion: Distortion) -> None:
     camera = camera_of(distortion)

@@ -36,7 +36,7 @@ def added(plain: Scenery, more: Scenery) -> Mesh:
     return more.mesh.taken(np.arange(count, len(more.mesh.triangles)))
 
 
-@pytest.mark.parametrize(("name", "seed"), [("town01", 3), ("town05", 6)])
+@pytest.mark.parametrize(("name", "seed"), [("town01", 3), pytest.param("town05", 6, marks=pytest.mark.slow)])
 def test_they_stand_beside_roads_sidewalks_and_buildings(name: str, seed: int) -> None:
     town = variant(name, seed, COUNT)
     layout, plain = Layout.of(town), scenery(variant(name, seed))

@@ -3,6 +3,7 @@
 import itertools
 import xml.etree.ElementTree as ET
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ CLEARANCE = 4.2
 def town(request: pytest.FixtureRequest) -> Town:
     found: Town = request.param
     return found
+
+
+def by_size() -> list[Any]:
+    """The towns, of which the largest are slow."""
+    large = ("town04", "town06", "town07")
+    return [pytest.param(t, id=t.name, marks=[pytest.mark.slow] * (t.name in large)) for t in towns()]
 
 
 def sources(town: Town, kind: str, tag: str) -> list[dict[str, str]]:
@@ -97,6 +104,7 @@ def test_every_way_in_leads_to_every_other_end(town: Town) -> None:
         assert min(far) > 100, site.name
 
 
+@pytest.mark.parametrize("town", by_size(), indirect=True)
 def test_the_road_lies_where_vehicles_drive(town: Town) -> None:
     """Straight below lanes, bridges included, the ground is at the lanes' height."""
     mesh = scenery(town).mesh
