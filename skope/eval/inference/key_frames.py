@@ -2,8 +2,8 @@
 
 Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
 pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
-the more the nearer its key frame is. One that only one of them shows is followed from there alone: half of the way, or
-as long as the image's edge explains why the other key frame does not show it.
+the more the nearer its key frame is. One that only one of them shows is followed from there alone, as far as its points
+can be: a detector misses vehicles more often than vehicles vanish.
 """
 
 import itertools
@@ -33,7 +33,7 @@ _RETURN_PX: Final = 0.5
 """A point that is followed to the next frame and back has to come out so near to where it began."""
 _ACROSS: Final = (0.2, 0.4, 0.6, 0.8)
 """Beside the keypoints a grid of points is followed: shares of the box's edges."""
-_FEWEST: Final = 5
+_FEWEST: Final = 4
 """A vehicle is lost where fewer of its points can be followed."""
 _ASIDE: Final = 0.02
 """Points move with their vehicle that are so near to where it takes them, as a share of its size, a pixel at least."""
@@ -41,8 +41,6 @@ _GROWTH: Final = 1.25
 """From frame to frame a vehicle grows or shrinks by no more than this factor."""
 _OVERLAP: Final = 0.3
 """IoU from which a vehicle that was followed to the other key frame is the one that is found there."""
-_EDGE_PX: Final = 3.0
-"""A box that is so near to the image's edge is cut by it."""
 _SMALLEST_PX: Final = 4.0
 """Boxes with a shorter edge inside the image are left out."""
 _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
@@ -84,15 +82,14 @@ def _between(
 ) -> Iterator[tuple[Image, list[Result], bool]]:
     """The frames between two key frames, which are the ends of `frames`, with their vehicles."""
     grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
-    size = (grey[0].shape[1], grey[0].shape[0])
     ahead, back = _followed(grey, first), _followed(grey[::-1], last)
     pairs = _same(ahead, last)
     gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
     new = sorted(set(range(len(last))) - {j for _, j in pairs})
     ways = [
         *((_merged(ahead[i], back[j][::-1]), first[i].score, last[j].score) for i, j in pairs),
-        *((_alone(ahead[i], size), first[i].score, first[i].score) for i in gone),
-        *((_alone(back[j], size)[::-1], last[j].score, last[j].score) for j in new),
+        *((ahead[i], first[i].score, first[i].score) for i in gone),
+        *((back[j][::-1], last[j].score, last[j].score) for j in new),
     ]
     for k, (image, _) in enumerate(frames[1:-1], start=1):
         share = k / (len(frames) - 1)
@@ -129,10 +126,6 @@ class _Place:
         box = (corners - middle) * scale + motion[:, :2] @ middle + motion[:, 2]
         at = self.keypoints[:, :2] @ motion[:, :2].T + motion[:, 2]
         return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
-
-    def cut(self, size: tuple[int, int]) -> bool:
-        """Whether it reaches the edge of an image of this width and height."""
-        return bool((self.box[:2] < _EDGE_PX).any() or (self.box[2:] > np.array(size) - _EDGE_PX).any())
 
     def result(self, image: Image, score: float) -> Result | None:
         """As a vehicle of an image; None where hardly anything of it is inside."""
@@ -214,14 +207,3 @@ def _merged(ahead: Way, back: Way) -> Way:
         first.blended(last, share) if one is None or two is None else one.blended(two, share)
         for one, two, share in zip(ahead, back, shares, strict=True)
     ]
-
-
-def _alone(way: Way, size: tuple[int, int]) -> Way:
-    """The way of a vehicle that only the key frame shows where it begins, so far as it may be believed."""
-    half = (len(way) - 1) / 2
-    left = False
-    out: Way = []
-    for k, place in enumerate(way):
-        left = left or (place is not None and place.cut(size))
-        out.append(place if k <= half or left else None)
-    return out

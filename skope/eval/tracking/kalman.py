@@ -69,6 +69,13 @@ def predicted(state: State, F: Array, Q: Array) -> State:
     return F @ mean, F @ spread @ F.T + Q
 
 
+def before(state: State, dt: float) -> State:
+    """What a state says of the time `dt` seconds earlier: the model is the same for who drives backwards in time."""
+    back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+    mean, spread = predicted((back @ state[0], back @ state[1] @ back), *motion(dt))
+    return back @ mean, back @ spread @ back
+
+
 def updated(state: State, pose: PoseMeasurement) -> State:
     """A state that has taken in a pose: its place, and the direction in which wheels let the vehicle move."""
     mean, spread = state

@@ -6,11 +6,13 @@ assignment, as scipy has it): what counts is how certain track and pose are and 
 frames. Before that, a detection whose box lies where one track's box was a moment ago, and no other one's, joins that
 track if its pose allows it: along the line of sight poses are uncertain by metres, where boxes are by pixels. For a
 vehicle without a pose, or whose pose is elsewhere all of a sudden, the box keeps the track; where poses stay elsewhere,
-it ends and another one begins, as nothing on wheels jumps. Trackers of boxes alone would lose what the poses know:
-metres, headings and how certain they are.
+it ends and another one begins, as nothing on wheels jumps. By its boxes a track also reaches back before its first pose
+and goes on after its last one, for half a second: vehicles at the image's edge and between key frames have none.
+Trackers of boxes alone would lose what the poses know: metres, headings and how certain they are.
 """
 
 import math
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
@@ -25,7 +27,7 @@ from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside
 from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
-from skope.eval.tracking.tracks import OpenTrack, Track, begin, finished
+from skope.eval.tracking.tracks import OpenTrack, Sighting, Track, begin, finished
 from skope.types import Array
 
 __all__ = ["Track", "follow"]
@@ -53,6 +55,8 @@ _JUMPS: Final = 3
 """After so many poses elsewhere that is where the vehicle is."""
 _LOST_S: Final = 3.0
 """A track ends when no pose of it was seen for so long, seconds."""
+_APPROACH_S: Final = 0.5
+"""For how long before a vehicle's first pose its boxes belong to its track, seconds."""
 _LAG_S: Final = 20.0
 """What was seen so long ago, seconds, is not changed by what is seen now."""
 
@@ -74,6 +78,7 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
     """
     live: list[OpenTrack] = []
     done: list[OpenTrack] = []
+    recent: deque[tuple[int, float, list[Detection]]] = deque()
     before = -math.inf
     for frame, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
         if time_s <= before:
@@ -82,7 +87,7 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
             F, Q = kalman.motion(time_s - before)
             for track in live:
                 track.predict(frame, time_s, F, Q)
-        new = _associate(live, image, time_s)
+        new, without_track = _associate(live, image, time_s)
         live += [track.successor for track in live if track.successor is not None]
         ended = {id(track) for track in live if track.successor or time_s - track.last_pose_s > _LOST_S}
         ended |= {id(track) for track in give_up_duplicates([t for t in live if id(t) not in ended], time_s)}
@@ -92,7 +97,11 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
                 done.append(track)
             elif time_s - track.steps[0].time_s > 2 * _LAG_S:
                 track.settle(time_s - _LAG_S)
-        live = [track for track in live if id(track) not in ended] + [begin(frame, time_s, *pair) for pair in new]
+        live = [track for track in live if id(track) not in ended]
+        live += [begin(frame, time_s, *pair, _approach(pair[0], recent)) for pair in new]
+        recent.append((frame, time_s, without_track))
+        while time_s - recent[0][1] > _APPROACH_S:
+            recent.popleft()
         before = time_s
     for track in live:
         track.end()
@@ -101,8 +110,28 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
     return [finished(track, number) for number, track in enumerate(confirmed, start=1)]
 
 
-def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float) -> list[Posed]:
-    """Give an image's detections to tracks, by clear boxes, by place, then by box; returns those of new vehicles."""
+def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detection]]]) -> list[Sighting]:
+    """The boxes without a track by which a new vehicle came, from frame to frame; they are taken from `recent`."""
+    out: list[Sighting] = []
+    for frame, time_s, boxes in reversed(recent):
+        if not boxes:
+            break
+        overlap = box_math.iou(
+            box_math.xywh_to_xyxy(detection.bbox[None]), box_math.xywh_to_xyxy(np.array([one.bbox for one in boxes]))
+        )[0]
+        if overlap.max() < _OVERLAP:
+            break
+        detection = boxes.pop(int(overlap.argmax()))
+        out.append((frame, time_s, detection))
+    return out
+
+
+def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float) -> tuple[list[Posed], list[Detection]]:
+    """Give an image's detections to tracks, by clear boxes, by place, then by box.
+
+    Returns:
+        The detections of new vehicles, and those without a pose that belong to no track.
+    """
     places = [whereabouts(track, time_s) for track in live]
     posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
     left = dict(enumerate(posed))
@@ -120,10 +149,12 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
     for t, s in cheapest_pairs(cost, _NEW):
         live[t].update(*posed[s])
         del left[s]
-    _by_box(live, [detection for detection in image if detection.pose is None], _OVERLAP, time_s)
+    unposed = [detection for detection in image if detection.pose is None]
+    given_unposed = {id(detection) for detection in _by_box(live, unposed, _OVERLAP, time_s)}
     for given in _by_box(live, [detection for detection, _ in left.values()], _JUMP_OVERLAP, time_s):
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
-    return _without_duplicates(live, list(left.values()))
+    new = _without_duplicates(live, list(left.values()))
+    return new, [detection for detection in unposed if id(detection) not in given_unposed]
 
 
 def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: float) -> list[tuple[int, int]]:

@@ -1,10 +1,11 @@
 """A vehicle's track: while it is being followed, frame by frame, and when it is finished and smoothed."""
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from skope.eval.tracking.kalman import State
 from skope.types import Array
 
 _BOX_S: Final = 0.5
-"""For how long an unseen vehicle's last box says where it is in the image, seconds."""
+"""For how long an unseen vehicle's last box says where it is in the image, and boxes without a pose what it does."""
 _CONFIRMED: Final = 3
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
@@ -25,7 +26,7 @@ _CONFIRMED_S: Final = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A vehicle over the frames from its first to its last pose; M frames, all of them, seen or not."""
+    """A vehicle over M frames: all from its first to its last pose, seen or not, and a moment more by its box."""
 
     number: int
     kind: str
@@ -115,6 +116,10 @@ class TrackPart:
     """(M,) -1 where there is none."""
 
 
+Sighting: TypeAlias = tuple[int, float, Detection]
+"""Frame, seconds, and what was seen there."""
+
+
 @dataclass(eq=False)
 class OpenTrack:
     """A track that is being followed."""
@@ -133,6 +138,8 @@ class OpenTrack:
     """By frame, the detections since `last_pose` that its box says are this vehicle and whose pose is elsewhere."""
     successor: "OpenTrack | None" = None
     """What goes on from `elsewhere` in place of this track, which then ends with `last_pose`."""
+    approach: list[Sighting] = field(default_factory=list)
+    """What was seen of it before its first pose, latest first."""
     surrounding: "OpenTrack | None" = None
     """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
     surrounded_s: float = 0.0
@@ -179,15 +186,25 @@ class OpenTrack:
 
     def settle(self, until_s: float) -> None:
         """Smooth, and keep what came before `until_s` as it then is."""
-        count = sum(step.time_s < until_s for step in self.steps)
-        self.parts.append(_part(self.steps[:count], *(states[:count] for states in _smoothed(self.steps))))
-        del self.steps[:count]
+        self._keep(sum(step.time_s < until_s for step in self.steps))
 
     def end(self) -> None:
-        """Smooth what is left, up to the last pose."""
-        self.steps = [step for step in self.steps if step.time_s <= self.last_pose_s]
-        self.parts.append(_part(self.steps, *_smoothed(self.steps)))
+        """Smooth what is left, up to the last pose and as long as its box goes on from there."""
+        self.steps = list(itertools.takewhile(self._lasts_until, self.steps))
+        self._keep(len(self.steps))
         self.steps = []
+
+    def _lasts_until(self, step: TrackStep) -> bool:
+        since_s = step.time_s - self.last_pose_s
+        return since_s <= 0 or (since_s <= _BOX_S and step.detection is not None and self.successor is None)
+
+    def _keep(self, count: int) -> None:
+        """Smooth, and keep the first `count` steps as they then are, after the way to the very first one."""
+        means, spreads = _smoothed(self.steps)
+        if count and self.approach and not self.parts:
+            self.parts.append(_part(*_approached(self.approach, self.steps[0], (means[0], spreads[0]))))
+        self.parts.append(_part(self.steps[:count], means[:count], spreads[:count]))
+        del self.steps[:count]
 
     @property
     def confirmed(self) -> bool:
@@ -196,11 +213,13 @@ class OpenTrack:
         return self.poses >= _CONFIRMED and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
 
 
-def begin(frame: int, time_s: float, detection: Detection, pose: PoseMeasurement) -> OpenTrack:
-    """The track of a vehicle that nobody has seen before."""
+def begin(
+    frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
+) -> OpenTrack:
+    """The track of a vehicle that has had no pose before; `approach` is what was seen of it, latest first."""
     state = kalman.first_state(pose)
     step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
-    return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s)
+    return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s, approach=list(approach))
 
 
 def finished(track: OpenTrack, number: int) -> Track:
@@ -235,6 +254,18 @@ def _smoothed(steps: Sequence[TrackStep]) -> tuple[Array, Array]:
     return kalman.smoothed(
         [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
     )
+
+
+def _approached(sightings: Sequence[Sighting], first: TrackStep, state: State) -> tuple[list[TrackStep], Array, Array]:
+    """The steps to the first one of a track, whose smoothed state is known, and their (M, 6) means and covariances."""
+    steps = []
+    later_s = first.time_s
+    for frame, time_s, detection in sightings:
+        state = kalman.before(state, later_s - time_s)
+        steps.append(TrackStep(frame, time_s, np.eye(6), state, state, detection))
+        later_s = time_s
+    steps.reverse()
+    return steps, np.array([step.filtered[0] for step in steps]), np.array([step.filtered[1] for step in steps])
 
 
 def _part(steps: Sequence[TrackStep], states: Array, spreads: Array) -> TrackPart:

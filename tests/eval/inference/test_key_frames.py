@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from skope import boxes
 from skope.eval.inference.key_frames import with_frames_between
 from skope.schema import Image, Result
 
@@ -90,9 +91,19 @@ def test_what_drives_in_or_out_is_followed_to_the_edge() -> None:
     assert [len(here) for here in leaving[:2]] == [1, 1]
 
 
-def test_what_one_key_frame_shows_alone_stays_half_of_the_way() -> None:
-    found = between([lambda k: (100.0, 50.0)], 13, 6, hidden=[(0, 6)])
-    assert [len(here) for here in found] == [1, 1, 1, 1, 0, 0, 0, 0, 0, 1, 1, 1, 1]
+def test_what_one_key_frame_shows_alone_is_followed_until_the_other_one() -> None:
+    found = between([lambda k: (100.0 + 2 * k, 50.0)], 13, 6, hidden=[(0, 6)])
+    assert [len(here) for here in found] == [1] * 6 + [0] + [1] * 6
+    for k in (5, 7):
+        both = np.array([found[k][0].bbox, vehicle(k + 1, (100.0 + 2 * k, 50)).bbox])
+        assert boxes.iou(*np.split(boxes.xywh_to_xyxy(both), 2)) > 0.93
+
+
+def test_what_another_vehicle_hides_is_followed_no_farther() -> None:
+    """A car that drives before another one, which the second key frame does not show."""
+    found = between([lambda k: (150.0, 50.0), lambda k: (75.0 + 20 * k, 50.0)], 7, 6, hidden=[(0, 6)])
+    behind = [[result for result in here if abs(result.bbox[0] - 150) < 3] for here in found]
+    assert [len(behind[k]) for k in (0, 1, 5, 6)] == [1, 1, 0, 0]
 
 
 def test_scores_pass_from_one_to_the_next() -> None:

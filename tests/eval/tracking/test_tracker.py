@@ -286,7 +286,7 @@ def test_interpolated_vehicles_keep_their_track_and_measure_nothing(skope: Any) 
     rows = []
     for a in file.annotations:
         points = np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] == 2]).astype(float)
-        between = a.image_id % 4 != 1
+        between = a.image_id % 4 != 3
         points[:, 0] += 25.0 * between
         rows.append(Result(image_id=a.image_id, score=0.9, bbox=a.bbox, keypoints=points, interpolated=between))
     coco.write(Path("road.json"), file)
@@ -296,10 +296,29 @@ def test_interpolated_vehicles_keep_their_track_and_measure_nothing(skope: Any) 
     told = rows_of(Path("t/tracks.csv"))
     assert len({row["track"] for row in told}) == 1
     assert [float(row["speed"]) for row in told] == pytest.approx([9.0] * len(told), abs=0.5)
-    keys = [a.image_id for a in file.annotations if a.image_id % 4 == 1]
-    assert len(told) == keys[-1] - keys[0] + 1
+    assert len(told) == len(file.images) == 30, "from two frames before the first key frame to three after the last"
+    assert [row["measured"] for row in told] == ["1" if k % 4 == 2 else "0" for k in range(30)]
+    truth = [a.box_3d.center[0] for a in file.annotations if a.box_3d]
+    assert [float(row["x"]) for row in told] == pytest.approx(truth, abs=0.5)
     boxes = Path("t/mot.txt").read_text().splitlines()
     assert len(boxes) == len(told), "also of frames between"
+
+
+def test_boxes_without_a_pose_are_a_vehicles_for_half_a_second_before_and_after() -> None:
+    times = (np.arange(40) / 10).tolist()
+    path = straight(10.0, 0.0)
+    images = list(seen([path], times))
+    for k in (*range(12), *range(28, 40)):
+        images[k] = [replace(one, pose=None) for one in images[k]]
+    (track,) = follow(images, times)
+    assert track.frames.tolist() == list(range(7, 33))
+    assert track.measured.tolist() == [12 <= k < 28 for k in range(7, 33)]
+    assert track.position[:, :2] == pytest.approx(np.array([path(time)[:2] for time in times[7:33]]), abs=0.3)
+    assert (np.diff(track.position_sigma[:6]) < 0).all()
+    assert (np.diff(track.position_sigma[-6:]) > 0).all()
+    images[10] = []
+    (track,) = follow(images, times)
+    assert track.frames[0] == 11, "no box leads from one to the next"
 
 
 def test_frames_that_could_not_be_read_take_their_time(skope: Any) -> None:
