@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,11 +52,14 @@ def skope(*words: object) -> None:
 
 
 def generated(folder: Path, *options: object) -> Pixels:
-    """The last image of a dataset that is generated."""
+    """Of a dataset that is generated, the image with the most vehicles, the last of several."""
     skope("gen", *options, "--size", "1280x720", "--out", folder)
     dataset = open_dataset(folder)
-    image = max((image for split in dataset.splits for image in dataset.read(split).images), key=lambda one: one.id)
-    return read_image(folder / image.file_name)
+    vehicles: Counter[str] = Counter()
+    for file in map(dataset.read, dataset.splits):
+        names = {image.id: image.file_name for image in file.images}
+        vehicles.update(names[one.image_id] for one in file.annotations if not one.ignored)
+    return read_image(folder / max(vehicles, key=lambda name: (vehicles[name], name)))
 
 
 def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
@@ -69,7 +73,7 @@ def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
 
 
 def own_road(places: Places) -> Pixels:
-    return generated(places.work / "own_road", "--site", ROOT / "examples/own_road/site.toml", "--frames", 4)
+    return generated(places.work / "own_road", "--site", ROOT / "examples/own_road/site.toml", "--frames", 12)
 
 
 def vehicle_sheet(places: Places) -> Pixels:
