@@ -126,10 +126,13 @@ def smoothed(
 
 
 def deviations(means: Array, spreads: Array) -> tuple[Array, Array]:
-    """Standard deviations of M states: (M,) of the place in its worst direction, metres, and (M,) of the speed, m/s."""
-    place = np.sqrt(np.linalg.eigvalsh(spreads[:, :2, :2])[:, -1])
+    """Standard deviations of M states: (M,) of the place in its worst direction, metres, and (M,) of the speed, m/s.
+
+    Smoothing leaves variances of almost nothing that rounding may take below 0.
+    """
+    place = np.sqrt(np.maximum(0, np.linalg.eigvalsh(spreads[:, :2, :2])[:, -1]))
     velocity, speed = means[:, 2:4], np.linalg.norm(means[:, 2:4], axis=1)
     ahead = np.divide(velocity, speed[:, None], out=np.zeros_like(velocity), where=speed[:, None] > 0)
     along = np.einsum("mi,mij,mj->m", ahead, spreads[:, 2:4, 2:4], ahead)
     worst = np.linalg.eigvalsh(spreads[:, 2:4, 2:4])[:, -1]
-    return place, np.sqrt(np.where(speed > 0, along, worst))
+    return place, np.sqrt(np.maximum(0, np.where(speed > 0, along, worst)))

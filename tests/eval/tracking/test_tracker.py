@@ -14,7 +14,7 @@ import pytest
 from skope import coco
 from skope.errors import UserError
 from skope.eval.pose.views import read_scene
-from skope.eval.tracking import track_footage
+from skope.eval.tracking import kalman, track_footage
 from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
@@ -319,6 +319,13 @@ def test_boxes_without_a_pose_are_a_vehicles_for_half_a_second_before_and_after(
     images[10] = []
     (track,) = follow(images, times)
     assert track.frames[0] == 11, "no box leads from one to the next"
+
+
+def test_variances_that_rounding_took_below_zero_are_zero() -> None:
+    means = np.array([[0.0, 0, 3, 4, 0, 0], [0.0, 0, 0, 0, 0, 0]])
+    place, speed = kalman.deviations(means, np.stack([-1e-18 * np.eye(6)] * 2))
+    assert place.tolist() == [0, 0]
+    assert speed.tolist() == [0, 0]
 
 
 def test_frames_that_could_not_be_read_take_their_time(skope: Any) -> None:
