@@ -1,6 +1,6 @@
 """Make the pictures of README and docs again, with the commands that they show; ten minutes on two cores.
 
-    make demo                                                  # what birdseye, footage_overlay, gallery and report show
+    make demo                                                  # what birdseye and footage_overlay show
     python scripts/draw_docs.py                                # all
     python scripts/draw_docs.py noon fog --out elsewhere       # some
 
@@ -41,14 +41,13 @@ class Places:
 
     work: Path
     """For what is made on the way."""
-    data: Path
-    """Dataset of `make demo`."""
     run: Path
-    """What else `make demo` made."""
+    """What `make demo` made."""
 
 
-def skope(*words: object) -> None:
-    subprocess.run([sys.executable, "-m", "skope", *map(str, words), "--quiet"], check=True, cwd=ROOT)
+def skope(*words: object, at: Path = ROOT) -> None:
+    """A command, in the folder `at`."""
+    subprocess.run([sys.executable, "-m", "skope", *map(str, words), "--quiet"], check=True, cwd=at)
 
 
 def generated(folder: Path, *options: object) -> Pixels:
@@ -73,7 +72,16 @@ def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
 
 
 def own_road(places: Places) -> Pixels:
-    return generated(places.work / "own_road", "--site", ROOT / "examples/own_road/site.toml", "--frames", 12)
+    """The example's road in the rush hour."""
+    folder = places.work / "own_road"
+    shutil.copytree(ROOT / "examples/own_road", folder)
+    site = folder / "site.toml"
+    usual, busy = "vehicles_per_hour = 900", "vehicles_per_hour = 2400"
+    text = site.read_text(encoding="utf-8")
+    if usual not in text:
+        sys.exit(f"{site}: does not say {usual!r}")
+    site.write_text(text.replace(usual, busy), encoding="utf-8")
+    return generated(folder / "data", "--site", site, "--frames", 24)
 
 
 def vehicle_sheet(places: Places) -> Pixels:
@@ -95,12 +103,19 @@ def footage_overlay(places: Places) -> Pixels:
 
 
 def gallery(places: Places) -> Pixels:
-    skope("gen", "report", places.data, "--out", places.work / "gallery")
+    skope("gen", "report", queue(places), "--out", "gallery", at=places.work)
     return photographed(places.work / "gallery" / "index.html", 1240, 860)
 
 
 def report(places: Places) -> Pixels:
-    return photographed(places.run / "road33" / "report.html", 1100, 1000)
+    skope("eval", "--data", queue(places), "--split", "hard", "--checkpoint", "road33", "--out", "eval", at=places.work)
+    return photographed(places.work / "eval" / "report.html", 1100, 1000)
+
+
+def queue(places: Places) -> str:
+    """The name of a dataset of vehicles before a signal, which reports show as it is given."""
+    skope("gen", "--site", "t01_mill_south", "--frames", 8, "--size", "1280x720", "--out", "queue", at=places.work)
+    return "queue"
 
 
 def photographed(page: Path, width: int, height: int) -> Pixels:
@@ -148,8 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}; all by default")
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
-    parser.add_argument("--data", type=Path, default=ROOT / "data/demo", help="dataset of `make demo`")
-    parser.add_argument("--run", type=Path, default=ROOT / "runs/demo", help="what else `make demo` made")
+    parser.add_argument("--run", type=Path, default=ROOT / "runs/demo", help="what `make demo` made")
     options = parser.parse_args()
     names = options.names or list(PICTURES)
     if unknown := set(names) - PICTURES.keys():
@@ -158,7 +172,7 @@ def main() -> None:
         parser.error(f"{', '.join(NEEDS_BROWSER)}: chromium is not installed")
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        places = Places(Path(folder), options.data, options.run)
+        places = Places(Path(folder), options.run)
         for name in names:
             write(options.out / f"{name}.jpg", PICTURES[name](places))
 

@@ -35,6 +35,8 @@ _FLATTEST: Final = 0.45
 """Height of the map over its width, at most and at least."""
 _CELLS: Final = 1500
 """Cells of the road's picture along its longer side."""
+_DRIVING_KMH: Final = 5.0
+"""What is slower may stand, and says nothing of how fast vehicles drive."""
 _STANDS_M: Final = 4.0
 """A track shorter than this has no direction of travel."""
 _WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
@@ -121,13 +123,14 @@ def _fullest_frame(tracks: Sequence[Track]) -> int:
 
 
 def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
-    """Colours of speeds in km/h that are dark enough for a pale road, up to a round figure that nearly all keep."""
+    """Colours of speeds in km/h that are dark enough for a pale road, up to a figure that nearly all who drive keep."""
     import matplotlib as mpl
 
     whole = mpl.colormaps["plasma"]
     colors = mpl.colors.LinearSegmentedColormap.from_list("speed", whole(np.linspace(0.02, 0.86, 64)))
-    speeds = np.concatenate([track.speed for track in tracks]) * 3.6 if tracks else np.zeros(1)
-    top = 10.0 * np.ceil(max(10.0, float(np.percentile(speeds, 95))) / 10)
+    speeds = np.concatenate([np.zeros(1), *(track.speed for track in tracks)]) * 3.6
+    driving = speeds[speeds >= min(_DRIVING_KMH, speeds.max())]
+    top = 10.0 * np.ceil(max(10.0, float(np.percentile(driving, 98))) / 10)
     return colors, mpl.colors.Normalize(0, top)
 
 

@@ -193,7 +193,7 @@ def _box_around(points: ArrayLike) -> "Bbox":
 def draw_scale(axes: "Axes", colors: "Colormap", norm: "Normalize") -> None:
     from matplotlib.cm import ScalarMappable
 
-    axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes)
+    axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes, extend="max")  # some may drive faster
     axes.set_title("km/h", fontsize=9, color=INK, pad=6)
     axes.tick_params(colors=INK, labelsize=9, length=3, width=0.6)
     for spine in axes.spines.values():
