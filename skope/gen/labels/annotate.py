@@ -18,7 +18,7 @@ from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of, vehicle_of
 from skope.gen.vehicles.model import Vehicle
-from skope.gen.vehicles.paints import PAINTS
+from skope.gen.vehicles.paints import color_name
 from skope.schema import Annotation, Box3D
 from skope.types import Array
 
@@ -349,7 +349,7 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
         "track_id": recorded.track_id,
         "model": recorded.model,
         "vehicle_type": vehicle.vehicle_type,
-        "color": PAINTS[recorded.color].color,
+        "color": color_name(vehicle, recorded.color),
         "parked": recorded.parked,
         "box_3d": Box3D(center=center, size_lwh=np.array(vehicle.size_lwh), yaw=yaw, R=T[:3, :3]),
         "velocity": moment.velocity[i],

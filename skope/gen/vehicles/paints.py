@@ -1,13 +1,17 @@
 """The paints that vehicles have: private cars' colours and the liveries of taxis, vans, lorries and buses."""
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 
 from skope.gen.vehicles.fleet import ParametricVehicle, fleet, parametric
 from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.user_models import AddedVehicle
 from skope.schema import COLORS
+from skope.types import Array
 
 
 class Paint(NamedTuple):
@@ -101,6 +105,40 @@ brown with beige and yellow with gold, and its last two per cent, other colours,
 and Germany's new registrations of 2024 (KBA: grey and silver 33, black 26, white 20, blue 9, red 5, green 3). Liveries
 have no such source: their shares say only that plain white leads.
 """
+
+
+_UNPAINTED: Final = {"orange": (206, 94, 24), "gold": (170, 140, 84), "purple": (84, 44, 104)}
+"""sRGB of the named colours that no paint has."""
+_FARTHEST: Final = 30.0
+"""What differs by more than this from all named colours, in `_lab`, is of another one."""
+
+
+def color_name(vehicle: Vehicle, paint: str) -> str:
+    """The colour of a vehicle in annotations: its paint's, or of an added model, which is never painted, its own."""
+    return _own_color(vehicle) if isinstance(vehicle, AddedVehicle) else PAINTS[paint].color
+
+
+@cache
+def _own_color(vehicle: AddedVehicle) -> str:
+    """The named colour that is nearest to the one that most of a model's surface has."""
+    mesh = vehicle.mesh
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    areas = np.bincount(
+        mesh.material, np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=len(mesh.materials)
+    ) * [name.startswith("#") for name in mesh.materials]
+    code = mesh.materials[int(areas.argmax())]
+    if not code.startswith("#"):
+        return "other"
+    named = {paint.color: paint.rgb for paint in reversed(PAINTS.values())} | _UNPAINTED
+    own, *others = _lab([tuple(bytes.fromhex(code[1:])), *named.values()])
+    away = np.linalg.norm(others - own, axis=1)
+    return list(named)[int(away.argmin())] if away.min() < _FARTHEST else "other"
+
+
+def _lab(rgbs: list[tuple[int, ...]]) -> Array:
+    """(N, 3) CIELAB of sRGB values, with half of the lightness: a dark and a light green have the same name."""
+    pixels = np.array([rgbs], dtype=np.float32) / 255
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)[0], dtype=np.float64) * (0.5, 1, 1)
 
 
 def palette(vehicle: Vehicle, *, shades: bool = False) -> list[str]:

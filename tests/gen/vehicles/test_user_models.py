@@ -2,6 +2,7 @@
 
 import re
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.keypoint_markers import read_marked
+from skope.gen.vehicles.paints import color_name
 from skope.gen.vehicles.user_models import names
 from tests.gen.vehicles.test_keypoint_markers import nodes, renamed, swapped, without, written
 
@@ -198,6 +200,27 @@ def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: st
     assert text.endswith("1 model, 1 findings\n")
 
 
+@pytest.mark.parametrize(
+    ("material", "color"),
+    [
+        *(("#f4f4f0", "white"), ("#202124", "black"), ("#777777", "grey"), ("#b4b8bb", "silver"), ("#b01818", "red")),
+        *(
+            ("#2a4f9e", "blue"),
+            ("#1f6b34", "green"),
+            ("#5a3c28", "brown"),
+            ("#e0b020", "yellow"),
+            ("#e06a10", "orange"),
+        ),
+        *(("#6a3080", "purple"), ("#ff00ff", "other"), ("headlight", "other")),
+    ],
+)
+def test_labels_name_the_colour_that_most_of_a_model_has(car: Path, material: str, color: str) -> None:
+    vehicle = user_models.load(car.parent.name)
+    mesh = replace(vehicle.mesh, materials=("#00ff00", material), material=np.ones_like(vehicle.mesh.material))
+    mesh.material[0] = 0
+    assert color_name(replace(vehicle, mesh=mesh), "white") == color
+
+
 # -------------------------------------------------------------------------------------------------------- the example
 
 
@@ -213,10 +236,12 @@ def test_the_example_drives_as_the_guide_says(tmp_path: Path, monkeypatch: pytes
     assert code == 0, text
     dataset = open_dataset(tmp_path / "data")
     assert list(check(dataset)) == []
-    file = dataset.read("medium")
+    file = dataset.read("train")
     assert {(image.weather, image.camera.width) for image in file.images} == {("rain", 192)}
     models = [annotation.model for annotation in file.annotations]
     assert 0.1 < models.count("courier") / len(models) < 0.9
+    # It is teal wherever it drives; paints are for the fleet.
+    assert {annotation.color for annotation in file.annotations if annotation.model == "courier"} == {"green"}
     # What is there stays as it is without the model, and can be checked.
     run("vehicles", "remove", "courier")
     assert list(check(dataset)) == []
