@@ -84,6 +84,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def disk_size(size: float) -> str:
+    """So many bytes on disk in words: 7 MB, 1.4 GB."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
 def minutes(seconds: float) -> str:
     """A duration as people say it: 40 s, 12 min, 3.5 h."""
     if seconds < 100:

@@ -91,6 +91,7 @@ def run(
         if number is not None and number < 0:
             raise UserError(f"--{name}: expected a number from 0, got {number}")
 
+    from skope.dataset import open_dataset
     from skope.detector import choose_device
     from skope.train import configure
     from skope.train.loop import Saving, train
@@ -124,7 +125,8 @@ def run(
     except KeyboardInterrupt:
         typer.echo(f"skope: stopped; {configure.how_to_go_on(out)}", err=True)
         raise typer.Exit(130) from None
-    console.result(f"wrote {checkpoint}; next: {configure.next_command(out, Path(config.data[0]), RUN, DATA)}")
+    learnt = open_dataset(Path(config.data[0]))
+    console.result(f"wrote {checkpoint}; next: {configure.next_command(out, learnt.root, learnt.splits, RUN, DATA)}")
 
 
 @app.command()

@@ -100,9 +100,12 @@ def how_to_go_on(out: Path) -> str:
     return "nothing was saved yet, so the same command begins again"
 
 
-def next_command(out: Path, data: Path, default_out: Path, default_data: Path) -> str:
-    """The command that evaluates a run, with the flags that differ from the defaults."""
-    parts = ["skope eval --split hard"]
+def next_command(out: Path, data: Path, splits: Sequence[str], default_out: Path, default_data: Path) -> str:
+    """The command that evaluates a run on one of its dataset's splits, with the flags that differ from the defaults."""
+    parts = ["skope eval"]
+    tests = [split for split in splits if split not in ("train", "val")]
+    if tests:
+        parts.append(f"--split {'hard' if 'hard' in tests else tests[-1]}")
     if data != default_data:
         parts.append(f"--data {shlex.quote(str(data))}")
     if out != default_out:

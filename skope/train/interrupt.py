@@ -1,18 +1,22 @@
 """Ctrl-C and SIGTERM that wait for the step in progress, so that its state can be saved."""
 
+import os
 import signal
 import threading
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ANSWER = b"\nskope: stopping after this step, to save it; once more stops at once\n"
 
 
 class StopRequest:
     """Context in which the first SIGINT or SIGTERM only sets `asked`; a second one interrupts at once."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, tell: bool = False) -> None:
+        """With `tell` the first signal is answered on standard error."""
         self.asked: signal.Signals | None = None
+        self._tell = tell
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -30,6 +34,8 @@ class StopRequest:
         if self.asked is not None:
             raise KeyboardInterrupt
         self.asked = signal.Signals(number)
+        if self._tell:  # print() may be in the middle of a line just now
+            os.write(2, _ANSWER)
 
 
 def ignore_signals(_worker: int) -> None:

@@ -79,7 +79,7 @@ def train(
     """
     with (
         distributed.process_group(device) as (processes, device),
-        StopRequest() as stop,
+        StopRequest(tell=processes.first) as stop,
         _explain_out_of_memory(config),
         _isolated_randomness(device),
     ):
@@ -101,9 +101,8 @@ def train(
                 fold_norms(training.model)
             if processes.first:
                 run_folder.record(out, config)
-            _announce(
-                config, training, training_set, f"on {device} x {processes.size}, {workers} extra processes", console
-            )
+            where = f"on {device} x {processes.size}, {workers} extra processes"
+            _announce(config, training, training_set, parts, where, console)
             return _Run(
                 config, out, training, training_set, parts, processes, device, workers, saving, stop, console
             ).go()
@@ -277,14 +276,23 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 
 
 def _announce(
-    config: RunConfig, training: TrainingState, training_set: TrainingSet, where: str, console: Console
+    config: RunConfig,
+    training: TrainingState,
+    training_set: TrainingSet,
+    parts: Sequence[TrainingSource],
+    where: str,
+    console: Console,
 ) -> None:
     recipe = config.recipe
     console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
     names = " + ".join(config.data)
     if SCHEMES[config.scheme].flip is None:
         console.say(f"images are not mirrored: of scheme {config.scheme} no mirror partners are known")
-    console.say(f"{names}: {len(training_set)} images with {training_set.vehicles} vehicles to learn from")
+    learnt = f"{counted(len(training_set), 'image')} with {counted(training_set.vehicles, 'vehicle')} to learn from"
+    kept = [part.validated for part in parts]
+    images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)
+    checked = f"{counted(images, 'image')} with {counted(vehicles, 'vehicle')}" if images else "none"
+    console.say(f"{names}: {learnt}, {checked} to validate on")
     if training.epochs_done or training.steps_done:
         within = f" and {training.steps_done} steps" if training.steps_done else ""
         console.say(f"resumed after epoch {training.epochs_done}{within}")

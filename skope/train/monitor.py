@@ -9,6 +9,7 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import draw
+from skope.console import counted
 from skope.dataset import read_image
 from skope.files import replacing
 from skope.schema import Annotation, AnnotationFile
@@ -47,7 +48,7 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
         axes[1].plot([epoch for epoch, _ in known], [value for _, value in known], marker=".", label=label)
     if validated:
         images, vehicles = (validated[-1]["validation"][name] for name in ("images", "vehicles"))
-        title = f"validation: {images} images, {vehicles} vehicles"
+        title = f"validation: {counted(images, 'image')}, {counted(vehicles, 'vehicle')}"
         axes[1].set(xlabel="epoch", ylim=(0, 1), title=title)
     for axis in axes:
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skope import keypoints
+from skope.console import counted
 from skope.dataset import Dataset
 from skope.detector import BEST
 from skope.train.run_folder import RunConfig, TrainingState
@@ -76,8 +77,8 @@ def _figures(history: Sequence[Mapping[str, Any]]) -> list[str]:
     best = max(rows, key=lambda row: rank(row["validation"]))
     images, vehicles = (rows[-1]["validation"][name] for name in ("images", "vehicles"))
     lines = [
-        f"On {images} images with {vehicles} vehicles at the end of the training recordings, score above 0.9, IoU 0.6, "
-        f"alpha 0.1, visible keypoints, pooled; the best epoch's weights are `{BEST}`.",
+        f"On {counted(images, 'image')} with {counted(vehicles, 'vehicle')} at the end of the training recordings, "
+        f"score above 0.9, IoU 0.6, alpha 0.1, visible keypoints, pooled; the best epoch's weights are `{BEST}`.",
         "",
         "| epoch | " + " | ".join(names) + " |",
         "|---" * (len(names) + 1) + "|",

@@ -64,12 +64,12 @@ def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tmp_path)
     config = replace(new(seed=4), recipe=replace(TINY, epochs=2))
     monkeypatch.setattr(configure, "new", lambda *_, **__: config)
-    samples.make_dataset(Path("data/skope"), images=2, splits=("train",))
+    samples.make_dataset(Path("data/skope"), images=2, splits=("train", "hard"))
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
     assert result.exit_code == 0, result.output
     last = result.stdout.strip().splitlines()[-1]
     assert last == "wrote runs/skope/epoch_002.safetensors; next: skope eval --split hard"
-    assert "2 images with 4 vehicles" in result.stdout
+    assert "2 images with 4 vehicles to learn from, none to validate on" in result.stdout
     assert "s a step: about" in result.stdout
     assert json.loads(Path("runs/skope/recipe.json").read_text())["seed"] == 4
 
@@ -122,8 +122,17 @@ def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
 
 
 def test_the_next_command_carries_what_differs_from_the_defaults() -> None:
-    said = configure.next_command(Path("runs/b"), Path("d"), cli.RUN, cli.DATA)
+    every = ("train", "easy", "medium", "hard", "extra")
+    said = configure.next_command(Path("runs/b"), Path("d"), every, cli.RUN, cli.DATA)
     assert said == "skope eval --split hard --data d --checkpoint runs/b"
+
+
+@pytest.mark.parametrize(
+    ("splits", "option"),
+    [(("easy", "medium", "train"), " --split medium"), (("train", "val", "own"), " --split own"), (("train",), "")],
+)
+def test_the_next_command_names_a_split_that_is_there(splits: tuple[str, ...], option: str) -> None:
+    assert configure.next_command(cli.RUN, cli.DATA, splits, cli.RUN, cli.DATA) == f"skope eval{option}"
 
 
 def test_importing_the_command_line_does_not_import_torch() -> None:

@@ -77,7 +77,9 @@ def test_a_folder_is_trained_in_by_one_process(tmp_path: Path, *, resume: bool) 
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Whatever the step it is stopped at, in whatever way, and with every augmentation."""
     before = signal.getsignal(signal.SIGINT)
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
@@ -96,6 +98,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, monkeypatch: 
             with pytest.raises(KeyboardInterrupt):
                 train(data, parts, recipe, resume=run_folder.resumable(parts))
         torch.manual_seed(123)  # where the state that torch starts with must not matter
+    assert capfd.readouterr().err.count("skope: stopping after this step, to save it; once more stops at once") == 2
     resumed = train(data, parts, recipe, resume=True)
 
     assert same_files(last, resumed), steps
@@ -179,7 +182,7 @@ def test_what_a_run_leaves(tmp_path: Path) -> None:
         "nothing but the seed",
         "| 2 | 4 | visible |",
         "weight_decay = 0.0001",
-        "On 1 images with 2 vehicles",
+        "On 1 image with 2 vehicles",
     ):
         assert words in card
     sheet = read_image(out / "progress" / "epoch_003.jpg")

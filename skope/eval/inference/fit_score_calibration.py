@@ -106,10 +106,13 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
 
 def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
     """Say what scores were worth before and after."""
+    losses = []
     for words, p in (("before", before), ("after", after)):
         error = score_reliability.calibration_error(score_reliability.reliability(p.ravel(), right.ravel()))
-        loss = score_calibration.log_loss(p, right)
-        console.say(f"{what}, {words}: log loss {loss:.3f}, calibration error {error:.3f}")
+        losses.append(score_calibration.log_loss(p, right))
+        console.say(f"{what}, {words}: log loss {losses[-1]:.3f}, calibration error {error:.3f}")
+    if losses[1] > losses[0]:
+        console.say(f"{what}: the scores are worse now than before: fit them to more images (--split, --last)")
 
 
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:

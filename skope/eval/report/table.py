@@ -160,7 +160,7 @@ def evidence(intervals: Mapping[str, Any]) -> str:
     """What a split's intervals come from, and what they say nothing about, in words."""
     blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
     words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
-    words = f"{blocks} {words}" if blocks > 1 else f"none, fewer than two {words}"
+    words = f"{blocks} {words}" if blocks > 1 else f"none, as there are fewer than two {words}"
     if unit == "image":
         return words + "; neighbouring frames, if there are any, make these too narrow"
     if unit.endswith(" s"):

@@ -76,10 +76,14 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
         whole = parts[TRAIN]
         parts[TRAIN], parts[VAL] = held_back(whole, VALIDATED)
         between = len(whole.images) - len(parts[TRAIN].images) - len(parts[VAL].images)
-        gap = f"; {between} that resemble both are left out" if between else ""
-        console.say(f"{counted(len(parts[VAL].images), 'image')} of {TRAIN} become {VAL}, the last ones{gap}")
         if not parts[VAL].images:
-            raise UserError(f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val")
+            raise UserError(
+                f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val: "
+                "generate more frames"
+            )
+        count = counted(len(parts[VAL].images), "image")
+        gap = f"; left out, as too alike to both: {between}" if between else ""
+        console.say(f"{VAL}, the end of {TRAIN}'s recordings: {count}{gap}")
     return parts
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.console import counted, minutes
+from skope.console import counted, disk_size, minutes
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
@@ -80,7 +80,7 @@ class Estimate:
         if not self.images:
             return "all images are made already"
         images = f"{counted(self.images, 'image')} to make"
-        disk = f"{self.disk_bytes / 1e9:.1f} GB" if self.disk_bytes >= 1e9 else f"{self.disk_bytes / 1e6:.0f} MB"
+        disk = disk_size(self.disk_bytes)
         if self.seconds is None or self.workers is None or self.cores is None:
             return f"{images}, about {disk}; how long a cluster takes is not known"
         workers = counted(self.workers, "worker")

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
-from skope.console import Console, minutes
+from skope.console import Console, disk_size, minutes
 from skope.errors import UserError
 from skope.gen.output import dataset_card
 from skope.gen.pipeline.config import DatasetRequest
@@ -176,6 +176,6 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(
         f"{counts.images} images, {content['counts']['ground_truth']} vehicles to learn and "
-        f"{sum(content['counts']['ignored'].values())} ignored, {size / 1e9:.2f} GB, "
+        f"{sum(content['counts']['ignored'].values())} ignored, {disk_size(size)}, "
         f"in {minutes(time.perf_counter() - begun)}"
     )

@@ -94,7 +94,10 @@ def test_published_figures_follow_the_papers_protocol() -> None:
         ({"unit": "recording", "blocks": 10, "sites": 1}, "10 recordings of one site: this infers to no other site"),
         ({"unit": "recording", "blocks": 20, "sites": 2}, "20 recordings of 2 sites: too few to infer to others"),
         ({"unit": "site", "blocks": 15, "sites": 15}, "15 sites"),
-        ({"unit": "10 s", "blocks": 1, "sites": 1}, "none, fewer than two blocks of 10 s of one recording"),
+        (
+            {"unit": "10 s", "blocks": 1, "sites": 1},
+            "none, as there are fewer than two blocks of 10 s of one recording",
+        ),
         ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
     ],
 )

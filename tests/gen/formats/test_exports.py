@@ -60,7 +60,7 @@ def test_yolo_rows_say_what_the_labels_say(skope: Any, ours: Path) -> None:
     ignored = [vehicle for split in ("train", "easy") for vehicle in open_dataset(ours).read(split).annotations]
     ignored = [vehicle.ignore_reason for vehicle in ignored if vehicle.ignored]
     assert f"1 ignored vehicle beside 23 others: background here (1 {ignored[0]})" in out
-    assert "1 image of train become val, the last ones; 1 that resemble both are left out" in out
+    assert "val, the end of train's recordings: 1 image; left out, as too alike to both: 1" in out
     told = yolo_yaml(Path("there"))
     assert (told["train"], told["val"], told["test"]) == ("images/train", "images/val", ["images/easy"])
     assert told["kpt_shape"] == ["33", "3"]
