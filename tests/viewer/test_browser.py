@@ -30,6 +30,8 @@ def looking(browser: Browser, served: Callable[[Collection], int]) -> Iterator[C
     def look(collection: Collection, width: int = 1280, height: int = 800) -> Browser:
         nonlocal origin
         origin = f"http://127.0.0.1:{served(collection)}/"
+        browser.open("about:blank")  # what the page before still asks for is not this one's
+        browser.run("0")
         browser.events.clear()
         browser.size(width, height, phone=width < 600)
         browser.open(origin)
@@ -135,6 +137,7 @@ def test_predictions_beside_truth_and_the_worst_first(looking: Callable[..., Bro
     assert choose(browser, "show", "with false alarms").startswith("image 1 of 1 (4 in all): images/site/00_000004.png")
     choose(browser, "show", "all")
     assert choose(browser, "order", "worst first").startswith("image 1 of 4: images/site/00_000004.png")
+    browser.until(f"{SHOWN} === 3")
     browser.run("document.getElementById('threshold').value = 1000")
     browser.run("document.getElementById('threshold').dispatchEvent(new Event('input'))")
     assert seen(browser, ".found .box") == 0
