@@ -61,7 +61,7 @@ RUNS: Final[Sequence[Run]] = (
         "--metric-images 2 --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
         says="PCK@0.1 on the ground truth's boxes",
     ),
-    Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True),
+    Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True, slow=True),
     Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
     Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
     Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
@@ -107,6 +107,7 @@ RUNS: Final[Sequence[Run]] = (
         f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --images mine={{dataset}} --splits easy"
         " --test-images 1 --workers 0 --photographs {labels} --out {out}",
         says="| mine | ",
+        slow=True,
     ),
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),

@@ -116,6 +116,7 @@ def torchrun(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
 
+@pytest.mark.slow
 def test_under_torchrun_one_process_writes_and_talks(tmp_path: Path) -> None:
     samples.make_dataset(tmp_path / "data", images=5, splits=("train",))  # 3 to learn: the last batch is one image
     done = torchrun(tmp_path, "--batch-size", "2")

@@ -51,6 +51,7 @@ def test_shards_that_were_begun_go_on_with_what_is_there(tmp_path: Path) -> None
     assert first.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_a_recording_that_broke_is_made_again(whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "d"
     simulate = gen(out, "--workers", "1")

@@ -274,7 +274,8 @@ def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> Non
     assert content(out) == content(whole)
 
 
-@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
 def test_light_that_is_worked_out_is_told_once_a_site(workers: str, tmp_path: Path) -> None:
     """The towns are in the cache of the tests; the light of this seed is not."""
     flags = ["--sites", "t01_mill_corner,t01_main_west", "--frames", "2", "--size", "64x36", "--workers", workers]

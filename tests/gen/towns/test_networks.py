@@ -34,7 +34,7 @@ def town(request: pytest.FixtureRequest) -> Town:
 
 def by_size() -> list[Any]:
     """The towns, of which the largest are slow."""
-    large = ("town04", "town06", "town07")
+    large = ("town03", "town04", "town06", "town07")
     return [pytest.param(t, id=t.name, marks=[pytest.mark.slow] * (t.name in large)) for t in towns()]
 
 

@@ -3,6 +3,7 @@
 import colorsys
 
 import numpy as np
+import pytest
 
 from skope.gen.render.materials import MATERIALS
 from skope.gen.render.palette import USUAL, Palette
@@ -24,6 +25,7 @@ def test_few_seasons_are_of_a_saturated_green() -> None:
     assert len({season.colors["grass"] for season in seasons}) == len(seasons)
 
 
+@pytest.mark.slow
 def test_a_season_changes_plants_and_nothing_else() -> None:
     plain, dressed = (Town("town02", variant=Variant(9, season=season)) for season in (0, 4))
     assert style(plain).season is None

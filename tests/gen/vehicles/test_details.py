@@ -72,7 +72,9 @@ def test_each_option_is_drawn() -> None:
     assert {option for option in OPTIONS if not seen[option]} == set()
 
 
-@pytest.mark.parametrize("model", sorted(fleet()))
+@pytest.mark.parametrize(
+    "model", [pytest.param(model, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, model in enumerate(sorted(fleet()))]
+)
 def test_jittered_vehicles_keep_their_keypoints(model: str) -> None:
     rng = np.random.default_rng(11)
     for _ in range(3):
