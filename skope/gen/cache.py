@@ -67,12 +67,17 @@ def cached_from_parts(
                 if alone:
                     stored = _load(path)
                     if stored is not None:
+                        _remove_all(places)  # what was made here since others ended
                         return stored
                     done[k] = _loaded_or_made(places[k], parts[k])
     whole = cached(kind, digest, lambda: join([done[k] for k in range(len(parts))]))
+    _remove_all(places)
+    return whole
+
+
+def _remove_all(places: Sequence[Path]) -> None:
     for place in places:
         _remove(place)
-    return whole
 
 
 def _place(kind: str, digest: str) -> Path:
