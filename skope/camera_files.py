@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from skope.camera import Distortion
 from skope.errors import UserError
-from skope.files import read_bytes, read_json
+from skope.files import read_bytes, read_json, read_text
 from skope.safe_names import for_opencv
 from skope.types import Array
 
@@ -144,7 +144,7 @@ def read_rope3d(path: Path) -> CameraCalibration:
 
     The pose comes from the plane in the file of the same name in `denorm`: see `read_plane` and `over_plane`.
     """
-    for line in _text(path).splitlines():
+    for line in read_text(path).splitlines():
         name, _, rest = line.partition(":")
         if name.strip() == "P2":
             P = _numbers(path, "P2", rest, 12).reshape(3, 4)
@@ -156,7 +156,7 @@ def read_rope3d(path: Path) -> CameraCalibration:
 
 def read_plane(path: Path) -> Array:
     """(4,) a, b, c, d of the road a x + b y + c z + d = 0 in the camera frame, as Rope3D's `denorm` files have it."""
-    plane = _numbers(path, "plane", _text(path), 4)
+    plane = _numbers(path, "plane", read_text(path), 4)
     length = float(np.linalg.norm(plane[:3]))
     if length < 1e-9:
         raise UserError(f"{path}: plane: its normal is zero")
@@ -191,13 +191,6 @@ def over_plane(plane: ArrayLike, *, position: tuple[float, float], yaw: float, g
 
 def _first(values: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     return next((values[name] for name in names if values.get(name) is not None), None)
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_bytes(path).decode()
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not UTF-8 text") from None
 
 
 def _numbers(path: Path, name: str, text: str, count: int) -> Array:

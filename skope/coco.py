@@ -173,7 +173,7 @@ def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
 
 
 def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
-    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints.
+    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints of a score above 0.
 
     Args:
         path: A .json file with a list of results.
@@ -224,7 +224,10 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
     theirs = schema.array("keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3)
     bbox = row.get("bbox")
     if bbox is None:
-        low, high = theirs[:, :2].min(axis=0), theirs[:, :2].max(axis=0)
+        found = theirs[theirs[:, 2] > 0, :2]
+        if not len(found):
+            raise UserError("bbox: missing, and no keypoint has a score")
+        low, high = found.min(axis=0), found.max(axis=0)
         bbox = np.concatenate([low, high - low])
     points = theirs
     if foreign:

@@ -29,6 +29,11 @@ class Console:
             with tqdm.external_write_mode():
                 typer.echo(text)
 
+    def warn(self, text: str) -> None:
+        """Print a line on something that may make a result wrong, always, and beside the results: on standard error."""
+        with tqdm.external_write_mode():
+            typer.echo(f"warning: {text}", err=True)
+
     def result(self, text: str) -> None:
         """Print a line that the command was run for, always."""
         typer.echo(text)

@@ -1,5 +1,6 @@
 """Read a dataset folder: its card, splits, images and depth."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,6 +180,28 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
     return parts
 
 
+_JPEG_MARKER: Final = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")
+"""What ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
+_JPEG_END: Final = 0xD9
+_JPEG_ALONE: Final = (0x01, 0xD8)
+"""Markers that no length follows."""
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    """Whether the first picture in a JPEG file is whole, whatever cameras write behind it (previews, films, text)."""
+    if b"\xff\xd9" in data[-64:]:
+        return True
+    at = 2
+    while marker := _JPEG_MARKER.search(data, at):
+        kind = marker[1][0]
+        if kind == _JPEG_END:
+            return True
+        at = marker.end()
+        if kind not in _JPEG_ALONE:
+            at += max(2, int.from_bytes(data[at : at + 2], "big"))
+    return False
+
+
 def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """Decode an image file to (H, W, 3) RGB; a missing, broken or truncated one is a UserError.
 
@@ -188,7 +211,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.ui
 
     data = shards.read(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
-    if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-64:]:
+    if data[:2] == b"\xff\xd8" and not _jpeg_ends(data):
         raise UserError(f"{path}: truncated JPEG")
     pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
     if pixels is None:

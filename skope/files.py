@@ -1,5 +1,6 @@
 """Reading and writing files so that nothing half-written is ever taken for whole."""
 
+import codecs
 import contextlib
 import fcntl
 import hashlib
@@ -17,16 +18,16 @@ from skope.errors import UserError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success rename it into place, on failure remove it.
 
-    The temporary name keeps the suffix, because encoders (OpenCV, numpy) choose the format by it.
+    The temporary name keeps the suffix, because encoders (OpenCV, numpy) choose the format by it. Raises UserError
+    where `path` cannot be written; an error that is of another file, or of a closed pipe, keeps its own name.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.unlink(missing_ok=True)  # a symbolic link would be written through
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        raise unwritable(path, error) from error
+        with writing(path, temporary):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.unlink(missing_ok=True)  # a symbolic link would be written through
+            yield temporary
+            temporary.replace(path)
     finally:
         with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
             temporary.unlink()
@@ -36,26 +37,46 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; on success it takes its place, unless the same is there already.
 
-    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file, or holds anything else.
+    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file, or holds anything else. Where
+    `path` is a link to a folder, that folder is replaced and the link stays.
     """
-    whole = path.absolute()
+    whole = path.resolve() if path.is_dir() else path.absolute()
     temporary = whole.with_name(f".{whole.name}.{os.getpid()}.part")
     try:
-        if keep and path.exists() and not path.is_dir():
-            raise UserError(f"{path}: is a file; choose another folder")
-        temporary.mkdir(parents=True)
-        yield temporary
-        if not keep or same_content(path, temporary):
-            return
-        if path.is_dir() and any(path.iterdir()):
-            raise UserError(f"{path}: holds other files than these; choose another folder, or remove what is there")
-        temporary.replace(whole)
+        with writing(path, temporary):
+            if keep and os.path.lexists(path) and not path.is_dir():
+                kind = "a file" if path.exists() else "a link to what is not there"
+                raise UserError(f"{path}: is {kind}; choose another folder")
+            temporary.mkdir(parents=True)
+            yield temporary
+            if not keep or same_content(path, temporary):
+                return
+            if path.is_dir() and any(path.iterdir()):
+                raise UserError(f"{path}: holds other files than these; choose another folder, or remove what is there")
+            temporary.replace(whole)
     except UserError as error:  # what could not be written has its name below `path` for the user
         raise UserError(str(error).replace(str(temporary), str(path))) from error
-    except OSError as error:
-        raise unwritable(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def writing(path: Path, *parts: Path) -> Iterator[None]:
+    """Turn what goes wrong while the file or folder `path` is written into a UserError that names it.
+
+    Whoever writes may also read other files, which keep their own names in messages, and print: a closed pipe is no
+    fault of `path`. `parts` are other places that are to become `path`.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        own = {place.absolute() for place in (path, *parts)}
+        other = Path(os.fsdecode(error.filename)).absolute() if isinstance(error.filename, str | bytes) else None
+        if other is None or own & {other, *other.parents} or other in path.absolute().parents:
+            raise unwritable(path, error) from error
+        raise UserError(f"{other}: {error.strerror or error}") from error
 
 
 def unwritable(path: Path, error: OSError) -> UserError:
@@ -123,10 +144,18 @@ def no_links_out(root: Path) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Make `target` the same file as `source`, or a copy of it where the file system cannot link."""
+    """Make `target` the same file as `source`, or a copy of it where the file system cannot link.
+
+    Where `source` is a symbolic link, `target` becomes the file that it leads to: the link itself may lead nowhere from
+    there. Raises UserError where `source` is not there, or another file at `target`.
+    """
+    if os.path.lexists(target):
+        if same_content(source, target):
+            return
+        raise UserError(f"{target}: two different files would have this name ({source} is the second)")
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        target.hardlink_to(source)
+        target.hardlink_to(source.resolve())
     except OSError:
         write_bytes(target, read_bytes(source))
 
@@ -157,13 +186,29 @@ def json_bytes(value: Any) -> bytes:
 
 
 def parse_json(data: bytes) -> Any:
-    """The value of JSON text; json.JSONDecodeError or UnicodeDecodeError where it is none."""
+    """The value of JSON text in UTF-8, with or without a byte order mark, or in UTF-16 or 32.
+
+    Raises json.JSONDecodeError or UnicodeDecodeError where it is none.
+    """
     import orjson
 
     with contextlib.suppress(orjson.JSONDecodeError):
-        return orjson.loads(data)
+        return orjson.loads(data.removeprefix(codecs.BOM_UTF8))
     # NaN, which Python writes, is for those to refuse who know the field's name.
-    return json.loads(data.decode("utf-8"))
+    return json.loads(data)
+
+
+def decoded(data: bytes) -> str:
+    """UTF-8 text, without the byte order mark that some editors put first; UnicodeDecodeError where it is none."""
+    return data.decode("utf-8-sig")
+
+
+def read_text(path: Path) -> str:
+    """The text of a user's file in UTF-8; a UserError names a file that is missing or holds anything else."""
+    try:
+        return decoded(read_bytes(path))
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not UTF-8 text") from None
 
 
 def sha256_of(path: Path) -> str:

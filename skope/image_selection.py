@@ -48,9 +48,11 @@ def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, An
     Returns:
         The part to learn from and the part to validate on.
     """
-    sites: dict[str | None, list[list[Image]]] = {}
+    sites: dict[tuple[str | None, str | None], list[list[Image]]] = {}
     for ordered in recordings(file):
-        sites.setdefault(ordered[0].site, []).append(ordered)
+        site, recording = ordered[0].site, ordered[0].recording
+        # Recordings of unknown sites need not be of one camera.
+        sites.setdefault((site, recording if site is None else None), []).append(ordered)
     learnt: list[Image] = []
     validated: list[Image] = []
     due = 0.0  # frames that are still to be held back

@@ -1,6 +1,7 @@
 """Check names that come from files: a name is never a path, and a relative path never leaves its folder.
 
-Whatever a file says of sites, recordings, splits or other files is checked here before it becomes part of a path.
+Whatever a file says of sites, recordings, splits or other files is checked here before it becomes part of a path. Names
+that are listed come in the order in which people count.
 """
 
 import os
@@ -44,6 +45,13 @@ def is_relative(value: Any) -> bool:
         return False
     parts = PurePosixPath(value).parts
     return bool(parts) and all(_is_part(part, _PART_BYTES) for part in parts)
+
+
+def counting_order(path: Path | str) -> list[str | int]:
+    """Key that sorts paths with the numbers in them as numbers: 2.jpg before 10.jpg."""
+    text = path.as_posix() if isinstance(path, Path) else path
+    words = re.split(r"([0-9]+)", text)
+    return [int(word) if i % 2 else word for i, word in enumerate(words)] + [text]
 
 
 def for_opencv(path: Path | str) -> str:

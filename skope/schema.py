@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skope import keypoints, safe_names
 from skope.camera import Camera
@@ -29,6 +30,8 @@ COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
+_OUTSIDE_SHARE: Final = 0.1
+_OUTSIDE_PX: Final = 2.0
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 
@@ -215,6 +218,18 @@ class Annotation:
     @property
     def num_keypoints(self) -> int:
         return int((self.keypoints[:, 2] > 0).sum())
+
+
+def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
+    """(33,) which labelled keypoints lie outside of the vehicle's box by more than a tenth of its longer edge, or 2 px.
+
+    The box is that of the whole vehicle as far as the image shows it: such a point cannot be seen on it.
+    """
+    low, size = annotation.bbox[:2], annotation.bbox[2:]
+    points = annotation.keypoints[:, :2]
+    away = np.maximum(low - points, points - low - size).max(axis=1)
+    far: NDArray[np.bool_] = (annotation.keypoints[:, 2] > 0) & (away > max(_OUTSIDE_SHARE * size.max(), _OUTSIDE_PX))
+    return far
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

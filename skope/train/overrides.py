@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from skope.errors import UserError
+from skope.files import read_text
 
 T = TypeVar("T")
 
@@ -19,11 +20,7 @@ NONE = "none"
 def read_toml(path: Path) -> dict[str, Any]:
     """The table of a TOML file; a missing or malformed one is a UserError that names it."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read: {error}") from None
+        return tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: not valid TOML: {error}") from None
 

@@ -28,7 +28,7 @@ _KEPT: Final = 8
 _FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "split": lambda image: image.split,
     "site": lambda image: image.site,
-    "recording": lambda image: None if image.recording is None else f"{image.site or ''}/{image.recording}",
+    "recording": lambda image: None if image.recording is None else f"{image.site or '-'}/{image.recording}",
     "weather": lambda image: image.weather,
 }
 """What images are filtered by."""

@@ -235,12 +235,14 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
 def _on_this_machine(source: str, cut: Cut) -> Footage:
     path = Path(source)
     if path.is_dir():
-        found = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
+        images = (p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
+        found = sorted(images, key=safe_names.counting_order)
         if not found:
             raise UserError(f"{source}: no images in it ({', '.join(IMAGES)})")
         return Footage(path.name, cut, images=tuple(found))
     if not path.exists() and _GLOB & set(source):
-        found = sorted(Path(p) for p in glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
+        matches = map(Path, glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
+        found = sorted(matches, key=safe_names.counting_order)
         if not found:
             raise UserError(f"{source}: matches no file")
         return Footage("images", cut, images=tuple(found))

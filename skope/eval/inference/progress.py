@@ -1,6 +1,5 @@
 """Keep what a run has found so far in a file, line by line, so that a stopped run goes on."""
 
-import contextlib
 import fcntl
 import itertools
 import os
@@ -9,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from skope.errors import UserError
-from skope.files import json_bytes, parse_json
+from skope.files import json_bytes, parse_json, writing
 
 
 class Progress:
@@ -25,7 +24,7 @@ class Progress:
         self.count = 0
         """How many rows an earlier run left behind: objects with these `fields`, up to the first damaged one."""
         whole = 0
-        with self._writing():
+        with writing(self._path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._locked()
             for line in self._file:
@@ -49,13 +48,6 @@ class Progress:
                 return file
             file.close()
 
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise UserError(f"{self._path.parent}: cannot be written: {error.strerror or error}") from None
-
     def _row(self, line: bytes) -> dict[str, Any] | None:
         try:
             row = parse_json(line) if line.endswith(b"\n") else None
@@ -72,7 +64,7 @@ class Progress:
 
     def add(self, row: dict[str, Any]) -> None:
         """Append a row to the file."""
-        with self._writing():
+        with writing(self._path.parent):
             self._file.write(json_bytes(row) + b"\n")
             self._file.flush()
 

@@ -16,7 +16,7 @@ from skope.camera_pose import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.views import read_scene
-from skope.files import read_bytes
+from skope.files import read_bytes, read_text
 from skope.output_folders import write_new
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
@@ -106,11 +106,7 @@ def _size(text: str) -> tuple[int, int]:
 
 def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(N, 2) pixels and (N, 3) metres."""
-    try:
-        lines = read_bytes(path).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not UTF-8 text") from None
-    reader = csv.DictReader(lines)
+    reader = csv.DictReader(read_text(path).splitlines())
     missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
     if missing:
         raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")

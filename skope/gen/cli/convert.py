@@ -35,6 +35,9 @@ def convert(
         str | None, option(metavar=LIST, help="Names of the keypoints of --to yolo.", show_default="all")
     ] = None,
     split: Annotated[str | None, option(metavar="NAME", help="Split for all that is read.")] = None,
+    stored_pixels: Annotated[
+        bool, option("--stored-pixels", help="Labels of --from coco or cvat are of pixels as stored, before EXIF.")
+    ] = False,
 ) -> None:
     """Write a dataset in another format, or make one of files of another format (see docs/formats.md)."""
     from skope.gen.formats.convert import ConversionOptions
@@ -44,7 +47,11 @@ def convert(
     if not sources:
         raise UserError(f"{out}: name what to read and then the new folder")
     options = ConversionOptions(
-        map=map_file, images=images, split=split, keypoints=tuple(keypoints.split(",")) if keypoints else ()
+        map=map_file,
+        images=images,
+        split=split,
+        stored_pixels=stored_pixels,
+        keypoints=tuple(keypoints.split(",")) if keypoints else (),
     )
     write(sources, out, read_as=source, write_as=to, options=options, console=console)
     console.result(f"wrote {out}" + (f"; next: {_check(out)}" if to in (None, "folder", "shards") else ""))

@@ -1,9 +1,14 @@
-"""Zip archives of strangers: read with limits, and without letting a member's name mean anything but a name."""
+"""Zip archives of strangers: read with limits, and without letting a member's name mean anything but a name.
 
+Names are read as their writers meant them: with backslashes, as some programs of Windows write them, and in UTF-8 where
+the flag that says so is missing. What operating systems add (`__MACOSX/`, hidden files, thumbnails) is left alone.
+"""
+
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +24,8 @@ FREE: Final = 1 << 20
 LARGEST: Final = 64 << 30
 """Bytes of the largest member."""
 _CHUNK: Final = 1 << 20
+_UTF8: Final = 0x800
+_OF_SYSTEMS: Final = ("__MACOSX", "Thumbs.db", "desktop.ini")
 _LINK: Final = 0o120000
 _KIND: Final = 0o170000
 
@@ -34,13 +41,20 @@ class Archive:
         self._infos: dict[str, zipfile.ZipInfo] = {}
         self.folders: set[str] = set()
         for info in infos:
+            name = _name(info)
+            if not name and info.filename:  # the archive's own folder, ./
+                continue
+            if not is_relative(name):
+                raise UserError(f"{path}: member {info.filename!r}: its name {_fault(name)}")
+            if added_by_system(name):
+                continue
             self._check(info)
-            if info.is_dir():
-                self.folders.add(info.filename.rstrip("/"))
-            elif info.filename in self._infos:
-                raise UserError(f"{path}: member {info.filename} stands twice")
+            if name.endswith("/"):
+                self.folders.add(name.rstrip("/"))
+            elif name in self._infos:
+                raise UserError(f"{path}: member {name} stands twice")
             else:
-                self._infos[info.filename] = info
+                self._infos[name] = info
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,9 +90,7 @@ class Archive:
             raise UserError(f"{self.path}: member {name}: truncated")
 
     def _check(self, info: zipfile.ZipInfo) -> None:
-        name, where = info.filename, f"{self.path}: member {info.filename!r}"
-        if not is_relative(name):
-            raise UserError(f"{where}: its name leads out of the archive")
+        where = f"{self.path}: member {info.filename!r}"
         if info.external_attr >> 16 & _KIND == _LINK:
             raise UserError(f"{where}: is a link")
         if info.flag_bits & 1:
@@ -95,9 +107,41 @@ def opened(path: Path) -> Iterator[Archive]:
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise UserError(f"{path}: not a zip archive, or a truncated one ({error})") from None
+        kind = "a zip archive without its end, so truncated" if _begins(path) else "not a zip archive"
+        raise UserError(f"{path}: {kind} ({error})") from None
     with file:
         yield Archive(path, file)
+
+
+def _begins(path: Path) -> bool:
+    """Whether a file begins as zip archives do."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04"
+    return False
+
+
+def _name(info: zipfile.ZipInfo) -> str:
+    """A member's name with forward slashes; a folder's ends in one."""
+    name = info.orig_filename
+    if not info.flag_bits & _UTF8:  # then zipfile has taken its bytes for those of an old code page
+        with suppress(UnicodeError):
+            name = name.encode("cp437").decode("utf-8")
+    name = name.replace("\\", "/")
+    while name.startswith("./"):
+        name = name.removeprefix("./").lstrip("/")
+    return name
+
+
+def _fault(name: str) -> str:
+    """Why a name is none for a file below a folder, in words."""
+    leads_out = name.startswith("/") or ".." in name.split("/") or re.match(r"[A-Za-z]:", name)
+    return "leads out of the archive" if leads_out else "cannot be a file's (control characters, or too long)"
+
+
+def added_by_system(name: str) -> bool:
+    """Whether a path with forward slashes is that of a file which no person put there."""
+    parts = [part for part in name.split("/") if part]
+    return any(part.startswith(".") or part in _OF_SYSTEMS for part in parts)
 
 
 def zipped(folder: Path, target: Path) -> None:

@@ -29,6 +29,8 @@ class ConversionOptions:
     """Folder with the images of COCO or CVAT annotation files."""
     split: str | None = None
     """Split that everything read goes to."""
+    stored_pixels: bool = False
+    """Whether labels of COCO or CVAT files are in pixels as stored, before EXIF turns the picture."""
     keypoints: tuple[str, ...] = ()
     """Names of the keypoints to write; empty for all."""
 
@@ -36,6 +38,7 @@ class ConversionOptions:
 _OPTION_FORMATS: Final = {
     "map": ("--from skope3d",),
     "images": ("--from coco", "--from cvat"),
+    "stored_pixels": ("--from coco", "--from cvat"),
     "keypoints": ("--to yolo",),
     "split": ("--from skope3d", "--from coco", "--from cvat"),
 }
@@ -86,7 +89,7 @@ def convert(
         raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
     for name, formats in _OPTION_FORMATS.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
-            raise UserError(f"--{name} is for {', '.join(formats)}")
+            raise UserError(f"--{name.replace('_', '-')} is for {', '.join(formats)}")
     if options.split is not None and not SPLIT_NAME.fullmatch(options.split):
         raise UserError(f"--split: expected letters, digits, _, . and -, got {options.split!r}")
     if read_as is None and len(sources) != 1:
@@ -113,7 +116,8 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOpt
     given = {name: getattr(options, name) for name in _OPTION_FORMATS}
     flags = [(f"--{name}", Path(value).name) for name, value in given.items() if isinstance(value, str | Path)]
     names = [path.resolve().name for path in sources]
-    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*flags)])
+    switches = ["--stored-pixels"] if options.stored_pixels else []
+    command = shlex.join(["skope", "gen", "convert", *names, "--from", form, *itertools.chain(*flags), *switches])
     if form == "skope3d":
         skope3d.read(sources, root, split=options.split, map_file=options.map, command=command, console=console)
     else:
@@ -123,6 +127,7 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOpt
             form=form,
             images=options.images,
             split=options.split,
+            stored_pixels=options.stored_pixels,
             command=command,
             console=console,
         )

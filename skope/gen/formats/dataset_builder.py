@@ -13,7 +13,7 @@ from skope import coco, schema, shards
 from skope.dataset import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, sha256_of, write_json, write_text
-from skope.gen.output import card_text
+from skope.gen.output import card_text, licences
 from skope.gen.output.card_counts import kind_of
 from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, checksum
 from skope.schema import Annotation, Image
@@ -133,4 +133,4 @@ def frame_rate(images: Sequence[Image]) -> float:
 def licence_beside(folder: Path) -> str:
     """The licence that `LICENCE_FILE` in a folder states; "not stated" where there is no such file."""
     path = folder / LICENCE_FILE
-    return " ".join(read_bytes(path).decode(errors="replace").split()) if path.is_file() else "not stated"
+    return licences.in_text(read_bytes(path).decode(errors="replace")) if path.is_file() else licences.NOT_STATED

@@ -23,7 +23,8 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
     """Write a dataset with the images of several datasets.
 
     Images and depth are hard links where the file system allows them. Splits keep their names. A site that several
-    datasets have becomes one site for each of them. Recordings are left out: a joined dataset is not rendered again.
+    datasets have becomes one site for each of them, and so does a recording of an unknown site. The files of recordings
+    are left out: a joined dataset is not rendered again.
 
     Args:
         sources: Two or more dataset folders.
@@ -49,7 +50,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
         writer = FolderWriter(folder, first.scheme)
-        names, begun = _Sites(), dict[str, tuple[Path, str]]()
+        names, begun, taken = _Sites(), dict[str, tuple[Path, str]](), set[str]()
         for dataset in datasets:
             twice = Counter[Path]()
             sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
@@ -58,7 +59,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                 names.check(dataset, split, file)
                 twice.update(_twice(dataset, split, file, begun))
                 images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
-                writer.add(split, _frames(dataset, split, file, images, names.of(dataset), sums, folder))
+                writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
             names.close(dataset)
             for whose, count in twice.items():
                 console.say(
@@ -90,6 +91,7 @@ class _Sites:
         self._splits: dict[str, dict[Path, set[str]]] = {}
         self._taken: set[str] = set()
         self._named: dict[Path, dict[str, str]] = {}
+        self._recordings: dict[str, tuple[Path, str]] = {}
 
     def check(self, dataset: Dataset, split: str, file: AnnotationFile) -> None:
         """Name the sites of a split; a UserError for one that another dataset has in another split."""
@@ -100,7 +102,8 @@ class _Sites:
                 if whose != dataset.root and splits != {split}:
                     raise UserError(
                         f"{dataset.root}: site {site} is in split {split}, and in {', '.join(sorted(splits))} of "
-                        f"{whose}: what is tested would have been learnt"
+                        f"{whose}: if it is one camera, what is tested would have been learnt; if these are two, give "
+                        "one of them another name"
                     )
             uses.setdefault(dataset.root, set()).add(split)
             if site not in own:
@@ -117,6 +120,14 @@ class _Sites:
     def of(self, dataset: Dataset) -> dict[str, str]:
         """A dataset's sites: name in it to name in the joined dataset."""
         return self._named[dataset.root]
+
+    def recording(self, dataset: Dataset, name: str) -> str:
+        """The name in the joined dataset of a dataset's recording of an unknown site."""
+        number, free = 1, name
+        while self._recordings.setdefault(free, (dataset.root, name)) != (dataset.root, name):
+            number += 1
+            free = f"{name}_{number}"
+        return free
 
 
 def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
@@ -148,22 +159,26 @@ def _frames(
     split: str,
     file: AnnotationFile,
     images: Iterable[Image],
-    sites: Mapping[str, str],
+    names: _Sites,
     sums: Mapping[str, str],
-    root: Path,
+    taken: set[str],
 ) -> Iterator[FrameFiles]:
-    """Images of a split with their names in the joined dataset at `root`; `sums` are checksums by present names."""
+    """Images of a split under free names, which become `taken`; `sums` are checksums by present names."""
     own = file.by_image()
     for image in images:
-        new, files = _rename(image, sites, dataset, root)
+        new, files = _rename(image, names, dataset, taken)
         known = {name: sums[path] for name, path in files.items() if path in sums}
         contents = {name: dataset.root / path for name, path in files.items()}
         yield labelled_frame(split, new, own[image.id], contents, known)
 
 
-def _rename(image: Image, sites: Mapping[str, str], dataset: Dataset, root: Path) -> tuple[Image, dict[str, str]]:
+def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> tuple[Image, dict[str, str]]:
     """An image's record with its names in the joined dataset, and the present name of each of its files by new name."""
-    site = None if image.site is None else sites[image.site]
+    site, recording = None, image.recording
+    if image.site is not None:
+        site = names.of(dataset)[image.site]
+    elif recording is not None:
+        recording = names.recording(dataset, recording)
     new: dict[str, str] = {}
     files: dict[str, str] = {}
     for key, kind in (("file_name", "images"), ("depth_file_name", "depth")):
@@ -174,11 +189,12 @@ def _rename(image: Image, sites: Mapping[str, str], dataset: Dataset, root: Path
         if site is not None:
             name = f"{site}/{name.removeprefix(f'{image.site}/')}"
         candidates = (f"{kind}/{name}", f"{kind}/{dataset.root.resolve().name}/{name}")
-        free = next((c for c in candidates if not (root / c).exists()), None)
+        free = next((c for c in candidates if c not in taken), None)
         if free is None:
             raise UserError(f"{dataset.root}: {old}: another image has this name")
+        taken.add(free)
         new[key], files[free] = free, old
-    return replace(image, site=site, **new), files  # type: ignore[arg-type]
+    return replace(image, site=site, recording=recording, **new), files  # type: ignore[arg-type]
 
 
 def _fleet(datasets: Sequence[Dataset]) -> dict[str, object]:

@@ -22,11 +22,15 @@ CLASS: Final = 1
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
     """Write each recording of a dataset as a MOTChallenge sequence below `out`."""
+    names = set[str]()
     for split in console.bar(dataset.splits, unit="split", label="writing mot"):
         file = dataset.read(split)
         own = file.by_image()
         for images in recordings(file):
-            name = f"{images[0].site or 'site'}_{images[0].recording or '00'}"
+            name = "_".join(part for part in (images[0].site, images[0].recording) if part) or "site_00"
+            while f"{split}/{name}" in names:  # a_b of site c, and b of site c_a
+                name += "_"
+            names.add(f"{split}/{name}")
             rows = []
             for frame, image in enumerate(images, start=1):
                 suffix = PurePosixPath(image.file_name).suffix

@@ -21,7 +21,7 @@ from skope import boxes, keypoints
 from skope.console import Console
 from skope.dataset import Dataset
 from skope.errors import UserError
-from skope.files import read_json, write_json, write_text
+from skope.files import read_json, read_text, write_json, write_text
 from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
@@ -103,9 +103,9 @@ def _places(path: Path) -> dict[str, ScenePlace]:
         return {}
     places = {}
     try:
-        for row in csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))):
+        for row in csv.DictReader(io.StringIO(read_text(path))):
             places[row["scene"]] = ScenePlace(row["split"], row["site"], row["recording"])
-    except (KeyError, UnicodeDecodeError, csv.Error):
+    except (KeyError, csv.Error):
         raise UserError(f"{path}: expected the columns scene, split, site, recording") from None
     for scene, place in places.items():
         for field, value in vars(place).items():

@@ -20,8 +20,10 @@ from typing import Final
 import numpy as np
 
 from skope.errors import UserError
+from skope.files import decoded
 from skope.gen.formats.archive import Archive
 from skope.keypoints import K
+from skope.safe_names import counting_order
 from skope.safe_names import name as check_name
 from skope.types import Array
 
@@ -64,11 +66,7 @@ def archives(sources: Sequence[Path]) -> list[Path]:
     found = [path for source in sources for path in (source.glob("*.zip") if source.is_dir() else [source])]
     if not found:
         raise UserError(f"{', '.join(map(str, sources))}: no scene_K.zip there")
-
-    def order(path: Path) -> tuple[Path, list[str]]:
-        return path.parent, [part.zfill(9) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
-
-    return sorted(dict.fromkeys(found), key=order)
+    return sorted(dict.fromkeys(found), key=counting_order)
 
 
 def scene_of(archive: Archive) -> ArchiveScene:
@@ -132,7 +130,7 @@ def _vehicle(archive: Archive, keypoint: str, metadata: str) -> ArchiveVehicle:
 
 def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
     try:
-        text = archive.read(member, _CSV_BYTES).decode("utf-8-sig")
+        text = decoded(archive.read(member, _CSV_BYTES))
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except (UnicodeDecodeError, csv.Error):
         raise UserError(f"{archive.path}: {member}: not a CSV file") from None

@@ -24,6 +24,8 @@ from skope.schema import Annotation, AnnotationFile, Image
 
 VALIDATED: Final = 0.1
 """Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
+SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
+"""Of the pictures that Ultralytics reads."""
 TRAIN, VAL = "train", "val"
 
 
@@ -35,7 +37,12 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
     for name, file in parts.items():
         own = file.by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
-            path = PurePosixPath(name) / bare_name(image.file_name)
+            path = PurePosixPath(name) / _findable(bare_name(image.file_name))
+            if path.suffix.lower() not in SUFFIXES:
+                raise UserError(
+                    f"{dataset.root}: {image.file_name}: Ultralytics reads no {path.suffix or 'files without a suffix'}"
+                    f" ({', '.join(sorted(SUFFIXES))})"
+                )
             place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
@@ -54,6 +61,14 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             "format has no place for them"
         )
     write_text(out / "data.yaml", _yaml(dataset, list(parts), chosen, flip))
+
+
+def _findable(name: str) -> PurePosixPath:
+    """A file's path below images/<part>/ that Ultralytics finds, with its labels.
+
+    It looks for labels where the last `/images/` of an image's path is `/labels/`, and passes over hidden folders.
+    """
+    return PurePosixPath(*(f"{part}_" if part == "images" else part.lstrip(".") or "_" for part in name.split("/")))
 
 
 def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:

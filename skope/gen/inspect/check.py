@@ -18,10 +18,11 @@ from skope import keypoints, shards
 from skope.camera import Camera
 from skope.dataset import CARD, MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
+from skope.gen.formats.archive import added_by_system
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
 from skope.gen.output.frames import FORMATS
 from skope.gen.output.writers import rows_of
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import Annotation, AnnotationFile, Image, far_outside
 
 Array = NDArray[np.floating[Any]]
 
@@ -151,8 +152,8 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
             yield Finding(name, str(error).removeprefix(f"{path}: "), image)
     folders = ("images", "depth", "recordings", "annotations", shards.FOLDER)
     found = (path for folder in folders for path in (dataset.root / folder).rglob("*") if path.is_file())
-    for name in sorted(str(path.relative_to(dataset.root)) for path in found):
-        if name not in sums:
+    for name in sorted(path.relative_to(dataset.root).as_posix() for path in found):
+        if name not in sums and not added_by_system(name):
             yield Finding(name, f"is not in {MANIFEST}", stray=True)
 
 
@@ -289,6 +290,10 @@ def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
         yield "keypoints: a labelled point lies outside the image"
     if ((v == 0) & ((x != 0) | (y != 0))).any():
         yield "keypoints: v = 0 with coordinates"
+    if not annotation.ignored and annotation.bbox[2:].min() <= 0:
+        yield f"bbox: has no area: width {annotation.bbox[2]:g}, height {annotation.bbox[3]:g}"
+    for k in np.flatnonzero(far_outside(annotation) & (v == 2)):
+        yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
     if annotation.area_full is not None and annotation.area > annotation.area_full:
         yield "area: more visible pixels than the whole silhouette has"
 

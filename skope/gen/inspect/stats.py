@@ -36,7 +36,7 @@ class SplitStats:
     """Ground-truth boxes."""
     ignored: int
     tracks: int
-    """Number of distinct vehicles, by site and track id; vehicles without a track id are not counted."""
+    """Number of distinct vehicles, by site, recording and track id; vehicles without a track id are not counted."""
     per_image: float
     distance_m: tuple[float, float, float]
     box_height_px: tuple[float, float, float]
@@ -69,15 +69,15 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
         file: Annotations of the split.
     """
     known = [annotation for annotation in file.annotations if not annotation.iscrowd]
-    sites = {image.id: image.site for image in file.images}
+    places = {image.id: (image.site, image.recording) for image in file.images}
     seen = np.array([(a.keypoints[:, 2] == 2).mean() for a in known])
     hidden = np.array([a.occlusion for a in known if a.occlusion is not None])
     return SplitStats(
         images=len(file.images),
-        sites=len(set(sites.values()) - {None}),
+        sites=len({site for site, _ in places.values() if site is not None}),
         vehicles=len(known),
         ignored=len(file.annotations) - len(known),
-        tracks=len({(sites[a.image_id], a.track_id) for a in known if a.track_id is not None}),
+        tracks=len({(*places[a.image_id], a.track_id) for a in known if a.track_id is not None}),
         per_image=len(known) / max(len(file.images), 1),
         distance_m=_quartiles([a.distance for a in known if a.distance is not None]),
         box_height_px=_quartiles([float(a.bbox[3]) for a in known]),

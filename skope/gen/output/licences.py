@@ -7,8 +7,8 @@ else. Other words are not judged: they stand side by side, unless one of the lic
 
 import itertools
 import re
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
 
 from skope.errors import UserError
 
@@ -28,6 +28,15 @@ ADDRESSES: Final = {
 
 _CODE = re.compile(r"CC[ -]?(?:(?P<zero>0)|BY(?P<terms>(?:-(?:NC|SA|ND))*))(?:[ -](?P<version>\d\.\d))?(?![\w-])", re.I)
 _ORDER = ("NC", "SA", "ND")
+_ADDRESS = re.compile(
+    r"creativecommons\.org/(?:licenses/(?P<terms>[a-z-]+)|publicdomain/(?P<zero>zero))/(?P<version>\d\.\d)", re.I
+)
+_WORDS = {"noncommercial": "NC", "sharealike": "SA", "noderiv": "ND"}
+NOT_STATED: Final = "not stated"
+BETWEEN: Final = " | "
+"""Stands between licences of which each holds for a part of a dataset."""
+_LONG = 200
+"""Of a longer text of a licence its first line is its name."""
 
 Terms = frozenset[str]
 
@@ -45,6 +54,61 @@ def _bare(name: str) -> str:
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
+def in_text(text: str) -> str:
+    """The licence that a file like LICENCE.txt states, on one line: of a long text the first line that is not empty."""
+    lines = [" ".join(line.split()) for line in text.removeprefix("\ufeff").splitlines()]
+    words = [line for line in lines if line]
+    whole = " ".join(words)
+    if not words:
+        return NOT_STATED
+    return whole if len(words) == 1 or len(whole) <= _LONG else words[0]
+
+
+def in_coco(document: Mapping[str, Any]) -> list[str]:
+    """The licences that a COCO file states: of `licenses` those that its images name, and what `info` says.
+
+    Where an image names none of them, all of them count.
+    """
+    records = {r.get("id"): r for r in _list(document.get("licenses")) if isinstance(r, Mapping)}
+    named = [i.get("license") for i in _list(document.get("images")) if isinstance(i, Mapping)]
+    used = dict.fromkeys(key for key in named if isinstance(key, int | str))
+    all_known = bool(named) and None not in named and used.keys() <= records.keys()
+    found = [_in_record(record) for key, record in records.items() if key in used or not all_known]
+    info = document.get("info")
+    for holder in (document, info if isinstance(info, Mapping) else {}):
+        found += [_in_record({"name": holder.get(name)}) for name in ("license", "licence")]
+    return list(dict.fromkeys(filter(None, found)))
+
+
+def _list(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _in_record(record: Mapping[str, Any]) -> str:
+    """The name of a licence in a record with `name` and `url`; empty where it says nothing."""
+    name, url = (" ".join(str(record.get(key) or "").split())[:_LONG] for key in ("name", "url"))
+    address = _ADDRESS.search(url) or _ADDRESS.search(name)
+    code = ""
+    if address is not None:
+        code = f"CC0 {address['version']}" if address["zero"] else f"CC {address['terms'].upper()} {address['version']}"
+    if not code and re.match(r"attribution\b", name, re.I):
+        squeezed = re.sub(r"[\s-]", "", name.lower())
+        version = re.search(r"\d\.\d", name)
+        code = "-".join(["CC BY", *(term for word, term in _WORDS.items() if word in squeezed)])
+        code += f" {version[0]}" if version else ""
+    if code and terms_of(name) is not None and terms_of(name) != terms_of(code):
+        return f"{name}{BETWEEN}{code}"
+    return code or (named(name) if name else url)
+
+
+def together(licences: Iterable[str]) -> str:
+    """The licences of a dataset's parts side by side, each once."""
+    parts = dict.fromkeys(part for licence in licences for part in licence.split(BETWEEN))
+    if len(parts) > 1:
+        parts.pop(NOT_STATED, None)
+    return BETWEEN.join(parts) or NOT_STATED
+
+
 def terms_of(licence: str) -> Terms | None:
     """The conditions (BY, NC, SA, ND) of a Creative Commons licence; None for any other text.
 
@@ -59,15 +123,18 @@ def terms_of(licence: str) -> Terms | None:
 def united(licences: Sequence[str]) -> str:
     """The licence of a dataset made of parts under `licences`; a UserError says which two exclude each other."""
     different = list(dict.fromkeys(licences))
-    known = {licence: terms_of(licence) for licence in different}
-    for (licence, terms), (other, others) in itertools.permutations(known.items(), 2):
+    parts = {licence: licence.split(BETWEEN) for licence in different}
+    known = {part: terms_of(part) for own in parts.values() for part in own}
+    pairs = (pair for one, two in itertools.permutations(parts.values(), 2) for pair in itertools.product(one, two))
+    for licence, other in pairs:
+        terms, others = known[licence], known[other]
         alone = terms is not None and "ND" in terms and others != terms
         # What is shared alike ends under its own licence, so that nothing else may ask for more.
         alike = terms is not None and "SA" in terms and (others is None or not others <= terms)
         if alone or alike:
             raise UserError(f"licence: {licence!r} does not allow to be joined with {other!r}")
     if len(different) == 1 or None in known.values():
-        return " | ".join(different)
+        return BETWEEN.join(known)
     everything = frozenset[str]().union(*(terms for terms in known.values() if terms is not None))
     return _name_of(everything, [licence for licence, terms in known.items() if terms == everything])
 

@@ -23,9 +23,9 @@ from skope.files import (
     parse_json,
     read_bytes,
     read_json,
-    unwritable,
     write_bytes,
     write_json,
+    writing,
 )
 from skope.gen.output.card_counts import Counts
 from skope.gen.output.dataset_card import write as write_card
@@ -54,13 +54,11 @@ class Store:
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other processes from making the same dataset."""
-        try:
+        with writing(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
             no_links_out(self.root)
             with locked(self.root / ".lock", f"{self.root}: another `skope gen` is writing to this folder"):
                 yield
-        except OSError as error:
-            raise unwritable(self.root, error) from None
 
     # ------------------------------------------------------------------------------------------------------ beginnings
 

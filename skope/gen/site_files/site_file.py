@@ -16,7 +16,7 @@ from shapely import Polygon
 
 from skope.camera import Camera
 from skope.errors import UserError
-from skope.files import read_bytes
+from skope.files import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
@@ -103,7 +103,7 @@ def read_site(path: Path) -> OwnSite:
     road = OwnRoad(
         title=name,
         network=_network(table),
-        style=read_bytes(styled).decode() if styled else "",
+        style=read_text(styled) if styled else "",
         camera=camera,
         photograph=read_bytes(background) if background else b"",
     )
@@ -272,7 +272,7 @@ def _traffic(table: TomlTable, road: OwnRoad, graph: RoadGraph) -> tuple[float, 
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
     if "vehicles_per_hour" in table:
         raise table.wrong("vehicles_per_hour", "flows says it already")
-    text = read_bytes(path).decode(errors="replace")
+    text = read_bytes(path).decode("utf-8-sig", errors="replace")
     try:
         route_files.streams(text, Town.of(road).network)
     except UserError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from skope.errors import UserError
-from skope.files import read_bytes
+from skope.files import read_text
 
 
 class TomlTable:
@@ -22,9 +22,7 @@ class TomlTable:
     @classmethod
     def read(cls, path: Path) -> Self:
         try:
-            return cls(path, "", tomllib.loads(read_bytes(path).decode()))
-        except UnicodeDecodeError:
-            raise UserError(f"{path}: not UTF-8 text") from None
+            return cls(path, "", tomllib.loads(read_text(path)))
         except tomllib.TOMLDecodeError as error:
             raise UserError(f"{path}: not valid TOML: {error}") from None
 

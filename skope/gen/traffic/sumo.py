@@ -4,7 +4,9 @@ The only module that imports libsumo. SUMO places a vehicle by the middle of its
 compass degrees; both are converted here, once.
 """
 
+import contextlib
 import math
+import os
 import tempfile
 from bisect import bisect
 from collections.abc import Callable, Iterator, Mapping
@@ -233,8 +235,13 @@ class Traffic:
             "net-file": self._network,
             "seed": self._seed,
         }
-        with tempfile.TemporaryDirectory() as folder:
-            types = Path(folder) / "types.add.xml"
+        # In memory where the system can: SUMO takes a comma in the name of a folder for the end of the file's name.
+        with contextlib.ExitStack() as stack:
+            if hasattr(os, "memfd_create"):
+                file = stack.enter_context(os.fdopen(os.memfd_create("types"), "wb"))
+                types = Path(f"/proc/self/fd/{file.fileno()}")
+            else:
+                types = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "types.add.xml"
             write_types(types, self._fleet)
             options["additional-files"] = types
             pairs = ((f"--{name}", *([str(value)] if value != "" else [])) for name, value in options.items())

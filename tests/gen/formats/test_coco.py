@@ -125,7 +125,9 @@ def test_files_of_others_are_read_by_name(skope: Any) -> None:
     assert code == 0, err
     assert "left out keypoints that are not of skope33: exhaust" in out
     assert "2 of the 33 keypoints of skope33" in out
-    assert "left out: 1 annotations of person" in out
+    assert "warning: 1 annotation of person left out, without a keypoint of ours; first: " in err
+    assert "warning: 1 vehicle with keypoints called visible far outside of the box" in err
+    assert "annotations[0]" in err
     file = open_dataset(Path("out")).read("train")
     assert [(i.file_name, i.site, i.camera) for i in file.images] == [("images/a 1.png", None, None)]
     one, two, three = file.annotations
@@ -146,9 +148,9 @@ def test_boxes_end_at_the_image(skope: Any) -> None:
     second["keypoints"] = [20, 30, 2, 0, 0, 0, 0, 0, 0]  # its box would be that point
     third["bbox"] = [80, 10, 20, 20]
     write_json(Path("in/labels.json"), document)
-    code, out, err = skope(*FOREIGN)
+    code, _, err = skope(*FOREIGN)
     assert code == 0, err
-    assert "left out: 2 annotations whose box has no area inside the image" in out
+    assert "warning: 2 vehicles left out, without area inside the image; first: " in err
     (vehicle,) = open_dataset(Path("out")).read("train").annotations
     assert (vehicle.bbox.tolist(), vehicle.area) == ([0, 40, 35, 20], 700)
 
@@ -239,9 +241,9 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
         (change("annotations", 2, "bbox", to=None), "annotations[2]: bbox: missing, and no keypoint is labelled"),
         (change("annotations", 2, "bbox", to=[1, 2]), "annotations[2]: bbox: expected 4 numbers, got 2"),
         (change("images", 0, "width", to=None), "images[0]: field width is missing"),
-        (change("images", 0, "file_name", to="../../etc/passwd"), "images[0]: file_name: expected a path inside"),
+        (change("images", 0, "file_name", to="../../etc/passwd"), "images[0]: file_name: no ../../etc/passwd in"),
         (change("images", 0, "file_name", to="b.png"), "images[0]: file_name: no b.png in in/frames"),
-        (change("images", 0, "file_name", to="."), "images[0]: file_name: expected a path inside"),
+        (change("images", 0, "file_name", to="."), "images[0]: file_name: no . in in/frames"),
         (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png stands twice"),
         (lambda d: (d.update(info={"keypoint_scheme": "skope33"}), d["images"][0].update(camera=None, site=None),
                     d["annotations"][0].update(color=None, box_3d="x")),

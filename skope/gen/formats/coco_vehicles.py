@@ -1,0 +1,174 @@
+"""The vehicles of a COCO file of somebody's: categories by their keypoints' names, boxes, points and attributes."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from skope import coco, keypoints, schema
+from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
+from skope.console import Console
+from skope.errors import UserError
+from skope.gen.formats.coco_images import ImportedImage, telling
+from skope.gen.formats.coco_sources import AnnotationSource
+from skope.gen.formats.coco_write import UNSAID
+from skope.gen.formats.remarks import Remarks
+from skope.keypoints import SKOPE33, K, Scheme
+from skope.schema import Annotation
+from skope.types import Array
+
+_LEAST_PX: Final = 0.005
+"""A box that is less wide or high than this has no area in a file, where pixels are rounded to 0.01."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Keypoints of one category: where each of them goes."""
+
+    scheme: Scheme
+    count: int
+    columns: tuple[int, ...]
+    """In the file ..."""
+    places: tuple[int, ...]
+    """... and in the scheme."""
+    vehicle_type: str | None
+    """The type that the category is called, where it is one of ours."""
+
+
+def labels_of(file: AnnotationSource, console: Console) -> dict[int, Label]:
+    """Categories that have keypoints of one of skope's schemes, by their ids.
+
+    It is said which of their names and keypoints are not ours. Raises UserError where none is, or two schemes are
+    mixed.
+    """
+    out: dict[int, Label] = {}
+    names_seen: list[str] = []
+    lost: list[str] = []
+    for category in file.document["categories"]:
+        stated = category.get("keypoints")
+        names = [_bare(name) for name in stated] if isinstance(stated, list) else []
+        names_seen += names
+        for scheme in keypoints.SCHEMES.values():
+            known = [i for i, name in enumerate(names) if name in scheme.names]
+            if not known:
+                continue
+            places = [scheme.names.index(names[i]) for i in known]
+            if len(set(places)) < len(places):
+                raise UserError(f"{file.path}: category {category.get('name')!r} has a keypoint twice")
+            unknown = [name for name in names if name not in scheme.names]
+            if unknown:
+                console.say(f"{file.path}: left out keypoints that are not of {scheme.name}: {', '.join(unknown)}")
+            if len(known) < K:
+                console.say(f"{file.path}: {len(known)} of the {K} keypoints of {scheme.name}; the rest is unlabelled")
+            called = _bare(category.get("name"))
+            vehicle_type = called if called in schema.VEHICLE_TYPES else None
+            if vehicle_type is None:
+                lost.append(str(category.get("name")))
+            out[category["id"]] = Label(scheme, len(names), tuple(known), tuple(places), vehicle_type)
+    if not out:
+        found = f"its keypoints are {', '.join(names_seen[:5])} ..." if names_seen else "it has none"
+        raise UserError(f"{file.path}: categories: no keypoint has a name of {SKOPE33.name}: {found}")
+    if len({label.scheme.name for label in out.values()}) > 1:
+        raise UserError(f"{file.path}: categories: keypoints of two schemes")
+    if len(out) > 1 and lost:
+        console.warn(
+            f"{file.path}: of classes {', '.join(lost)} only `{schema.category()['name']}` is left: no vehicle type of "
+            f"ours is called so ({', '.join(schema.VEHICLE_TYPES)})"
+        )
+    return out
+
+
+def _bare(name: object) -> str:
+    return re.sub(r"[\s-]+", "_", str(name).strip().lower())
+
+
+def vehicle_of(
+    where: str, row: Mapping[str, Any], label: Label, image: ImportedImage, remarks: Remarks, *, ours: bool
+) -> Annotation | None:
+    """A vehicle of an image, its box cut to it.
+
+    Args:
+        where: File and record, for messages.
+        row: The record.
+        label: What its category's keypoints are.
+        image: Where it is.
+        remarks: Where it is noted what cannot be right.
+        ours: Whether fields beyond COCO's mean what ours do.
+
+    Returns:
+        None where the box has no area inside the image: nothing can be learnt or found there.
+    """
+    size = image.record.width, image.record.height
+    with telling(where):
+        theirs = schema.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
+        points = np.zeros((K, 3))
+        points[list(label.places)] = theirs[list(label.columns)]
+        if image.turned is not None:
+            points[:, :2] = image.turned.shown_points(points[:, :2])
+        inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
+        points[~inside | (points[:, 2] <= 0)] = 0
+        box = _box(row.get("bbox"), points, image)
+        fields = {name: row[name] for name in ("id", "image_id", "iscrowd", "area") if row.get(name) is not None}
+        told = _attributes(row.get("attributes"))
+        if told.get("ignore_reason"):
+            told["iscrowd"] = 1
+        if label.vehicle_type is not None:
+            told.setdefault("vehicle_type", label.vehicle_type)
+        fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
+        fields["category_id"] = schema.CATEGORY_ID
+        vehicle = coco.annotation_from_dict(fields)
+    corners = xywh_to_xyxy(vehicle.bbox)
+    cut = clip(corners, *size)
+    if min(cut[2] - cut[0], cut[3] - cut[1]) < _LEAST_PX:
+        remarks.add("vehicle", "left out, without area inside the image", where)
+        return None
+    if (cut != corners).any():
+        vehicle = replace(vehicle, bbox=xyxy_to_xywh(cut), area=min(vehicle.area, float(area(cut))))
+    return _without_impossible(where, vehicle, remarks)
+
+
+def _box(stated: Any, points: Array, image: ImportedImage) -> Any:
+    """The box that a record states, in the picture as shown; without one the extent of its labelled keypoints."""
+    if not stated or not any(stated):
+        known = points[points[:, 2] > 0, :2]
+        if not len(known):
+            raise UserError("bbox: missing, and no keypoint is labelled")
+        return xyxy_to_xywh(np.concatenate([known.min(axis=0), known.max(axis=0)]))
+    if image.turned is None:
+        return stated
+    corners = image.turned.shown_points(xywh_to_xyxy(schema.array("bbox", stated, 4)).reshape(2, 2))
+    return xyxy_to_xywh(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+
+
+def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> Annotation:
+    """The vehicle without points that stand at 0, 0, as programs write what they do not have; doubtful ones are noted.
+
+    A point that is called visible far outside of its vehicle's box stays, for somebody to look at.
+    """
+    points = vehicle.keypoints
+    outside = schema.far_outside(vehicle)
+    unset = outside & (points[:, :2] == 0).all(axis=1)
+    if unset.any():
+        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: they are taken as unlabelled", where)
+        points = np.where(unset[:, None], 0.0, points)
+        vehicle = replace(vehicle, keypoints=points)
+    if (outside & ~unset & (points[:, 2] == 2)).any():
+        remarks.add("vehicle", "with keypoints called visible far outside of the box: they cannot be right", where)
+    return vehicle
+
+
+def _attributes(values: object) -> dict[str, Any]:
+    """What CVAT's attributes say; what is empty, or not in our lists, is not taken."""
+    given = values if isinstance(values, dict) else {}
+    out: dict[str, Any] = {}
+    lists = {"vehicle_type": schema.VEHICLE_TYPES, "color": schema.COLORS, "ignore_reason": schema.IGNORE_REASONS}
+    for name, choices in lists.items():
+        if given.get(name) in choices:
+            out[name] = given[name]
+    if given.get("model", "") not in ("", UNSAID):
+        out["model"] = str(given["model"])
+    if re.fullmatch(r"\d{1,18}", str(given.get("track_id", ""))):
+        out["track_id"] = int(given["track_id"])
+    return out

@@ -1,0 +1,164 @@
+"""What names in other people's files say: where an image lies, which camera and recording it is of, which split.
+
+Nobody has agreed on such names, so that all of this is guessing by rules that docs/formats.md gives. What a rule made
+of a name is for the caller to say.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Final
+from urllib.parse import unquote, urlsplit
+
+from skope.safe_names import NAME_BYTES, is_relative
+
+SPLITS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("train", "training", "trainset"), "train"),
+    **dict.fromkeys(("val", "valid", "validation", "valset"), "val"),
+    **dict.fromkeys(("test", "testing", "testset"), "test"),
+}
+"""What other programs call splits that have a name here."""
+
+_SAYS_NOTHING: Final = frozenset(
+    (
+        "annotation", "annotations", "annotations.coco", "coco", "data", "dataset", "default", "dsc", "dscf", "dscn",
+        "export", "f", "frame", "frames", "image", "images", "img", "imgs", "instances", "jpegimages", "jpg",
+        "keypoints", "label", "labels", "media", "obj_train_data", "person_keypoints", "photo", "photos", "pic",
+        "picture", "pictures", "png", "result", "results", "screenshot", "snapshot", "upload", "uploads",
+    )
+)  # fmt: skip
+"""Names of folders, annotation files and beginnings of file names that name no camera, split or recording."""
+
+_BEFORE_SPLIT: Final = re.compile(r"(?:person_keypoints|instances|keypoints|annotations|labels|coco)[_-]")
+_YEAR: Final = re.compile(r"[_-]?(?:19|20)\d\d")
+_COPIED: Final = re.compile(r"_(?:jpe?g|png|bmp|webp)\.rf\.\w+\Z", re.ASCII)
+"""What Roboflow appends to a file's name."""
+_UPLOADED: Final = re.compile(r"\A[0-9a-f]{8}-(?=.)")
+"""What Label Studio puts before a file's name."""
+_NUMBERED: Final = re.compile(r"(.*?)[_ .-]*([0-9]{1,15})")
+_DATED: Final = re.compile(
+    r"(.*?)[_ .-]*((?:19|20)\d\d[_.-]?\d\d[_.-]?\d\d[_ T.-]*\d\d[_.h-]?\d\d(?:[_.m-]?\d\d)?)", re.ASCII
+)
+"""A name that ends in date and time: 20240501_173000, 2024-05-01T17-30-00."""
+_OURS: Final = re.compile(r"(.+)_([0-9]{6})")
+_RECORDING_BYTES: Final = NAME_BYTES - 8
+"""Room for a number after a name that is taken."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an image was taken, as far as its name says."""
+
+    site: str | None
+    """The camera: the nearest folder that says anything."""
+    film: tuple[str, str] | None
+    """Folder and beginning of the file's name, where several images share it and are numbered: a recording."""
+    recording: str | None
+    """What the recording is called; None where the name does not say."""
+    frame: int | None
+    """The number at the end of the file's name, of an image of a recording."""
+
+
+def named_split(name: str) -> str | None:
+    """The split of ours that a name of other programs means, as in `Validation` or `instances_val2017`."""
+    return SPLITS.get(_YEAR.sub("", bare_stem(name.lower())))
+
+
+def bare_stem(stem: str) -> str:
+    """An annotation file's name without what says of which kind it is: train2017 of instances_train2017."""
+    return _BEFORE_SPLIT.sub("", stem)
+
+
+def split_of(stem: str, folders: Sequence[str]) -> tuple[str, str]:
+    """The split that an annotation file holds.
+
+    Args:
+        stem: Its name without suffix.
+        folders: Names of the folders that it lies in, the nearest first.
+
+    Returns:
+        The split, and what it was taken from: "name", "folder" or "default".
+    """
+    known = named_split(stem)
+    if known:
+        return known, "name"
+    if _telling(bare_stem(stem)):
+        return stem, "name"
+    by_folder = next((split for folder in folders if (split := named_split(folder))), None)
+    return (by_folder, "folder") if by_folder else ("train", "default")
+
+
+def source_name(parts: Sequence[str]) -> str:
+    """What a source is called: the last of its folders and files (without suffix) whose name says anything."""
+    telling = [part for part in parts if _telling(part) and named_split(part) is None]
+    return as_name(telling[-1]) if telling else "recording"
+
+
+def slashed(name: str) -> str:
+    """A path or address as one with forward slashes: of an address the path, of a path of Windows the same one."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", name):
+        name = unquote(urlsplit(name).path).lstrip("/")
+    name = name.replace("\\", "/")
+    while name.startswith("./"):
+        name = name.removeprefix("./")
+    return name
+
+
+def endings(name: str) -> list[str]:
+    """The relative paths that a path of another machine may end in, the longest first."""
+    parts = [part for part in name.split("/") if part not in ("", ".")]
+    whole = ["/".join(parts[i:]) for i in range(len(parts))]
+    return [ending for ending in whole if is_relative(ending)]
+
+
+def places(names: Sequence[str]) -> list[Place]:
+    """Where each of the images of one annotation file was taken, by all their names together.
+
+    Args:
+        names: File names with forward slashes.
+    """
+    split = [_split(name) for name in names]
+    numbers: dict[tuple[str, str], Counter[int]] = {}
+    for folder, begins, number, _ in split:
+        if number is not None:
+            numbers.setdefault((folder, begins), Counter())[number] += 1
+    out = []
+    for folder, begins, number, ours in split:
+        site = next((part for part in reversed(folder.split("/")) if _telling(part)), None)
+        shared = numbers.get((folder, begins), Counter())
+        film = number is not None and max(shared.values()) == 1 and (len(shared) > 1 or (ours and site is not None))
+        out.append(
+            Place(
+                site=as_name(site) if site else None,
+                film=(folder, begins) if film else None,
+                recording=as_name(begins) if film and _telling(begins) else None,
+                frame=number if film else None,
+            )
+        )
+    return out
+
+
+def as_name(text: str) -> str:
+    """Text that can be a site's or a recording's name: at most some 90 bytes of it, without leading dots."""
+    short = text.lstrip(".").encode()[:_RECORDING_BYTES].decode(errors="ignore")
+    return short or "unnamed"
+
+
+def _split(name: str) -> tuple[str, str, int | None, bool]:
+    """Folder, beginning and number of a file's name, and whether it is of our own form."""
+    path = PurePosixPath(name)
+    stem = _UPLOADED.sub("", _COPIED.sub("", path.stem))
+    match = _DATED.fullmatch(stem) or _NUMBERED.fullmatch(stem)
+    folder = path.parent.as_posix()
+    if match is None:
+        return folder, stem, None, False
+    number = int("".join(filter(str.isdecimal, match[2])))
+    return folder, match[1], number, _OURS.fullmatch(path.stem) is not None
+
+
+def _telling(name: str) -> bool:
+    """Whether a name of a folder or file says which camera, split or recording it is of."""
+    bare = name.lower().strip("_-. ")
+    return bool(bare) and bare not in _SAYS_NOTHING and named_split(bare) is None
