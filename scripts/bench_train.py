@@ -34,10 +34,12 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.transforms import functional
 
 from skope import detector, keypoints
+from skope.console import Console
 from skope.dataset import open_dataset
 from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
+from skope.train.loading import Loader
 from skope.train.recipe import RECIPES, Recipe, adjusted
 from skope.train.run_folder import TrainingState
 
@@ -216,7 +218,8 @@ def skope(
     def learn(batch: Sequence[data.TrainingSample]) -> None:
         step.train_on_batch(training, batch, recipe, rate=1e-4, images=recipe.batch_size, processes=processes, votes=())
 
-    return data.batches(images, groups, workers=workers, pin=device.type == "cuda"), learn, model
+    loader = Loader(images, workers=workers, console=Console(), pin=device.type == "cuda")
+    return loader.batches(groups), learn, model
 
 
 def count(root: Path) -> int:

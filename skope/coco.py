@@ -241,6 +241,7 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
         keypoints=points,
         score=row["score"],
         interpolated=row.get("interpolated", False),
+        boxed=row.get("bbox") is not None,
     )
 
 

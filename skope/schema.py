@@ -266,6 +266,8 @@ class Result:
     category_id: int = CATEGORY_ID
     interpolated: bool = False
     """Whether it was followed from other frames, and no detector has seen it in this one."""
+    boxed: bool = True
+    """Whether its file has a box for it; else that is the extent of the keypoints that were found."""
 
     def __post_init__(self) -> None:
         _integer("image_id", self.image_id, 0)

@@ -1,13 +1,13 @@
 """`skope eval`: predict (or read results), match, measure, draw, write, print."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from skope import coco, draw, keypoints, shards
-from skope.console import Console
+from skope.console import Console, counted
 from skope.dataset import read_image
 from skope.errors import UserError
 from skope.eval import report
@@ -21,7 +21,7 @@ from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.output_folders import claim_output
-from skope.schema import AnnotationFile, Result
+from skope.schema import AnnotationFile, Result, far_outside
 
 if TYPE_CHECKING:
     from skope.eval.inference.predictor import Predictor
@@ -73,6 +73,8 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
         _check_images(splits, job.truth.root)
     predictor = _predictor(job, console) if job.checkpoint else None
     results = {} if predictor else _read(job, splits)
+    for text in _doubts(job, splits, results):
+        console.warn(text)
     work = _claim(job, predictor)
     results |= _predicted(job, predictor, splits) if predictor else {}
     calibrated = predictor.calibrated if predictor else None
@@ -149,6 +151,25 @@ def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Res
     assert job.predictions is not None
     (whole,), (part,) = job.truth.splits, splits
     return {part.name: read_inputs.for_images(read_inputs.read_results(job.predictions, whole, job.scheme), part)}
+
+
+def _doubts(job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str, Sequence[Result]]) -> Iterator[str]:
+    """What was guessed of a results file, and what in annotations cannot be right, in words."""
+    for found in results.values():
+        unboxed = [result for result in found if not result.boxed]
+        if unboxed:
+            yield (
+                f"{job.predictions}: {counted(len(unboxed), 'result')} without bbox, first for image "
+                f"{unboxed[0].image_id}: their boxes are taken as the extent of the keypoints with a score above 0"
+            )
+    for file in splits:
+        known = [annotation for annotation in file.annotations if not annotation.ignored]
+        empty = [annotation for annotation in known if annotation.bbox[2:].min() <= 0]
+        astray = [a for a in known if (far_outside(a) & (a.keypoints[:, 2] == 2)).any()]
+        for wrong, what in ((empty, "a box without area"), (astray, "keypoints called visible far outside of the box")):
+            if wrong:
+                count = counted(len(wrong), "vehicle")
+                yield f"split {file.name}: {count} with {what}, which nobody can find; first: annotation {wrong[0].id}"
 
 
 def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:

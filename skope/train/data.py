@@ -4,14 +4,12 @@ What happens to an image depends on (seed, epoch, dataset, image id, how often i
 the number of workers or processes nor an interruption changes anything.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from skope.dataset import Dataset
@@ -19,7 +17,6 @@ from skope.errors import UserError, one_of
 from skope.schema import Image
 from skope.train import ignored_regions
 from skope.train.augment import Augment
-from skope.train.interrupt import ignore_signals
 from skope.train.recipe import SUPERVISE
 from skope.train.splits import SPLIT, TrainingSource
 from skope.train.targets import Vehicles, vehicles_of
@@ -77,6 +74,11 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
     def vehicles(self) -> int:
         """Number of vehicles to learn from, ignored ones not counted."""
         return sum(len(frame.vehicles.boxes_xyxy) for frame in self._frames)
+
+    @property
+    def largest_image(self) -> int:
+        """Bytes of the pixels of the largest image."""
+        return max(3 * frame.image.width * frame.image.height for frame in self._frames)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -143,33 +145,6 @@ def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> 
             left = min(size, count - repeat * size)
             draws += [(epoch, int(start + i), repeat) for i in rng.permutation(size)[:left]]
     return [draws[i] for i in rng.permutation(len(draws))]
-
-
-def batches(
-    training_set: TrainingSet, groups: Sequence[Sequence[Draw]], *, workers: int, pin: bool = False
-) -> Iterator[list[TrainingSample]]:
-    """The samples of each group of draws; a mistake in a file is raised here."""
-    loader = DataLoader(
-        training_set,
-        batch_sampler=[list(group) for group in groups],
-        num_workers=workers,
-        collate_fn=list,
-        pin_memory=pin,
-        prefetch_factor=4 if workers else None,
-        worker_init_fn=_begin_loading,
-    )
-    for batch in loader:
-        for item in batch:
-            if isinstance(item, UserError):
-                raise item
-        yield batch
-
-
-def _begin_loading(worker: int) -> None:
-    """Prepare a loading process: no threads of OpenCV's, since there are as many processes as cores."""
-    ignore_signals(worker)
-    # 0 and not 1: setting 1 waits for threads that exist only in the parent of the fork.
-    cv2.setNumThreads(0)
 
 
 def share_inside(samples: Sequence[TrainingSample]) -> float | None:

@@ -1,5 +1,7 @@
 """The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
+import argparse
+import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +26,7 @@ _COCO_KEYPOINTS: Final = 17
 _COCO_EPS: Final = 0.0
 """These weights were trained while FrozenBatchNorm2d added nothing to the variance."""
 _DEFAULT_EPS: Final = 1e-5
+_NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
 _PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
 
 State = dict[str, torch.Tensor]
@@ -188,12 +191,25 @@ def _fetch(init: str, weights: WeightsEnum) -> Path:
 
 
 def _unpickled(path: Path) -> State:
-    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it."""
+    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it.
+
+    These scripts put their arguments beside it, in a class that holds nothing but values.
+    """
     try:
-        state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
+        with torch.serialization.safe_globals([argparse.Namespace]):
+            state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        other = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
+        if other is None:
+            raise UserError(f"{path}: {_NO_WEIGHTS}") from None
+        raise UserError(
+            f"{path}: holds more than tensors ({other[1]}), and is not loaded: it might run anything. If you trust it, "
+            "take the weights out of it in Python: checkpoint = torch.load(FILE, weights_only=False), "
+            'then torch.save(checkpoint["model"], NEW), or under whichever key they are'
+        ) from None
+    except Exception as error:  # torch.load raises whatever the broken archive led to
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise UserError(f"{path}: not a file of weights ({reason}); delete it and get it again") from None
+        raise UserError(f"{path}: {_NO_WEIGHTS} ({reason})") from None
     if isinstance(state, dict) and isinstance(state.get("model"), dict):
         state = state["model"]
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):

@@ -16,10 +16,11 @@ from skope.errors import UserError
 from skope.files import write_text
 from skope.keypoints import SCHEMES
 from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
-from skope.train.data import TrainingSample, TrainingSet
+from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
+from skope.train.loading import Loader
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
@@ -91,6 +92,9 @@ def train(
         with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
             begin = run_folder.resume if resume else run_folder.start
             training = begin(out, config, [part.fingerprint for part in parts], device)
+            if processes.first:
+                run_folder.check_room(out, training, keep=saving.keep)
+                run_folder.ensure_best(out, config, training)
             ignored_regions.prepare(
                 training.model,
                 regions=recipe.regions,
@@ -142,6 +146,13 @@ class _Run:
             said = f"{counted(len(self._file.images), 'image')} to validate on show no vehicle: nothing is validated"
             self.console.say(f"{said} (--val-fraction)")
             self._file = replace(self._file, images=(), annotations=())
+        self._loader = Loader(
+            self.training_set,
+            workers=self.workers,
+            console=self.console,
+            pin=self.device.type == "cuda",
+            stopping=lambda: self.stop.asked is not None,
+        )
         self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.processes.first else None
         self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
         with _Progress(left, epochs, self.console) as self._progress:
@@ -171,9 +182,8 @@ class _Run:
         groups = [draws[i : i + recipe.batch_size] for i in range(0, len(draws), recipe.batch_size)]
         todo = groups[training.steps_done :]
         own = [self.processes.share(group) for group in todo]
-        pin = self.device.type == "cuda"
         training.model.train()
-        for group, batch in zip(todo, data.batches(self.training_set, own, workers=self.workers, pin=pin), strict=True):
+        for group, batch in zip(todo, self._loaded(own), strict=True):
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
             step.seed(seed, epoch, training.steps_done, self.processes)
@@ -197,6 +207,15 @@ class _Run:
         training.history.append(row)
         self.processes.average_statistics(training.model)
 
+    def _loaded(self, groups: Sequence[Sequence[Draw]]) -> Iterator[list[TrainingSample]]:
+        """The samples of each group; where waiting for them is interrupted, the state of the run is saved first."""
+        try:
+            yield from self._loader.batches(groups)
+        except KeyboardInterrupt:
+            if self.processes.size == 1:  # several would have to agree
+                self._save_within(stopped=False)
+            raise
+
     def _votes(self) -> tuple[float, float]:
         """Whether this process was asked to stop, and whether it is time to save: 1 or 0 each.
 
@@ -215,7 +234,7 @@ class _Run:
 
     def _validate_and_save(self) -> None:
         """Validate after an epoch; write curves, predictions to look at, and the checkpoint."""
-        training, recipe = self.training, self.config.recipe
+        training, recipe, better = self.training, self.config.recipe, False
         row = training.history[-1]
         if self._file.images:
             model, file = training.shown, self._file
@@ -228,9 +247,8 @@ class _Run:
                 for name, value in figures.items():
                     if value is not None:
                         self._board.add_scalar(f"validation/{name}", value, self._step)
-            if training.best is None or validate.rank(figures) > training.best:
-                training.best = validate.rank(figures)
-                run_folder.save_best(self.out, self.config, training)
+            better = training.best is None or validate.rank(figures) > training.best
+            training.best = validate.rank(figures) if better else training.best
         last = training.epochs_done == recipe.epochs
         if last or time.monotonic() - self._drawn_at >= _CURVES_INTERVAL_S:
             monitor.curves(self.out / "curves.png", training.history)
@@ -239,6 +257,8 @@ class _Run:
             run_folder.save_epoch(self.out, self.config, training, keep=self.saving.keep)
             self._write_card()
             self._checkpoint_at = self._saved_at = time.monotonic()
+        if better:  # after the state, without which the epoch is lost where there is no room for both
+            run_folder.save_best(self.out, self.config, training)
 
     def _write_card(self) -> None:
         datasets = [part.dataset for part in self.parts]
@@ -293,6 +313,14 @@ def _announce(
     images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)
     checked = f"{counted(images, 'image')} with {counted(vehicles, 'vehicle')}" if images else "none"
     console.say(f"{names}: {learnt}, {checked} to validate on")
+    for part in parts if recipe.exclude_types else ():
+        types = ", ".join(recipe.exclude_types)
+        console.say(f"{part.dataset.root}: {counted(part.excluded, 'vehicle')} left out by type ({types})")
+        if part.untyped:
+            console.warn(
+                f"{part.dataset.root}: does not say the type of {counted(part.untyped, 'vehicle')}: they are learnt, "
+                f"whether {types} or not"
+            )
     if training.epochs_done or training.steps_done:
         within = f" and {training.steps_done} steps" if training.steps_done else ""
         console.say(f"resumed after epoch {training.epochs_done}{within}")

@@ -14,7 +14,8 @@ and writes again what came after. The state of every random generator follows fr
 import contextlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -25,12 +26,13 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector, keypoints
+from skope.console import disk_size
 from skope.dataset import Dataset
 from skope.detector import BEST, DetectorConfig
 from skope.errors import UserError
 from skope.files import locked, read_json, unwritable, write_bytes, write_json, write_text
 from skope.keypoints import Scheme
-from skope.train import init_weights
+from skope.train import init_weights, validate
 from skope.train.recipe import Recipe
 
 _VERSION = 2
@@ -233,6 +235,28 @@ def record(run: Path, config: RunConfig) -> None:
     write_json(run / _CONFIG, config.to_dict())
 
 
+def check_room(run: Path, training: TrainingState, *, keep: int) -> None:
+    """Raise a UserError where the disk has no room for what a run keeps: better now than after hours.
+
+    At most there are `keep` checkpoints and a new one, the best one, and the state twice, while it is replaced.
+    """
+    weights = _size(training.shown.state_dict().values())
+    learning = _size(p for p in training.model.parameters() if p.requires_grad)  # the optimiser's momentum
+    state = _size(training.model.state_dict().values()) + learning + (weights if training.mean is not None else 0)
+    needed = (keep + 2) * weights + 2 * state
+    there = sum(path.stat().st_size for path in run.iterdir() if path.is_file()) if run.is_dir() else 0
+    free = shutil.disk_usage(next(path for path in (run, *run.absolute().parents) if path.is_dir())).free
+    if free + there < needed:
+        raise UserError(
+            f"{run}: {disk_size(free)} free on its disk, and this run writes up to {disk_size(needed - there)} there; "
+            "make room, or choose another folder by --out"
+        )
+
+
+def _size(tensors: Iterable[Tensor]) -> int:
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+
+
 def save_state(run: Path, training: TrainingState) -> None:
     """Write the state that `resume` reads."""
     # Through memory: where there is no room for a file, torch's own writer ends the process.
@@ -257,6 +281,20 @@ def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: i
 def save_best(run: Path, config: RunConfig, training: TrainingState) -> None:
     """Write the weights of the epoch with the best validation so far."""
     _save_weights(run / BEST, config, training)
+
+
+def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
+    """Write the best checkpoint of a resumed run where the last epoch is the best, and that stopped before it was
+    written: the state is written first, since what is lost with it cannot be made again."""
+    ranks = [validate.rank(row["validation"]) for row in training.history if "validation" in row]
+    last = bool(training.history) and "validation" in training.history[-1]
+    if training.steps_done or not last or ranks[-1] != training.best or training.best in ranks[:-1]:
+        return
+    if (
+        not (run / BEST).is_file()
+        or detector.read_checkpoint(run / BEST)[0]["metadata"]["epoch"] < training.epochs_done
+    ):
+        save_best(run, config, training)
 
 
 def _save_weights(path: Path, config: RunConfig, training: TrainingState) -> None:

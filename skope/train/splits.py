@@ -30,6 +30,10 @@ class TrainingSource:
     """The images that are validated on."""
     fingerprint: str
     """Digest of the annotations and of the images' names and sizes."""
+    untyped: int = 0
+    """Number of vehicles whose type the dataset does not say, where some types are to be left out."""
+    excluded: int = 0
+    """Number of vehicles that were left out by their types."""
 
     def vehicles(self) -> list[Vehicles]:
         """The vehicles of each image that is learnt from, in file order."""
@@ -47,6 +51,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     path = root / "annotations" / f"{SPLIT}.json"
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
+    known = [annotation for annotation in file.annotations if not annotation.ignored]
     file = excluding(file, exclude_types)
     learnt, validated = image_selection.held_back(file, val_fraction)
     validated = image_selection.ignoring(learnt, validated)
@@ -55,7 +60,12 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
     if all(annotation.ignored for annotation in learnt.annotations):
         raise UserError(f"{path}: field annotations holds no vehicle that is not ignored: nothing to train on")
     return TrainingSource(
-        dataset=opened, learnt=learnt, validated=validated, fingerprint=_fingerprint(path, root, file.images)
+        dataset=opened,
+        learnt=learnt,
+        validated=validated,
+        fingerprint=_fingerprint(path, root, file.images),
+        untyped=sum(annotation.vehicle_type is None for annotation in known) if exclude_types else 0,
+        excluded=sum(annotation.vehicle_type in exclude_types for annotation in known),
     )
 
 

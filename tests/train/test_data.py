@@ -12,11 +12,13 @@ import pytest
 import torch
 
 from skope import coco, keypoints
+from skope.console import Console
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.train import data, splits
 from skope.train.augment import Augment
 from skope.train.data import TrainingSet
+from skope.train.loading import Loader
 from skope.train.splits import TrainingSource
 from skope.train.targets import Vehicles
 from tests import samples
@@ -37,6 +39,10 @@ def source(root: Path, **options: Any) -> TrainingSource:
 
 def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str = "visible") -> TrainingSet:
     return TrainingSet([source(root) for root in roots], seed=seed, augment=Augment(flip=flip), supervise=supervise)
+
+
+def loaded(images: TrainingSet, groups: list[list[data.Draw]], workers: int) -> list[list[data.TrainingSample]]:
+    return list(Loader(images, workers=workers, console=Console(quiet=True)).batches(groups))
 
 
 def test_targets(tmp_path: Path) -> None:
@@ -71,7 +77,7 @@ def test_changes_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
     def seen(seed: int, epoch: int, workers: int = 0) -> list[tuple[str, torch.Tensor]]:
         images = training_set(root, seed=seed, flip=0.5)
         draws = data.order(images.sizes, None, seed=seed, epoch=epoch)
-        batches = data.batches(images, [draws[:3], draws[3:]], workers=workers)
+        batches = loaded(images, [draws[:3], draws[3:]], workers)
         return [(sample.name, sample.target["boxes"]) for batch in batches for sample in batch]
 
     def equal(a: list[tuple[str, torch.Tensor]], b: list[tuple[str, torch.Tensor]]) -> bool:
@@ -146,7 +152,7 @@ def test_a_broken_image_is_one_line_from_any_worker(tmp_path: Path, workers: int
     broken = root / source(root).learnt.images[1].file_name
     broken.write_bytes(broken.read_bytes()[:40])
     with pytest.raises(UserError, match=rf"{broken.name}: not an image") as caught:
-        list(data.batches(images, [[(0, i, 0)] for i in range(3)], workers=workers))
+        loaded(images, [[(0, i, 0)] for i in range(3)], workers)
     assert "\n" not in str(caught.value)
 
 
@@ -154,11 +160,10 @@ def test_loading_begins_after_this_process_has_used_opencvs_threads(tmp_path: Pa
     """Which a loading process, a fork, does not have: whoever waits for them there waits for ever."""
     samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
     code = (
-        "import cv2, numpy as np; from pathlib import Path; from skope.train import data; from tests.train.test_data "
-        "import training_set\n"
+        "import cv2, numpy as np; from pathlib import Path; from tests.train.test_data import loaded, training_set\n"
         "cv2.setNumThreads(4); cv2.GaussianBlur(np.zeros((3000, 3000, 3), np.uint8), (0, 0), 5)\n"
         "images = training_set(Path('data'))\n"
-        "print(sum(map(len, data.batches(images, [[(0, 0, 0)], [(0, 1, 0)]], workers=2))))"
+        "print(sum(map(len, loaded(images, [[(0, 0, 0)], [(0, 1, 0)]], 2))))"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(

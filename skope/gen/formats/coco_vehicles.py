@@ -110,14 +110,14 @@ def vehicle_of(
         inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
         points[~inside | (points[:, 2] <= 0)] = 0
         box = _box(row.get("bbox"), points, image)
-        fields = {name: row[name] for name in ("id", "image_id", "iscrowd", "area") if row.get(name) is not None}
+        fields = {name: row[name] for name in ("image_id", "iscrowd", "area") if row.get(name) is not None}
         told = _attributes(row.get("attributes"))
         if told.get("ignore_reason"):
             told["iscrowd"] = 1
         if label.vehicle_type is not None:
             told.setdefault("vehicle_type", label.vehicle_type)
         fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
-        fields["category_id"] = schema.CATEGORY_ID
+        fields |= {"category_id": schema.CATEGORY_ID, "id": 0}  # ids are given anew
         vehicle = coco.annotation_from_dict(fields)
     corners = xywh_to_xyxy(vehicle.bbox)
     cut = clip(corners, *size)

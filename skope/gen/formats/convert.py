@@ -105,7 +105,10 @@ def convert(
         else:
             with TemporaryDirectory(prefix=".between.", dir=folder.parent) as between:
                 _read(sources, Path(between), read_as, options, console)
-                _write(dataset_at(Path(between)), write_as, folder, options, console)
+                try:
+                    _write(dataset_at(Path(between)), write_as, folder, options, console)
+                except UserError as error:  # of a folder that the user never sees
+                    raise UserError(str(error).replace(between, " ".join(map(str, sources)))) from None
         if archive:
             zipped(folder, whole / out.name)
             move_new(whole / out.name, out)

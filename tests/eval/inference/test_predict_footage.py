@@ -47,7 +47,7 @@ def test_a_full_disk_is_one_line(call: Any, monkeypatch: pytest.MonkeyPatch) -> 
     picture(Path("in/a.png"))
 
     def full(self: Any, row: Any) -> None:
-        with self._writing():
+        with progress.writing(self._path.parent):
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(progress.Progress, "add", full)

@@ -1,0 +1,148 @@
+"""Loading of training samples, in this process or in others beside it, which may be lost without losing a sample.
+
+Loading processes hand pictures over in shared memory, of which containers have little (64 MB): as many work as fit, and
+where some end or fall silent all the same, fewer go on with what is left.
+"""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+from torch.utils.data import DataLoader
+
+from skope.console import Console, disk_size
+from skope.errors import UserError
+from skope.train.data import Draw, TrainingSample, TrainingSet
+from skope.train.interrupt import ignore_signals
+
+SHARED_MEMORY: Final = Path("/dev/shm")
+_PREFETCH: Final = (4, 2)
+"""Batches that each process has ready: the usual number, and where memory is little."""
+_USED_SHARE: Final = 0.8
+"""Of the shared memory that is free."""
+_LOOK_S: Final = 5.0
+"""While no batch comes, it is looked so often whether to stop."""
+_SILENT_S: Final = 120.0
+"""After so long without a batch the loading processes are taken for lost."""
+
+
+class Loader:
+    """Loads groups of draws from a training set, in order."""
+
+    def __init__(
+        self,
+        training_set: TrainingSet,
+        *,
+        workers: int,
+        console: Console,
+        pin: bool = False,
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Prepare to load.
+
+        Args:
+            training_set: What to load from.
+            workers: Loading processes; 0: this one loads.
+            console: Where it is said when fewer processes work than were asked for.
+            pin: Whether batches come in pinned memory, from which a GPU can copy without waiting.
+            stopping: Whether waiting for a batch shall end, as a KeyboardInterrupt.
+        """
+        self.workers = workers
+        self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
+
+    def batches(self, groups: Sequence[Sequence[Draw]]) -> Iterator[list[TrainingSample]]:
+        """The samples of each group of draws. Raises UserError for a mistake in a file."""
+        prefetch = self._fit(max(map(len, groups), default=0))
+        done = 0
+        while done < len(groups):
+            try:
+                for batch in self._loaded(groups[done:], prefetch):
+                    for item in batch:
+                        if isinstance(item, UserError):
+                            raise item
+                    done += 1
+                    yield [item for item in batch if isinstance(item, TrainingSample)]
+            except _LostError as lost:
+                self.workers //= 2
+                rest = f"{self.workers} go on" if self.workers else "this process loads them from here"
+                self._console.warn(f"processes that load images {lost}: {rest} (--workers)")
+
+    def _loaded(self, groups: Sequence[Sequence[Draw]], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
+        loader = DataLoader(
+            self._training_set,
+            batch_sampler=[list(group) for group in groups],
+            num_workers=self.workers,
+            collate_fn=list,
+            pin_memory=self._pin,
+            prefetch_factor=prefetch if self.workers else None,
+            worker_init_fn=_begin_loading,
+            timeout=_LOOK_S if self.workers else 0,
+        )
+        batches = iter(loader)
+        if self.workers and threading.current_thread() is threading.main_thread():
+            # torch raises in the middle of whatever is at work when a process is lost; below it is noticed in waiting.
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        since = time.monotonic()
+        while True:
+            try:
+                batch = next(batches)
+            except StopIteration:
+                return
+            except RuntimeError as error:
+                if "DataLoader" not in str(error):
+                    raise
+                if "timed out" not in str(error):
+                    raise _LostError("have ended: out of memory, or killed") from error
+                if self._stopping():
+                    raise KeyboardInterrupt from None
+                if time.monotonic() - since > _SILENT_S:
+                    raise _LostError(f"have sent nothing for {_SILENT_S:.0f} s") from error
+                continue
+            yield batch
+            since = time.monotonic()
+
+    def _fit(self, images: int) -> int:
+        """Lower the number of processes to what shared memory holds; returns how many batches each may have ready."""
+        if not self.workers:
+            return 0
+        free, batch = free_shared_memory(), images * self._training_set.largest_image
+        if free is None or not batch:
+            return _PREFETCH[0]
+        room = int(_USED_SHARE * free / int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+        for prefetch in _PREFETCH:
+            # One more is being made, and one learnt from.
+            if self.workers * (prefetch + 2) * batch <= room:
+                return prefetch
+        prefetch = _PREFETCH[-1]
+        wanted, self.workers = self.workers, room // ((prefetch + 2) * batch)
+        self._console.warn(
+            f"{SHARED_MEMORY} has room for {disk_size(free)}, too little for {wanted} processes that load images of "
+            f"{disk_size(batch)} a step: {self.workers or 'none beside this one'} will (in a container: docker run "
+            "--shm-size=2g)"
+        )
+        return prefetch
+
+
+class _LostError(Exception):
+    """Loading processes are gone; the text says in which way."""
+
+
+def free_shared_memory() -> int | None:
+    """Bytes that are free in shared memory; None where the system does not say."""
+    try:
+        found = os.statvfs(SHARED_MEMORY)
+    except (OSError, AttributeError):
+        return None
+    return found.f_bavail * found.f_frsize
+
+
+def _begin_loading(worker: int) -> None:
+    """Prepare a loading process: no threads of OpenCV's, since there are as many processes as cores."""
+    ignore_signals(worker)
+    # 0 and not 1: setting 1 waits for threads that exist only in the parent of the fork.
+    cv2.setNumThreads(0)
