@@ -7,6 +7,7 @@ torchvision resizes the image before the network and scales the answers back by 
 import contextlib
 import functools
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -114,12 +115,19 @@ def check_anchors(anchors: Sequence[int]) -> None:
         raise UserError(f"anchors: expected {len(ANCHORS)} rising sides from 4 pixels, got {list(anchors)}")
 
 
+_WITHOUT_BFLOAT16: Final = ("SSE41", "AVX", "AVX2", "AVX2_VNNI", "AVX512_CORE", "AVX512_CORE_VNNI")
+
+
 def has_bfloat16(device: torch.device) -> bool:
-    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster."""
+    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster.
+
+    Of a CPU those count that the library of its products may use: ONEDNN_MAX_CPU_ISA limits them.
+    """
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     able = torch.cpu.get_capabilities()
-    return bool(able.get("amx_bf16") or able.get("avx512_bf16"))
+    allowed = os.environ.get("ONEDNN_MAX_CPU_ISA", "ALL").upper() not in _WITHOUT_BFLOAT16
+    return allowed and bool(able.get("amx_bf16") or able.get("avx512_bf16"))
 
 
 def choose_device(name: str) -> torch.device:

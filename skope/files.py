@@ -155,7 +155,7 @@ def link(source: Path, target: Path) -> None:
         raise UserError(f"{target}: two different files would have this name ({source} is the second)")
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        target.hardlink_to(source.resolve())
+        target.hardlink_to(os.path.realpath(source, strict=True) if source.is_symlink() else source)
     except OSError:
         write_bytes(target, read_bytes(source))
 

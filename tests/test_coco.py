@@ -273,3 +273,16 @@ def test_a_result_without_a_box_gets_the_extent_of_its_points() -> None:
     points[0, :2], points[1, :2] = (10, 15), (40, 30)
     result = coco.result_from_dict({"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.5})
     assert result.bbox.tolist() == [10, 15, 30, 15]
+
+
+def test_points_that_were_not_found_are_no_part_of_the_box() -> None:
+    """Bottom-up programs write 0, 0, 0 for them: the box would reach to the image's corner."""
+    points = np.zeros((33, 3))
+    points[4:8] = [[30, 40, 0.9], [50, 45, 0.2], [35, 70, 0.5], [200, 200, 0]]
+    found = coco.result_from_dict({"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.9})
+    assert (found.bbox.tolist(), found.boxed) == ([30, 40, 20, 30], False)
+    stated = {"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.9, "bbox": [1, 2, 3, 4]}
+    assert coco.result_from_dict(stated).boxed
+    points[:, 2] = 0
+    with pytest.raises(UserError, match="bbox: missing, and no keypoint has a score"):
+        coco.result_from_dict({"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.9})

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skope.errors import UserError
-from skope.files import json_bytes, link, replacing, replacing_folder
+from skope.files import json_bytes, link, parse_json, read_text, replacing, replacing_folder, writing
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -116,3 +116,59 @@ def test_what_cannot_be_written_has_the_users_name(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught, replacing_folder(out) as folder, replacing(folder / "a.json"):
         raise full
     assert str(caught.value) == f"{out / 'a.json'}: cannot be written: No space left on device"
+
+
+def test_what_fails_elsewhere_is_no_fault_of_what_is_written(tmp_path: Path) -> None:
+    """Other files keep their names; a closed pipe is for the command line, which ends without a word."""
+    out = tmp_path / "out"
+    with pytest.raises(UserError, match=r"gone.txt: No such file or directory\Z") as caught, replacing_folder(out):
+        (tmp_path / "gone.txt").read_bytes()
+    assert "cannot be written" not in str(caught.value)
+    with pytest.raises(UserError, match=r"elsewhere/b: No such file"), replacing(tmp_path / "a"):
+        (tmp_path / "elsewhere" / "b").write_bytes(b"x")
+    for context in (replacing_folder(out), replacing(tmp_path / "a"), writing(out)):
+        with pytest.raises(BrokenPipeError), context:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+    with pytest.raises(UserError, match=r"a: cannot be written: No space left"), replacing(tmp_path / "a"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(UserError, match=r"out: cannot be written: No such file"), replacing_folder(out) as folder:
+        (folder / "b" / "c").write_bytes(b"x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_becomes_the_file_that_it_leads_to(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "file").write_bytes(b"x")
+    (tmp_path / "link").symlink_to("deep/file")
+    (tmp_path / "twice").symlink_to("link")
+    for k, name in enumerate(("deep/file", "link", "twice")):
+        target = tmp_path / "far" / "below" / str(k)
+        link(tmp_path / name, target)
+        assert not target.is_symlink()
+        assert target.samefile(tmp_path / "deep" / "file")
+        link(tmp_path / name, target)  # the same again
+    (tmp_path / "other").write_bytes(b"y")
+    with pytest.raises(UserError, match="two different files would have this name"):
+        link(tmp_path / "other", target)
+    assert target.read_bytes() == b"x"
+    (tmp_path / "nowhere").symlink_to("gone")
+    (tmp_path / "round").symlink_to("round")
+    for name in ("nowhere", "round"):
+        with pytest.raises(UserError, match=f"{name}: "):
+            link(tmp_path / name, tmp_path / "new")
+    assert not os.path.lexists(tmp_path / "new")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+def test_json_may_begin_with_a_byte_order_mark(encoding: str) -> None:
+    assert parse_json('{"ü": [1, NaN]}'.encode(encoding))["ü"][0] == 1
+    assert parse_json('{"ü": [1]}'.encode(encoding)) == {"ü": [1]}
+
+
+def test_users_texts_may_begin_with_one_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes("ä = 1\r\n".encode("utf-8-sig"))
+    assert read_text(path) == "ä = 1\r\n"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match=r"a.toml: not UTF-8 text"):
+        read_text(path)

@@ -165,7 +165,8 @@ def _doubts(job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str
     for file in splits:
         known = [annotation for annotation in file.annotations if not annotation.ignored]
         empty = [annotation for annotation in known if annotation.bbox[2:].min() <= 0]
-        astray = [a for a in known if (far_outside(a) & (a.keypoints[:, 2] == 2)).any()]
+        boxed = [annotation for annotation in known if annotation.bbox[2:].min() > 0]
+        astray = [a for a in boxed if (far_outside(a) & (a.keypoints[:, 2] == 2)).any()]
         for wrong, what in ((empty, "a box without area"), (astray, "keypoints called visible far outside of the box")):
             if wrong:
                 count = counted(len(wrong), "vehicle")

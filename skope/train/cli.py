@@ -92,7 +92,7 @@ def run(
             raise UserError(f"--{name}: expected a number from 0, got {number}")
 
     from skope.dataset import open_dataset
-    from skope.detector import choose_device
+    from skope.detector import choose_device, has_bfloat16
     from skope.train import configure
     from skope.train.loop import Saving, train
 
@@ -115,7 +115,7 @@ def run(
     if resume:
         config = configure.again(out, data or (), flags)
     else:
-        bfloat16 = not on_gpu and configure.multiplies_bfloat16()
+        bfloat16 = not on_gpu and has_bfloat16(where)
         config = configure.new(data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
     if workers is None:
         workers = configure.loading_workers(gpu=on_gpu)

@@ -2,15 +2,11 @@
 
 import os
 import shlex
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from skope import detector
 from skope.errors import UserError
 from skope.train import init_weights
 from skope.train import recipe as recipes
@@ -19,28 +15,6 @@ from skope.train.run_folder import RunConfig, resumable
 _MOST_WORKERS = 8
 _RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "val_fraction")
 """Flags that replace the recipe's value of the same name."""
-
-
-def multiplies_bfloat16() -> bool:
-    """Whether this CPU has instructions for bfloat16 and is faster with them, measured on one of the network's layers.
-
-    Without the instructions it would be many times slower than float32.
-    """
-    if not detector.has_bfloat16(torch.device("cpu")):
-        return False
-    return 1.2 * _layer_s(torch.bfloat16) < _layer_s(torch.float32)
-
-
-def _layer_s(dtype: torch.dtype) -> float:
-    """Shortest time of a few passes through a layer of the keypoint head."""
-    images, weights = torch.zeros(4, 512, 14, 14, dtype=dtype), torch.zeros(512, 512, 3, 3, dtype=dtype)
-    times = []
-    with torch.inference_mode():
-        for _ in range(4):
-            since = time.perf_counter()
-            torch.nn.functional.conv2d(images, weights, padding=1)
-            times.append(time.perf_counter() - since)
-    return min(times)
 
 
 def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool) -> RunConfig:

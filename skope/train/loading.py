@@ -96,13 +96,15 @@ class Loader:
             except RuntimeError as error:
                 if "DataLoader" not in str(error):
                     raise
-                if "timed out" not in str(error):
-                    raise _LostError("have ended: out of memory, or killed") from error
-                if self._stopping():
+                ended, silent = "timed out" not in str(error), time.monotonic() - since > _SILENT_S
+                if not (ended or silent or self._stopping()):
+                    continue
+                for process in getattr(batches, "_workers", ()):  # they ignore the signal by which torch would end them
+                    process.kill()
+                if not (ended or silent):
                     raise KeyboardInterrupt from None
-                if time.monotonic() - since > _SILENT_S:
-                    raise _LostError(f"have sent nothing for {_SILENT_S:.0f} s") from error
-                continue
+                how = "have ended: out of memory, or killed" if ended else f"have sent nothing for {_SILENT_S:.0f} s"
+                raise _LostError(how) from error
             yield batch
             since = time.monotonic()
 

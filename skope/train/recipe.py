@@ -224,8 +224,8 @@ def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
         name: One of `CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop` on a
             CPU.
         gpu: Whether the run is on a GPU.
-        bfloat16: Whether this processor multiplies such numbers faster, which all recipes but `paper` make use of: on
-            two cores a step takes half the time. It is part of the recipe that the run records.
+        bfloat16: Whether this processor has instructions for such numbers, which all recipes but `paper` make use of:
+            on two cores a step takes half the time. It is part of the recipe that the run records.
 
     Raises:
         UserError: There is no such recipe, or the file holds unknown names or wrong values.

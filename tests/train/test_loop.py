@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -288,3 +289,56 @@ def test_a_loss_that_is_not_finite_names_the_images(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"epoch \d: the loss is no longer a finite number, at images/site/00_000001"):
         train(data, tmp_path / "run", wild)
     assert not run_folder.resumable(tmp_path / "run")
+
+
+def test_room_is_asked_for_before_the_first_epoch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(run_folder.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    with pytest.raises(
+        UserError, match=r"run: 0 MB free on its disk, and this run writes up to \d+ MB there; make room"
+    ):
+        train(data, tmp_path / "run", TINY)
+    assert not (tmp_path / "run").exists()
+    monkeypatch.undo()
+    used = sum(path.stat().st_size for path in train(data, tmp_path / "run", TINY).parent.iterdir() if path.is_file())
+    # Of a run that is there, its own files count as room.
+    monkeypatch.setattr(run_folder.shutil, "disk_usage", lambda _: usage._replace(free=2 * used))
+    train(data, tmp_path / "run", replace(TINY, epochs=3), resume=True)
+
+
+def test_where_the_best_cannot_be_written_the_epoch_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The state comes first; the run that goes on writes the best one that was not."""
+    data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
+    recipe = replace(TINY, val_fraction=0.5, epochs=1)
+    out, whole = tmp_path / "run", tmp_path / "whole"
+    train(data, whole, recipe)
+
+    def full(*_: object) -> None:
+        raise UserError("best.safetensors: cannot be written: No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_folder, "save_best", full)
+        with pytest.raises(UserError, match="No space left"):
+            train(data, out, recipe)
+    assert not (out / detector.BEST).exists()
+    train(data, out, recipe, resume=True)
+    assert same_files(out / detector.BEST, whole / detector.BEST)
+
+
+def test_types_that_are_not_there_are_not_left_out_in_silence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
+    recipe = replace(TINY, epochs=1, exclude_types=("bus", "truck"))
+    train(data, tmp_path / "typed", recipe, console=Console())
+    said = capsys.readouterr()
+    assert ("0 vehicles left out by type (bus, truck)" in said.out, "warning" in said.err) == (True, False)
+    path = data / "annotations" / "train.json"
+    path.write_text(path.read_text().replace('"vehicle_type":"sedan",', ""))
+    train(data, tmp_path / "untyped", recipe, console=Console())
+    said = capsys.readouterr()
+    assert "does not say the type of" in said.err
+    assert "they are learnt, whether bus, truck or not" in said.err

@@ -9,7 +9,6 @@ import pytest
 from skope import boxes, detector
 from skope.dataset import open_dataset
 from skope.schema import Annotation
-from skope.train import configure
 from skope.train.augment import Augment
 from skope.train.recipe import RECIPES
 from tests import samples
@@ -21,7 +20,7 @@ SMALL = replace(
     max_size=256,
     regions=64,
     keypoint_regions=4,
-    bfloat16=configure.multiplies_bfloat16(),
+    bfloat16=False,
     val_fraction=0.0,
 )
 BY_HEART = replace(SMALL, epochs=40, learning_rate=0.04, augment=Augment(flip=0.0), warmup_steps=8)

@@ -55,7 +55,7 @@ class ImageImporter:
     _names: set[str] = field(default_factory=set)
     _recordings: dict[tuple[str | None, str], tuple[Any, ...]] = field(default_factory=dict)
     """Site and name of each recording, with the file and the film that it is."""
-    _splits: dict[Path, str] = field(default_factory=dict)
+    _splits: dict[str, str] = field(default_factory=dict)
     """The split that each picture has gone to."""
 
     def images(self, file: AnnotationSource, files: Files, console: Console) -> Iterator[tuple[int, ImportedImage]]:
@@ -127,7 +127,7 @@ class ImageImporter:
             image = self._checked(one.where, image, header, ours=file.ours)
             turned = header if header.turned and self.stored_pixels else None
         if isinstance(content, Path):
-            other = self._splits.setdefault(content.resolve(), file.split)
+            other = self._splits.setdefault(str(content), file.split)
             if other != file.split:
                 self.remarks.add("image", f"in split {file.split} and in {other}", one.where)
         name = self._free_name(bare_name(one.name), file)

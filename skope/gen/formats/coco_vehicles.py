@@ -147,8 +147,9 @@ def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> An
 
     A point that is called visible far outside of its vehicle's box stays, for somebody to look at.
     """
-    points = vehicle.keypoints
-    outside = schema.far_outside(vehicle)
+    points, outside = vehicle.keypoints, schema.far_outside(vehicle)
+    if not outside.any():
+        return vehicle
     unset = outside & (points[:, :2] == 0).all(axis=1)
     if unset.any():
         remarks.add("vehicle", "with keypoints at 0, 0, far from the box: they are taken as unlabelled", where)
@@ -161,8 +162,10 @@ def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> An
 
 def _attributes(values: object) -> dict[str, Any]:
     """What CVAT's attributes say; what is empty, or not in our lists, is not taken."""
-    given = values if isinstance(values, dict) else {}
     out: dict[str, Any] = {}
+    if not isinstance(values, dict):
+        return out
+    given: dict[str, Any] = values
     lists = {"vehicle_type": schema.VEHICLE_TYPES, "color": schema.COLORS, "ignore_reason": schema.IGNORE_REASONS}
     for name, choices in lists.items():
         if given.get(name) in choices:

@@ -42,16 +42,17 @@ def labelled_frame(
         files: Content of its files by these names.
         sums: Their SHA-256 as far as it is known; that of others is computed.
     """
-    own = [replace(vehicle, category_id=schema.CATEGORY_ID) for vehicle in vehicles]
+    known = schema.CATEGORY_ID
+    own = [each if each.category_id == known else replace(each, category_id=known) for each in vehicles]
     ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
     contents = {name: _in_memory(content) for name, content in files.items()}
-    known = sums or {}
+    told = sums or {}
     labels = Labels(
         name=str(PurePosixPath(*PurePosixPath(image.file_name).parts[1:]).with_suffix("")),
         image=coco.image_to_dict(replace(image, split=split)),
         rows=[json_bytes(coco.annotation_to_dict(vehicle)) for vehicle in own],
         kinds=[kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own],
-        sha256={name: known.get(name) or _sum_of(content) for name, content in contents.items()},
+        sha256={name: told.get(name) or _sum_of(content) for name, content in contents.items()},
         tally={"ignored": dict(ignored)},
     )
     return FrameFiles(contents, labels)

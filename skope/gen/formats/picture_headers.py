@@ -58,8 +58,9 @@ def read_header(content: Path | bytes) -> PictureHeader | None:
             Image.open(io.BytesIO(content) if isinstance(content, bytes) else content) as file,
         ):
             warnings.simplefilter("ignore")  # of very large pictures and odd EXIF
-            orientation = file.getexif().get(_ORIENTATION, UPRIGHT)
             size, kind = file.size, file.format
+            told = "exif" in file.info or kind == "TIFF"
+            orientation = file.getexif().get(_ORIENTATION, UPRIGHT) if told else UPRIGHT
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError):
         return None
     if not isinstance(orientation, int) or not 1 <= orientation <= 8:

@@ -28,6 +28,34 @@ def write_pair(folder: Path, score: float = 0.95) -> tuple[Path, Path]:
 # ------------------------------------------------------------------------------------------------ from two files
 
 
+def test_results_without_boxes_are_scored_by_their_points_and_told(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    rows = json.loads(results.read_text())
+    for row in rows:
+        del row["bbox"]
+        row["keypoints"][:9] = [0] * 9
+    results.write_text(json.dumps(rows))
+    code, _, err = skope("eval", "--annotations", truth, "--predictions", results, "--iou", "0.5", "--out", "scores")
+    assert code == 0, err
+    assert "warning: " in err
+    assert "results.json: 2 results without bbox, first for image 1: their boxes are taken as the extent" in err
+    (split,) = json.loads(Path("scores/metrics.json").read_text())["splits"].values()
+    assert split["iou"]["0.5"]["matched"] == 1
+
+
+def test_annotations_that_cannot_be_right_are_told(skope: Any, tmp_path: Path) -> None:
+    truth, results = write_pair(tmp_path)
+    file = coco.read(truth)
+    first, second = file.annotations
+    points = first.keypoints.copy()
+    points[3] = [150, 110, 2]
+    spoilt = (replace(first, keypoints=points), replace(second, bbox=second.bbox * [1, 1, 1, 0]))
+    coco.write(truth, replace(file, annotations=spoilt))
+    err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")[2]
+    assert "1 vehicle with a box without area, which nobody can find; first: annotation 2" in err
+    assert "1 vehicle with keypoints called visible far outside of the box" in err
+
+
 def test_two_files_alone(skope: Any, tmp_path: Path) -> None:
     truth, results = write_pair(tmp_path)
     code, out, err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")

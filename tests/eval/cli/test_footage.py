@@ -48,6 +48,15 @@ def numbered_video(path: Path, count: int, codec: str = "mp4v") -> Path:
 # -------------------------------------------------------------------------------------------------------------- footage
 
 
+def test_frames_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for i in (1, 2, 9, 10, 11, 100):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((8, 8, 3), i, np.uint8))
+    (tmp_path / "._1.png").write_bytes(b"\0")
+    for source in (tmp_path, tmp_path / "*.png"):
+        seen = [int(pixels[0, 0, 0]) for _, pixels in open_footage(str(source)).frames()]
+        assert seen == [1, 2, 9, 10, 11, 100]
+
+
 def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
     footage = open_footage(str(numbered_video(tmp_path / "v.mp4", 30)), Cut(every=4, start_s=0.5, end_s=2.6))
     frames = list(footage.frames())

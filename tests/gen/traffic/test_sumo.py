@@ -1,6 +1,8 @@
 """Traffic in the towns: tyres on sloped roads, bodies where SUMO has them, vehicles that do not run into each other."""
 
+import tempfile
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,3 +157,10 @@ def test_parked_vehicles_stand_in_their_bays_all_the_time() -> None:
         assert np.hypot(*(bays - stays[0][:2, 3]).T).min() < 0.5
     boxes = [footprint(moment, i) for i, vehicle in enumerate(moment.vehicles) if vehicle.parked]
     assert max(overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k]) < 0.05
+
+
+def test_the_folder_for_temporary_files_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SUMO takes a comma in a list of files for the end of a name."""
+    (tmp_path / "a, b ü").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "a, b ü"))
+    assert recorded("t01_mill_corner", frames=1).vehicles

@@ -1,0 +1,120 @@
+"""Loading processes: as many as shared memory holds, and none lost with a sample."""
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from skope.console import Console
+from skope.train import loading
+from skope.train.data import TrainingSet
+from skope.train.loading import Loader
+from tests import samples
+from tests.train.test_data import training_set
+
+IMAGE = 160 * 120 * 3
+GROUPS = [[(0, i, 0)] for i in range(6)]
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> TrainingSet:
+    return training_set(samples.make_dataset(tmp_path, images=6, splits=("train",)))
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Sets the bytes that are free in shared memory."""
+
+    def put(free: int) -> None:
+        monkeypatch.setattr(loading.os, "statvfs", lambda _: SimpleNamespace(f_bavail=free, f_frsize=1))
+
+    return put
+
+
+@pytest.mark.parametrize(
+    ("free", "workers", "expected", "prefetch"),
+    [
+        (100 * IMAGE, 2, 2, 4),
+        (14 * IMAGE, 2, 2, 2),  # 4 batches of each, the one being made and the one learnt from do not fit
+        (9 * IMAGE, 2, 1, 2),
+        (3 * IMAGE, 2, 0, 2),
+        (0, 0, 0, 0),
+    ],
+)
+def test_as_many_as_shared_memory_holds(
+    images: TrainingSet,
+    room: Callable[[int], None],
+    capsys: pytest.CaptureFixture[str],
+    free: int,
+    workers: int,
+    expected: int,
+    prefetch: int,
+) -> None:
+    room(free)
+    loader = Loader(images, workers=workers, console=Console(quiet=True))
+    assert (loader._fit(1), loader.workers) == (prefetch, expected)
+    said = capsys.readouterr().err
+    assert said.count("\n") == int(expected < workers)
+    assert ("/dev/shm" in said and "--shm-size" in said) == (expected < workers)
+
+
+def test_several_processes_of_one_machine_share_it(
+    images: TrainingSet, room: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "4")
+    room(40 * IMAGE)
+    loader = Loader(images, workers=2, console=Console(quiet=True))
+    loader._fit(1)
+    assert loader.workers == 2
+    room(20 * IMAGE)
+    loader._fit(1)
+    assert loader.workers == 1
+
+
+def test_a_system_without_shared_memory_is_not_asked(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading, "SHARED_MEMORY", Path("/nowhere/at/all"))
+    loader = Loader(images, workers=1, console=Console(quiet=True))
+    assert (loader._fit(1), loader.workers) == (4, 1)
+
+
+class _Ending(TrainingSet):
+    """A training set at one of whose samples the process that loads it ends, or falls silent."""
+
+    how: str
+
+    def __getitem__(self, index: Any) -> Any:
+        if index[1] == 2 and os.getpid() != self.parent:  # type: ignore[attr-defined]
+            if self.how == "ends":
+                os.kill(os.getpid(), signal.SIGKILL)
+            signal.pause()
+        return super().__getitem__(index)
+
+
+@pytest.mark.parametrize("how", ["ends", "falls silent"])
+def test_no_sample_is_lost_with_a_process(
+    images: TrainingSet, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], how: str
+) -> None:
+    monkeypatch.setattr(loading, "_LOOK_S", 0.5)
+    monkeypatch.setattr(loading, "_SILENT_S", 2.0)
+    expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS)]
+    images.__class__ = _Ending
+    images.how, images.parent = how, os.getpid()  # type: ignore[attr-defined]
+    loader = Loader(images, workers=2, console=Console(quiet=True))
+    assert [batch[0].name for batch in loader.batches(GROUPS)] == expected
+    assert loader.workers == 0
+    said = capsys.readouterr().err
+    assert "warning: processes that load images have " in said
+    assert "this process loads them from here (--workers)" in said
+
+
+def test_waiting_for_a_silent_process_can_be_stopped(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading, "_LOOK_S", 0.3)
+    images.__class__ = _Ending
+    images.how, images.parent = "falls silent", os.getpid()  # type: ignore[attr-defined]
+    loader = Loader(images, workers=1, console=Console(quiet=True), stopping=lambda: True)
+    with pytest.raises(KeyboardInterrupt):
+        list(loader.batches(GROUPS))
