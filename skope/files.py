@@ -52,7 +52,9 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
             if not keep or same_content(path, temporary):
                 return
             if path.is_dir() and any(path.iterdir()):
-                raise UserError(f"{path}: holds other files than these; choose another folder, or remove what is there")
+                raise UserError(
+                    f"{path}: holds other files than these; choose another folder, or move what is there away"
+                )
             temporary.replace(whole)
     except UserError as error:  # what could not be written has its name below `path` for the user
         raise UserError(str(error).replace(str(temporary), str(path))) from error

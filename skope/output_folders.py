@@ -25,8 +25,8 @@ from skope.files import (
 from skope.version import __version__
 
 WORK: Final = "work.json"
-_CHOICE: Final = "choose another folder, or remove what is there"
-_OTHER_FILE: Final = "is there already, with other content; choose another file, or remove it"
+_CHOICE: Final = "choose another folder, or move what is there away"
+_OTHER_FILE: Final = "is there already, with other content; choose another file, or move it away"
 
 
 def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:

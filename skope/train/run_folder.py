@@ -167,7 +167,9 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
-        raise UserError(f"{run}: holds other files and no run; choose another folder by --out, or remove what is there")
+        raise UserError(
+            f"{run}: holds other files and no run; choose another folder by --out, or move what is there away"
+        )
     recipe = config.recipe
     model, detector_config, origin = init_weights.initialise(
         recipe.init,

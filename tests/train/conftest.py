@@ -11,7 +11,7 @@ from torchvision.models.resnet import Bottleneck, ResNet
 from skope import detector
 
 
-def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin") -> None:
+def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) -> None:
     """Have detectors made of the same parts with an eighth of the weights.
 
     Most of a short run is else spent on drawing, moving and saving 59 million weights. The `thin` body has blocks of
@@ -31,8 +31,8 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin") -> None:
     def network(backbone: nn.Module, *, num_classes: int, num_keypoints: int, **options: object) -> KeypointRCNN:
         return KeypointRCNN(
             backbone,
-            box_head=TwoMLPHead(backbone.out_channels * 7 * 7, 64),
-            box_predictor=FastRCNNPredictor(64, num_classes),
+            box_head=TwoMLPHead(backbone.out_channels * 7 * 7, heads),
+            box_predictor=FastRCNNPredictor(heads, num_classes),
             keypoint_head=KeypointRCNNHeads(backbone.out_channels, (32, 32)),
             keypoint_predictor=KeypointRCNNPredictor(32, num_keypoints),
             **options,

@@ -149,7 +149,8 @@ def check_free(weights: Path, work: Mapping[str, Any]) -> None:
         different = str(error)
     if different:
         raise UserError(
-            f"{path}: is there already, of other work ({different}); remove it, or calibrate a copy of the checkpoint"
+            f"{path}: is there already, of other work ({different}); move it away, or calibrate a copy of the "
+            "checkpoint"
         )
 
 
@@ -177,7 +178,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
-                "remove it, and run `skope eval calibrate` again"
+                "move it away, and run `skope eval calibrate`"
             )
     return _parsed(path, document)
 

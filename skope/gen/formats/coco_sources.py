@@ -87,7 +87,9 @@ def annotation_sources(
         folders = [source.resolve().parent.name] if _alone(source) else [*reversed(inside)]
         chosen, by = (split, "") if split else foreign_names.split_of(stem, folders)
         if not SPLIT_NAME.fullmatch(chosen):
-            raise UserError(f"{where}: {chosen!r} cannot be the name of a split: give one with --split")
+            raise UserError(
+                f"{where}: {chosen!r} cannot be the name of a split: rename the file, or read it alone with --split"
+            )
         if by == "folder":
             console.say(f"{where}: split {chosen}, as its folder is called (--split gives another)")
         elif by == "default":

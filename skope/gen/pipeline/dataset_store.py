@@ -126,7 +126,7 @@ class Store:
             return DatasetPlan.from_dict(read_json(path) if path == self._plan_path else read_card(self.root), path)
         except UserError as error:
             raise UserError(
-                f"{error}; {self.root} cannot be gone on with: choose another folder, or remove what is there"
+                f"{error}; {self.root} cannot be gone on with: choose another folder, or move what is there away"
             ) from None
 
     @property
@@ -158,7 +158,7 @@ class Store:
             )
             raise UserError(
                 f"{self.root}: was begun with other parameters ({list_}); "
-                "repeat those, choose another --out, or remove it"
+                "repeat those, choose another --out, or move it away"
             )
 
     def reopen(self, broken: Container[str] = (), lost: Container[str] = ()) -> None:
@@ -242,7 +242,7 @@ class Store:
         except (ValueError, KeyError, TypeError):
             whole = False
         if not whole:
-            raise UserError(f"{path}: is damaged; remove it, and its frame is made again")
+            raise UserError(f"{path}: is damaged; move it away, and its frame is drawn anew")
         return Labels(name, head["image"], rows, [*map(tuple, head["kinds"])], head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end

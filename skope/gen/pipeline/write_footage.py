@@ -71,7 +71,7 @@ def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
     if held == options:
         return
     what = f"of other footage ({', '.join(changed(held, options))})" if held else "and nothing says what it is of"
-    raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or remove it")
+    raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or move it away")
 
 
 def _options_of(labels: Path) -> Mapping[str, Any]:
