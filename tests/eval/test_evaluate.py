@@ -71,9 +71,7 @@ def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: P
         lambda: claim_output(tmp_path, "skope eval", [], {"score": 0.9}),
         lambda: seen(tmp_path, "a", {"b": "b"}),
     ):
-        with pytest.raises(
-            UserError, match=r"--out: .* holds other work \(.*\); choose another folder, or move what"
-        ):
+        with pytest.raises(UserError, match=r"--out: .* holds other work \(.*\); choose another folder, or move what"):
             taken()
     assert files_of(tmp_path) == before
 
