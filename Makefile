@@ -102,6 +102,7 @@ real: $(if $(REAL),$(STAMP))
 bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_gen.py
+	$(VENV)/bin/python scripts/bench_import.py
 	$(VENV)/bin/python scripts/bench_localize.py
 	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
 	$(SKOPE) gen video t06_plaza_opening --fps 10 --seconds 4 --out $(FOOTAGE) --quiet

@@ -71,7 +71,9 @@ def test_what_is_there_is_the_same_only_where_all_of_it_is(tmp_path: Path, chang
             (out / "b" / "c").write_text("z")
     before = [(path, path.stat().st_mtime_ns) for path in sorted(out.rglob("*"))]
     if change:
-        with pytest.raises(UserError, match="out: holds other files than these; choose another folder, or remove"):
+        with pytest.raises(
+            UserError, match="out: holds other files than these; choose another folder, or move what is there away"
+        ):
             again()
     else:
         again()

@@ -63,6 +63,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True, slow=True),
     Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
+    Run("bench_import.py", "--images 2 --rounds 1", says="AP: differs from pycocotools' by 0.0", apart=True),
     Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
     Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
     Run(

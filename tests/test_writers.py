@@ -58,7 +58,7 @@ class Row:
     """Folders whose files are written anew with other bytes."""
     beside: bool = False
     """Whether its files lie beside what others have in OUT."""
-    foreign: str = "remove|choose"
+    foreign: str = "move|choose"
     """What is said of how to go on where OUT holds nothing that a command has made."""
 
 
@@ -105,7 +105,7 @@ WRITERS = {
         own="gen render OUT --renderer pybullet --workers 1",
         other=None,
         ready=f"gen simulate {_GEN} --out OUT",
-        foreign="remove|`skope gen simulate --out .*` makes them",
+        foreign="move|`skope gen simulate --out .*` makes them",
     ),
     "gen check --repair": Row(
         own="gen check OUT --repair --workers 1",
@@ -411,7 +411,7 @@ def test_own_work_goes_on_and_nothing_else_is_touched(name: str, yard: Yard) -> 
         assert below(Path(), row.passing) == made, "gone on with"
 
     if row.other:
-        yard.refused(row.other, "remove|choose another")
+        yard.refused(row.other, "move|choose another")
 
     # Files of somebody's under the names of those that the command writes; then others, under other names.
     files = [path for path in place.rglob("*") if path.is_file()] or [place]

@@ -268,7 +268,7 @@ def test_damaged_labels_of_a_frame_are_named(tmp_path: Path, whole: Path) -> Non
         path.write_bytes(bad)
         result = skope("gen", "--out", str(out), *SMALL, "--workers", "1")
         assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-        assert f"{path}: is damaged; remove it" in result.stderr
+        assert f"{path}: is damaged; move it away" in result.stderr
     path.unlink()
     assert skope("gen", "--out", str(out), *SMALL, "--workers", "1").returncode == 0
     assert content(out) == content(whole)
