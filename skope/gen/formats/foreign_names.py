@@ -101,9 +101,8 @@ def slashed(name: str) -> str:
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", name):
         name = unquote(urlsplit(name).path).lstrip("/")
     name = name.replace("\\", "/")
-    while name.startswith("./"):
-        name = name.removeprefix("./")
-    return name
+    first = "/" if name.startswith("/") else ""
+    return first + "/".join(part for part in name.split("/") if part not in ("", "."))
 
 
 def endings(name: str) -> list[str]:

@@ -39,6 +39,8 @@ def test_only_names_of_splits_are_splits() -> None:
         ("file:///home/a/b.jpg", "home/a/b.jpg"),
         ("s3://bucket/c/d.jpg", "c/d.jpg"),
         ("a/b.jpg", "a/b.jpg"),
+        ("a//./b.jpg", "a/b.jpg"),
+        ("//server/share/b.jpg", "/server/share/b.jpg"),
     ],
 )
 def test_paths_of_other_systems(name: str, expected: str) -> None:
