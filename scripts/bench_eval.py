@@ -23,14 +23,14 @@ from pycocotools import mask as coco_mask
 
 from skope import detector, keypoints
 from skope.boxes import xyxy_to_xywh
-from skope.console import Console
-from skope.dataset import open_dataset, read_image
+from skope.dataset.folder import open_dataset, read_image
+from skope.dataset.image_selection import take
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.image_selection import take
 from skope.metrics.counts import Options
 from skope.metrics.precision_recall import score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.terminal.console import Console
 
 T = TypeVar("T")
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skope import coco
-from skope.camera import Camera
+from skope.camera.model import Camera
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.pose import solver
 from skope.eval.pose.shape_model import fleet_shapes

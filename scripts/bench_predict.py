@@ -33,8 +33,8 @@ from typing import Any, Final
 import torch
 from research.video_modes import COLUMNS, Counts, count
 
-from skope import coco, detector
-from skope.console import Console
+from skope import detector
+from skope.dataset import coco
 from skope.detector import MIN_SCORE
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, Pixels, open_footage
@@ -42,6 +42,7 @@ from skope.eval.inference.predict_footage import PredictJob, found_in
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
+from skope.terminal.console import Console
 
 SCORE: Final = 0.5
 WAYS: Final = {

@@ -34,8 +34,8 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.transforms import functional
 
 from skope import detector, keypoints
-from skope.console import Console
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
+from skope.terminal.console import Console
 from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms

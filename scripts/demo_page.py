@@ -19,12 +19,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import dataset, draw
+from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
 from skope.files import read_json, write_text
 from skope.page import document
 from skope.page.html_pieces import share, table, tag
+from skope.pictures import draw
 
 IOU = "0.6"
 SPLIT = "extra"
@@ -98,7 +99,7 @@ def page(run: Path, data: Path) -> tuple[str, str]:
     parts = (
         tag("h1", "What skope made here"),
         figure(
-            dataset.read_image(tracks / "birdseye.png"),
+            read_image(tracks / "birdseye.png"),
             "Vehicles followed in metres, from above",
             f"{tracked(tracks / 'tracks.csv')} Files: {files}.",
         ),
@@ -134,7 +135,7 @@ def middle_frame(video: Path) -> NDArray[np.uint8]:
 
 def labelled(data: Path) -> list[str]:
     """A figure of an image of each split with its ground truth."""
-    opened = dataset.open_dataset(data)
+    opened = open_dataset(data)
     out = []
     for split in opened.splits:
         images = list(opened.images(split))

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.dataset import open_dataset, read_image
+from skope.dataset.folder import open_dataset, read_image
 from skope.files import replacing
 
 Pixels = NDArray[np.uint8]

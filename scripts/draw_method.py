@@ -15,8 +15,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from skope import draw, keypoints
-from skope.camera import Camera
+from skope import keypoints
+from skope.camera.model import Camera
 from skope.files import replacing
 from skope.gen.inspect.vehicle_sheets import parked
 from skope.gen.labels.annotate import (
@@ -35,6 +35,7 @@ from skope.gen.scene.recording import Recording
 from skope.gen.simulation.simulate import simulate
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.keypoint_separation import wheel_plane
+from skope.pictures import draw
 from skope.schema import Annotation
 
 MODEL, POINT = "suv", "roof_front_left"

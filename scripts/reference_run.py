@@ -27,7 +27,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from skope.dataset import CARD
+from skope.dataset.folder import CARD
 from skope.detector import find_checkpoint
 from skope.gen.towns.sites import sites
 from skope.train.run_folder import resumable

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from skope import coco
+from skope.dataset import coco
 from skope.files import read_json
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import Matches, match

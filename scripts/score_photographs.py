@@ -26,8 +26,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, draw, image_selection, keypoints, safe_names
-from skope.console import Console
+from skope import keypoints, safe_names
+from skope.dataset import coco, image_selection
+from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import BACKENDS, PRECISIONS, Settings
@@ -39,7 +40,9 @@ from skope.metrics.match import Matches, match
 from skope.metrics.precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
 from skope.output_folders import claim_output
+from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Result
+from skope.terminal.console import Console
 
 IOU: Final = 0.5
 """Overlap from which a detection takes a vehicle."""
@@ -121,7 +124,7 @@ def read_photographs(path: Path) -> Photographs:
         if scene not in (None, ""):
             safe_names.name(f"{where}: scene", scene)
         try:
-            dataset.read_image(source.parent / image.file_name, (image.width, image.height))
+            read_image(source.parent / image.file_name, (image.width, image.height))
         except UserError as error:
             raise UserError(f"{where}: {error}") from None
         images.append(replace(image, site=scene or image.site or UNNAMED))
@@ -334,7 +337,7 @@ def write_sheets(photographs: Photographs, results: Sequence[Result], score: flo
     for number, first in enumerate(range(0, len(images), ROWS), start=1):
         panels = []
         for image in images[first : first + ROWS]:
-            pixels = dataset.read_image(photographs.source.parent / image.file_name, (image.width, image.height))
+            pixels = read_image(photographs.source.parent / image.file_name, (image.width, image.height))
             scale = math.ceil(PANEL_PX / image.width)
             found = [r for r in results if r.image_id == image.id and r.score >= score]
             partly = "" if image.id in photographs.complete else ", some boxes only"

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from skope.api import score as score
     from skope.api import torch_dataset as torch_dataset
     from skope.api import track as track
-    from skope.camera import Camera as Camera
+    from skope.camera.model import Camera as Camera
+    from skope.dataset import coco as coco
     from skope.errors import UserError as UserError
+    from skope.pictures import draw as draw
 
 _PLACES = {
     **dict.fromkeys(
@@ -36,18 +38,21 @@ _PLACES = {
         ),
         "skope.api",
     ),
-    "Camera": "skope.camera",
+    "Camera": "skope.camera.model",
     "UserError": "skope.errors",
 }
+_MODULES = {"coco": "skope.dataset.coco", "draw": "skope.pictures.draw"}
 
-__all__ = sorted((*_PLACES, "__version__"))
+__all__ = sorted((*_PLACES, *_MODULES, "__version__"))
 
 
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(_MODULES[name])
     if name not in _PLACES:
         raise AttributeError(f"module 'skope' has no attribute {name!r}")
     return getattr(import_module(_PLACES[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_PLACES})
+    return sorted({*globals(), *__all__})

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, dataset, weights
-from skope.camera import Camera
-from skope.dataset import Dataset
+from skope import weights
+from skope.camera.model import Camera
+from skope.dataset import coco, folder
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
 
@@ -41,7 +42,7 @@ def open_dataset(path: str | Path) -> Dataset:
     Raises:
         UserError: There is no finished dataset in the folder.
     """
-    return dataset.open_dataset(Path(path))
+    return folder.open_dataset(Path(path))
 
 
 def torch_dataset(path: str | Path, split: str = "train", *, supervise: str = "visible") -> "DetectionDataset":
@@ -94,7 +95,7 @@ class Detector:
 
     def many(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
         """Find the vehicles in several images, which go through the network together where they have one size."""
-        pixels = [one if isinstance(one, np.ndarray) else dataset.read_image(Path(one)) for one in images]
+        pixels = [one if isinstance(one, np.ndarray) else folder.read_image(Path(one)) for one in images]
         for one in pixels:
             if one.ndim != 3 or one.shape[2] != 3 or one.dtype != np.uint8:
                 raise ValueError(f"expected (H, W, 3) pixels of type uint8, got {one.shape} of type {one.dtype}")
@@ -128,9 +129,9 @@ def load_detector(
     Raises:
         UserError: There is no such checkpoint, it is damaged, or there is no such device.
     """
-    from skope.console import Console
     from skope.eval.inference.predictor import Predictor
     from skope.eval.inference.settings import Settings
+    from skope.terminal.console import Console
 
     settings = Settings(device=device, backend=backend, precision=precision, min_score=min_score, tiles=tiles)
     return Detector(Predictor(Path(checkpoint), settings, Console(quiet=True)))
@@ -172,9 +173,9 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
         UserError: The camera's shape is not the image's.
     """
     from skope.eval.pose import views
+    from skope.eval.pose.ground import Ground
     from skope.eval.pose.records import Located
     from skope.eval.pose.solver import locate as solve
-    from skope.eval.pose.types import Ground
 
     own = views.sized(camera, detections.size, "image")
     view = views.view_of(detections)
@@ -277,9 +278,9 @@ def generate(
         # A program that goes on with torch crashes where Mesa's compiler (LLVM) was loaded before torchvision's.
         import torchvision  # noqa: F401
 
-    from skope.console import Console
     from skope.gen.cli.options import DatasetOptions, WorkerOptions
     from skope.gen.pipeline.generate import generate_dataset
+    from skope.terminal.console import Console
 
     asked = DatasetOptions(
         preset=preset,

@@ -6,10 +6,10 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from skope.command_options import Commands
 from skope.errors import UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
+from skope.terminal.command_options import Commands
 from skope.train.cli import app as train_app
 
 

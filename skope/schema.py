@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints, safe_names
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array

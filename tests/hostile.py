@@ -10,10 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from skope import coco
-from skope.camera import Camera
-from skope.console import Console
-from skope.depth_files import depth_png
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.dataset.depth_files import depth_png
 from skope.files import json_bytes, write_json
 from skope.gen.labels.annotate import RuleCounts, Rules
 from skope.gen.output.card_counts import kind_of
@@ -26,6 +25,7 @@ from skope.gen.pipeline.workers import local_pool
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording
+from skope.terminal.console import Console
 from tests.gen.scenes import standing
 from tests.samples import make_annotation
 

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints
-from skope.camera import Camera
+from skope import keypoints
+from skope.camera.model import Camera
+from skope.dataset import coco
 from skope.files import write_json
 from skope.schema import Annotation, AnnotationFile, Image
 

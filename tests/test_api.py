@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import skope as door
-from skope import coco
+from skope.dataset import coco
 from skope.detector import Detections, detect, load_weights
 from skope.errors import UserError
 from skope.eval.pose.records import records

@@ -18,9 +18,7 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 import skope as package
-from skope import cli, command_options, schema
-from skope.command_options import Commands, Formerly, option
-from skope.console import Console
+from skope import cli, schema
 from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.annotate import OCCLUSION_RULES
@@ -33,6 +31,9 @@ from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.counts import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
 from skope.metrics.read_inputs import SCHEMES
+from skope.terminal import command_options
+from skope.terminal.command_options import Commands, Formerly, option
+from skope.terminal.console import Console
 from skope.train.export import FORMATS as EXPORTS
 from skope.train.init_weights import INITS
 from skope.train.recipe import CHOICES, SUPERVISE
@@ -384,7 +385,7 @@ def test_slow_work_without_a_terminal_says_something_each_half_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("skope.console.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("skope.terminal.console.time.monotonic", lambda: clock[0])
     bar = Console().bar(total=1000, unit="image", label="slow")
     for _ in range(10):
         clock[0] += 10

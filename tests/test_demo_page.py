@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import coco, draw
+from skope.dataset import coco
+from skope.pictures import draw
+from skope.pictures.video import write_video
 from skope.schema import Result
-from skope.video import write_video
 from tests.samples import make_dataset
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"

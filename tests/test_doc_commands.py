@@ -9,7 +9,7 @@ from typing import Final
 
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.schema import Result
 from tests.eval.cli.test_footage import numbered_video
 from tests.samples import make_dataset

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import coco, keypoints
+from skope import keypoints
 from skope.boxes import xyxy_to_xywh
-from skope.camera import Camera
+from skope.camera.model import Camera
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.formats.skope3d import CORNERS

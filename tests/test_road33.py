@@ -9,8 +9,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from skope import activation_ranges, coco, detector, keypoints, weights
-from skope.dataset import PREDICTIONS
+from skope import activation_ranges, detector, keypoints, weights
+from skope.dataset import coco
+from skope.dataset.folder import PREDICTIONS
 from skope.detector import Detections, detect
 from tests.samples import make_dataset
 

@@ -21,8 +21,9 @@ from typing import Any
 import pytest
 import typer
 
-from skope import cli, coco, safe_names, shards
-from skope.dataset import open_dataset
+from skope import cli, safe_names
+from skope.dataset import coco, shards
+from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.gen.formats.convert import WRITERS
 from skope.gen.output.writers import checksum, unpack_shards

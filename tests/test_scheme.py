@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from skope import coco, detector, keypoints
-from skope.dataset import open_dataset
+from skope import detector, keypoints
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.keypoints import PUBLISHED, SKOPE33

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from skope import coco, detector, keypoints
+from skope import detector, keypoints
+from skope.dataset import coco
 from skope.files import read_json, write_json
 from skope.keypoints import INDEX
 from skope.schema import Annotation, AnnotationFile, Result, category

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose
 from tests.eval.cli.test_footage import numbered_video

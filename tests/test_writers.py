@@ -18,14 +18,15 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from skope import cli, coco, detector
-from skope.console import Console
+from skope import cli, detector
+from skope.dataset import coco
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
+from skope.terminal.console import Console
 from tests import hostile
 from tests.eval.sightings import drive
 from tests.eval.test_evaluate import POINTS, scene
-from tests.gen.vehicles.test_keypoint_markers import nodes, written
+from tests.gen.vehicles.test_marked_models import nodes, written
 from tests.samples import make_annotation, make_dataset
 from tests.train.conftest import shrink
 

@@ -37,11 +37,11 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector
-from skope.console import Console
-from skope.dataset import CARD, open_dataset
+from skope.dataset.folder import CARD, open_dataset
+from skope.dataset.image_selection import take
 from skope.files import read_json, write_json, write_text
-from skope.image_selection import take
 from skope.schema import VEHICLE_TYPES
+from skope.terminal.console import Console
 from skope.train import loop, run_folder, splits, validate
 from skope.train.recipe import RECIPES, Recipe, adjusted
 from skope.train.run_folder import RunConfig

@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from skope import boxes, coco
+from skope import boxes
+from skope.dataset import coco
 from skope.eval.pose.views import MATCH_IOU
 from skope.schema import Annotation, AnnotationFile, Result
 

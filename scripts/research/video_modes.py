@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from skope import coco
-from skope.dataset import PREDICTIONS
+from skope.dataset import coco
+from skope.dataset.folder import PREDICTIONS
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import match
 from skope.metrics.precision_recall import ranked, recall_at_precision

@@ -6,22 +6,24 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from skope import coco, draw, keypoints, shards
-from skope.console import Console, counted
-from skope.dataset import read_image
+from skope import keypoints
+from skope.dataset import coco, shards
+from skope.dataset.folder import read_image
+from skope.dataset.image_selection import take
 from skope.errors import UserError
 from skope.eval import report
 from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
 from skope.eval.report import table
 from skope.files import write_json, write_text
-from skope.image_selection import take
 from skope.metrics import precision_recall, read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.output_folders import claim_output
+from skope.pictures import draw
 from skope.schema import AnnotationFile, Result, far_outside
+from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
     from skope.eval.inference.predictor import Predictor

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco, dataset, keypoints
+from skope import keypoints
+from skope.dataset import coco
+from skope.dataset.folder import CARD, MANIFEST, open_dataset
+from skope.dataset.image_selection import take
 from skope.errors import UserError, one_of
-from skope.image_selection import take
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
@@ -38,13 +40,13 @@ class GroundTruth:
 
 def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
     """The named splits of a dataset folder; without names, all test splits that it has."""
-    data = dataset.open_dataset(root)
+    data = open_dataset(root)
     wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
     if not wanted:
         there = ", ".join(data.splits) or "none"
         raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
     splits = tuple(data.read(name) for name in wanted)
-    manifest = root / dataset.MANIFEST
+    manifest = root / MANIFEST
     sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
     return GroundTruth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
 
@@ -58,10 +60,10 @@ def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
         substituted = {str(model): tuple(names) for model, names in entry["substituted"].items()}
         unknown = {name for names in substituted.values() for name in names} - set(keypoints.NAMES)
         if unknown:
-            raise UserError(f"{root / dataset.CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
+            raise UserError(f"{root / CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
         return FleetInfo(held_out=frozenset(entry["held_out"]), substituted=substituted)
     except (KeyError, TypeError, AttributeError):
-        raise UserError(f"{root / dataset.CARD}: fleet: expected held_out and substituted") from None
+        raise UserError(f"{root / CARD}: fleet: expected held_out and substituted") from None
 
 
 def read_annotations(path: Path) -> GroundTruth:

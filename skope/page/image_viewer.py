@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skope import dataset, keypoints
+from skope import keypoints
 from skope.boxes import xywh_to_xyxy
+from skope.dataset.folder import read_image
 from skope.page.html_pieces import tag
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,7 @@ _LINES_AWAY: Final = 12
 
 def embedded(path: Path, size: tuple[int, int]) -> str:
     """An image file of `size` (width, height) as a data address; a UserError says what is wrong with it."""
-    return jpeg(dataset.read_image(path, size))
+    return jpeg(read_image(path, size))
 
 
 def jpeg(pixels: NDArray[np.uint8], *, longest: int = LONGEST, quality: int = QUALITY) -> str:

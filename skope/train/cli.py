@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
-from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
-from skope.console import Console
 from skope.errors import UserError
+from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
+from skope.terminal.console import Console
 
 _RECIPES = "the recipe's"
 
@@ -91,7 +91,7 @@ def run(
         if number is not None and number < 0:
             raise UserError(f"--{name}: expected a number from 0, got {number}")
 
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.detector import choose_device, has_bfloat16
     from skope.train import configure
     from skope.train.loop import Saving, train

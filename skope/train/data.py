@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset as TorchDataset
 
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 from skope.schema import Image
 from skope.train import ignored_regions

@@ -19,11 +19,13 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import activation_ranges, dataset, detector, image_selection, keypoints, weights
-from skope.console import Console
+from skope import activation_ranges, detector, keypoints, weights
+from skope.dataset import image_selection
+from skope.dataset.folder import open_dataset
 from skope.detector import DetectorConfig
 from skope.errors import UserError, one_of
 from skope.output_folders import check_file, write_new
+from skope.terminal.console import Console
 from skope.train import input_moments
 from skope.train.splits import SPLIT
 
@@ -124,7 +126,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 
 def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
-    opened = dataset.open_dataset(data)
+    opened = open_dataset(data)
     images = image_selection.take(opened.read(SPLIT), IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")

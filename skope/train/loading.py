@@ -15,8 +15,8 @@ from typing import Final
 import cv2
 from torch.utils.data import DataLoader
 
-from skope.console import Console, disk_size
 from skope.errors import UserError
+from skope.terminal.console import Console, disk_size
 from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.interrupt import ignore_signals
 

@@ -10,11 +10,11 @@ from typing import Any, Final, Self
 
 import torch
 
-from skope.console import Console, counted, minutes
 from skope.detector import checkpoint_name
 from skope.errors import UserError
 from skope.files import write_text
 from skope.keypoints import SCHEMES
+from skope.terminal.console import Console, counted, minutes
 from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup

@@ -8,11 +8,11 @@ from typing import Any, Final, Protocol
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope import draw
-from skope.console import counted
-from skope.dataset import read_image
+from skope.dataset.folder import read_image
 from skope.files import replacing
+from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile
+from skope.terminal.console import counted
 from skope.train import validate
 
 OVERLAYS: Final = 4

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skope import keypoints
-from skope.console import counted
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.detector import BEST
+from skope.terminal.console import counted
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.validate import rank
 from skope.version import __version__

@@ -26,12 +26,12 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchvision.models.detection import KeypointRCNN
 
 from skope import detector, keypoints
-from skope.console import disk_size
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.detector import BEST, DetectorConfig
 from skope.errors import UserError
 from skope.files import locked, read_json, unwritable, write_bytes, write_json, write_text
 from skope.keypoints import Scheme
+from skope.terminal.console import disk_size
 from skope.train import init_weights, validate
 from skope.train.recipe import Recipe
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from skope import dataset, image_selection, shards
-from skope.dataset import Dataset
+from skope.dataset import image_selection, shards
+from skope.dataset.folder import MANIFEST, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import read_bytes
 from skope.keypoints import Scheme
@@ -46,7 +46,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
 
     `max_images` limits what is learnt from, to images with vehicles, evenly spread.
     """
-    opened = dataset.open_dataset(root)
+    opened = open_dataset(root)
     file = opened.read(SPLIT)
     path = root / "annotations" / f"{SPLIT}.json"
     if not file.images:
@@ -92,7 +92,7 @@ def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
     # The labels of shards have their checksums in the manifest.
-    digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / dataset.MANIFEST))
+    digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / MANIFEST))
     for image in images:
         digest.update(f"{image.file_name} {shards.size(root / image.file_name)}\n".encode())
     return digest.hexdigest()

@@ -10,7 +10,7 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes, detector
-from skope.dataset import read_image
+from skope.dataset.folder import read_image
 from skope.metrics.precision_recall import Options, score_split
 from skope.schema import AnnotationFile, Result
 

@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import draw
 from skope.metrics import counts
 from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.match import Integers, box_of
 from skope.metrics.precision_recall import match_split
+from skope.pictures import draw
 from skope.schema import Annotation, Image, Result
 from skope.types import Array
-from skope.viewer import vehicle_kinds
+from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture
 
@@ -55,7 +55,7 @@ class Documents:
     def index(self) -> dict[str, Any]:
         """What the page is of, and a row of each image in columns: its name, what filters ask of it and its vehicles.
 
-        Vehicles are numbers of `vehicle_kinds`, each once.
+        Vehicles are numbers of `vehicle_filters`, each once.
         """
         options, scheme = self._collection.options, self._collection.splits[0].file.scheme
         return {
@@ -67,7 +67,7 @@ class Documents:
             "skeleton": [list(edge) for edge in scheme.skeleton],
             "names": [image.file_name for split in self._collection.splits for image in split.file.images],
             "facets": [self._facet(name, value) for name, value in _FACETS.items()],
-            "qualities": vehicle_kinds.described(),
+            "qualities": vehicle_filters.described(),
             "kinds": [kinds for split in self._splits for kinds in split.kinds()],
         }
 
@@ -113,7 +113,7 @@ class _SplitDocuments:
         self._boxes = self._options.boxes if self._options else "full"
         groups = split.file.by_image()
         self._vehicles = [groups[image.id] for image in split.file.images]
-        self._kinds = {a.id: vehicle_kinds.kind_number(a, self._boxes) for a in split.file.annotations}
+        self._kinds = {a.id: vehicle_filters.kind_number(a, self._boxes) for a in split.file.annotations}
         if self._options:
             # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
             options = replace(self._options, score=0.0)

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import dataset, shards
+from skope.dataset import shards
+from skope.dataset.folder import read_image
 
 _SHOWN: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
 """Media types of the files that every browser shows, by suffix."""
@@ -27,7 +28,7 @@ def read_picture(path: Path) -> Picture:
     """The picture in a file, or in a shard's member; a UserError says what is wrong with it."""
     media_type = _SHOWN.get(path.suffix.lower())
     if media_type is None:
-        return encoded(dataset.read_image(path))
+        return encoded(read_image(path))
     return Picture(media_type=media_type, data=shards.read(path))
 
 

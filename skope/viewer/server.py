@@ -9,9 +9,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from typing import Any, Final
 
-from skope.console import Console
 from skope.errors import UserError
 from skope.files import json_bytes
+from skope.terminal.console import Console
 from skope.viewer.collection import Collection
 from skope.viewer.documents import STEPS, Documents
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 

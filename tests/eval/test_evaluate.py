@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.output_folders import WORK, claim_output, move_new, replaceable_output, write_new
 from skope.schema import AnnotationFile, Result

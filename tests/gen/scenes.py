@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.people import Look
 from skope.gen.scene.conditions import Conditions

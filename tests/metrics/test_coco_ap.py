@@ -9,7 +9,7 @@ import pytest
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from skope import coco
+from skope.dataset import coco
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options
 from skope.schema import AnnotationFile, Result

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from skope import coco, keypoints
-from skope.console import Console
+from skope import keypoints
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.terminal.console import Console
 from skope.train import data, splits
 from skope.train.augment import Augment
 from skope.train.data import TrainingSet

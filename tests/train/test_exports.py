@@ -15,9 +15,9 @@ from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skope import detector
-from skope.console import Console
-from skope.dataset import read_image
+from skope.dataset.folder import read_image
 from skope.errors import UserError
+from skope.terminal.console import Console
 from skope.train import input_moments
 from skope.train.export import OUTPUTS, Deployed, export
 from tests import samples

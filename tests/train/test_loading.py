@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from skope.console import Console
+from skope.terminal.console import Console
 from skope.train import loading
 from skope.train.data import TrainingSet
 from skope.train.loading import Loader

@@ -14,10 +14,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from skope import coco, detector
-from skope.console import Console
-from skope.dataset import read_image
+from skope import detector
+from skope.dataset import coco
+from skope.dataset.folder import read_image
 from skope.errors import UserError
+from skope.terminal.console import Console
 from skope.train import loop, run_folder, step
 from skope.train.augment import STEPS, Augment
 from skope.train.loop import Saving

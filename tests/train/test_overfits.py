@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skope import boxes, detector
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
 from skope.schema import Annotation
 from skope.train.augment import Augment
 from skope.train.recipe import RECIPES

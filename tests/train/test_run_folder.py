@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from skope import detector
-from skope.console import Console
 from skope.detector import DetectorConfig
 from skope.errors import UserError
+from skope.terminal.console import Console
 from skope.train.export import FORMATS, export
 from tests.test_detector import SMALL
 from tests.train.conftest import shrink

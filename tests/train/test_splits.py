@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.schema import AnnotationFile
 from skope.train import splits

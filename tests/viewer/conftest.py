@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from skope import coco
-from skope.dataset import open_dataset
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.metrics.counts import Options
 from skope.schema import Result
 from skope.viewer.collection import Collection, ShownSplit

@@ -15,16 +15,16 @@ from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options
 from skope.metrics.split_scores import SplitScores, measure
 from skope.schema import Result
-from skope.viewer import vehicle_kinds
+from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.documents import STEPS, Documents
-from skope.viewer.vehicle_kinds import HEIGHT, OCCLUSION, QUALITIES, TYPE, kind_number
+from skope.viewer.vehicle_filters import HEIGHT, OCCLUSION, QUALITIES, TYPE, kind_number
 from tests.samples import make_annotation, make_dataset
 from tests.viewer.conftest import HOSTILE
 
 
 def values_of(kind: int) -> tuple[str, ...]:
-    """The words that a number of `vehicle_kinds` stands for, worked out as the page does."""
+    """The words that a number of `vehicle_filters` stands for, worked out as the page does."""
     out = []
     for quality in reversed(QUALITIES):
         kind, place = divmod(kind, len(quality.values))
@@ -79,11 +79,11 @@ def test_bands_are_those_of_the_breakdown(height: float, occlusion: float, bands
     vehicle = replace(make_annotation(1, 1, (0, 0, 9, height)), occlusion=occlusion)
     for boxes in ("full", "visible"):
         assert values_of(kind_number(vehicle, boxes))[1:] == bands[::-1]
-    assert [quality["name"] for quality in vehicle_kinds.described()] == [TYPE.name, OCCLUSION.name, HEIGHT.name]
+    assert [quality["name"] for quality in vehicle_filters.described()] == [TYPE.name, OCCLUSION.name, HEIGHT.name]
 
 
 def test_images_of_several_splits_are_numbered_through(labelled: Collection, tmp_path: Path) -> None:
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
 
     more = open_dataset(make_dataset(tmp_path / "more", images=3, splits=("hard",))).read("hard")
     documents = Documents(replace(labelled, splits=(*labelled.splits, ShownSplit(file=more))))

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from skope import weights
-from skope.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel, separated
-from skope.console import Console
 from skope.errors import UserError
 from skope.eval.cli import footage, view
 from skope.eval.cli.options import MachineOptions, machine
+from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel, separated
+from skope.terminal.console import Console
 
 GIVEN = "given"
 PAPER = "paper"

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skope import weights
-from skope.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
-from skope.console import Console
-from skope.dataset import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions
 from skope.eval.inference.settings import TILES
 from skope.output_folders import claim_output
+from skope.terminal.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
+from skope.terminal.console import Console
 
 if TYPE_CHECKING:
     from skope.eval.pose.views import Scene

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from skope.command_options import panel
 from skope.eval.inference.settings import BACKENDS, PRECISIONS
+from skope.terminal.command_options import panel
 
 if TYPE_CHECKING:
     from skope.eval.inference.settings import Settings

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from skope.command_options import PortOption
-from skope.console import Console
+from skope.terminal.command_options import PortOption
+from skope.terminal.console import Console
 
 
 def view(

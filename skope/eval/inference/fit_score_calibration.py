@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import detector
-from skope.console import Console
+from skope.dataset.image_selection import held_back, ignoring, last_frames
 from skope.detector import find_checkpoint
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
 from skope.eval.inference.predictor import CALIBRATED, Predictor
 from skope.eval.inference.score_calibration import ALPHA, IOU
 from skope.eval.inference.settings import Settings
-from skope.image_selection import held_back, ignoring, last_frames
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
 from skope.output_folders import check_file, work_of, write_new
 from skope.schema import AnnotationFile
+from skope.terminal.console import Console
 from skope.types import Array
 from skope.weights import shipped
 

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import dataset, safe_names
+from skope import safe_names
+from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.schema import Image
@@ -132,7 +133,7 @@ class Footage:
         whole = zip(self.images[::every], self.names[::every], strict=True)
         for number, (path, name) in enumerate(itertools.islice(whole, first, None), start=first + 1):
             try:
-                pixels = dataset.read_image(path)
+                pixels = read_image(path)
             except UserError as error:
                 self._skip(str(error))
                 continue

@@ -13,10 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import coco, draw
-from skope.camera import Camera
-from skope.console import Console
-from skope.dataset import FRAMES, PREDICTIONS
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detector import choose_device
 from skope.errors import UserError
 from skope.eval.inference.anonymize import blurred
@@ -30,8 +29,10 @@ from skope.eval.pose.views import with_camera
 from skope.files import replacing, sha256_of
 from skope.keypoints import Scheme
 from skope.output_folders import claim_output
+from skope.pictures import draw
+from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image, Result
-from skope.video import write_video
+from skope.terminal.console import Console
 
 _PROGRESS: Final = ".predict.jsonl"
 OVERLAY: Final = "overlay.mp4"

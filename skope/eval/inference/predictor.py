@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
-from skope import boxes, dataset, detector, keypoints
-from skope.console import Console, minutes
+from skope import boxes, detector, keypoints
+from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.backends.prepare import prepare
@@ -24,6 +24,7 @@ from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.terminal.console import Console, minutes
 from skope.weights import shipped
 
 Pixels = NDArray[np.uint8]
@@ -204,7 +205,7 @@ def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[
     """Images with their pixels, in order; up to `ahead` of them are decoded while the caller computes."""
 
     def read(image: Image) -> Pixels:
-        return dataset.read_image(root / image.file_name, size=(image.width, image.height))
+        return read_image(root / image.file_name, size=(image.width, image.height))
 
     left = iter(images)
     waiting: deque[tuple[Image, Future[Any]]] = deque()

@@ -15,13 +15,13 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.eval.pose import initialize
 from skope.eval.pose.candidates import best_types
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.shape_model import fleet_shapes
-from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene
 from skope.types import Array
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.types import Array
 
 Mask = NDArray[np.bool_]

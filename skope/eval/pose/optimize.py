@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
+from skope.eval.pose.ground import IMPOSSIBLE, Ground, Starts
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.shape_model import Shapes
-from skope.eval.pose.types import IMPOSSIBLE, Ground, Starts
 from skope.types import Array
 
 if TYPE_CHECKING:
-    from skope.eval.pose.types import Starts
+    from skope.eval.pose.ground import Starts
 
 _STEPS: Final = 12
 """Steps of the optimiser at most."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from skope.eval.pose.records import Located, locate_view
 from skope.eval.pose.views import Scene
 from skope.schema import Annotation, Box3D
-from skope.text_table import text_table
+from skope.terminal.text_table import text_table
 from skope.types import Array
 
 DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
 from skope.files import write_text

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.eval.pose.candidates import FEWEST, best_types, refined, starts_of
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.optimize import Fits
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
-from skope.eval.pose.types import Ground
 from skope.types import Array
 
 Rows = NDArray[np.intp]

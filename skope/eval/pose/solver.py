@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.eval.pose.candidates import FEWEST, INLIER, best_types, share
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed, observe
 from skope.eval.pose.optimize import Fits
 from skope.eval.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
-from skope.eval.pose.types import Ground
 from skope.types import Array
 
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints
-from skope.camera import Camera
-from skope.camera_files import read_calibration
-from skope.dataset import FRAMES, PREDICTIONS
+from skope import keypoints
+from skope.camera.calibration_files import read_calibration
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
-from skope.eval.pose.types import Ground
+from skope.eval.pose.ground import Ground
 from skope.files import read_json
 from skope.metrics import read_inputs
 from skope.metrics.match import match
@@ -217,7 +218,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera
     """A camera from a file, and whether the file says where it hangs: else its own frame is the world.
 
     Read are what `skope eval camera` writes, annotation files (their first image's camera) and the calibrations of
-    `skope.camera_files`. `size` serves where the file says nothing of it.
+    `skope.camera.calibration_files`. `size` serves where the file says nothing of it.
     """
     if path.suffix.lower() == ".json":
         document = read_json(path)

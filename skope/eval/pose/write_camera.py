@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
-from skope.camera_pose import fit_camera as fit_to_points
+from skope.camera.model import Camera
+from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.views import read_scene

@@ -18,7 +18,7 @@ from skope.metrics import precision_recall
 from skope.metrics.counts import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference
 from skope.metrics.split_scores import from_tallies
-from skope.text_table import text_table
+from skope.terminal.text_table import text_table
 
 T = TypeVar("T")
 

@@ -10,7 +10,7 @@ from skope.errors import one_of
 from skope.metrics.counts import PROTOCOLS
 from skope.metrics.intervals import ENOUGH_SITES
 from skope.metrics.precision_recall import AT_PRECISION
-from skope.text_table import text_table
+from skope.terminal.text_table import text_table
 
 _MEANING: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from skope.camera import Camera
-from skope.console import counted
-from skope.eval.pose.types import Ground
+from skope.camera.model import Camera
+from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_view import GroundView, Pixels
 from skope.eval.tracking.tracks import Track
 from skope.files import replacing
+from skope.terminal.console import counted
 from skope.types import Array
 
 if TYPE_CHECKING:

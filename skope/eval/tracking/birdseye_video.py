@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
-from skope.draw import PALETTE
-from skope.eval.pose.types import Ground
+from skope.camera.model import Camera
+from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye import extent
 from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.tracks import Track
+from skope.pictures.draw import PALETTE
 from skope.types import Array
 
 Pixels = NDArray[np.uint8]

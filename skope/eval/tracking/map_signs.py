@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.eval.tracking.tracks import Track
 from skope.types import Array
 

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
-from skope.console import Console
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
@@ -21,7 +20,8 @@ from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.files import replacing, write_text
-from skope.video import write_video
+from skope.pictures.video import write_video
+from skope.terminal.console import Console
 
 _PROGRESS: Final = ".poses.jsonl"
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skope import coco
-from skope.dataset import FRAMES, PREDICTIONS
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
 from skope.eval.view.video_frames import VideoFrames

@@ -4,18 +4,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from skope import dataset, keypoints
-from skope.console import Console
-from skope.dataset import FRAMES
+from skope import keypoints
+from skope.dataset.folder import CARD, FRAMES, MANIFEST
+from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.report import compare
 from skope.eval.view.footage_folder import footage_collection
 from skope.files import sha256_of
-from skope.image_selection import part
 from skope.metrics import read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.schema import AnnotationFile, Result
+from skope.terminal.console import Console
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import read_picture
 
@@ -76,9 +76,9 @@ def _inputs(path: Path, metrics: Mapping[str, Any]) -> dict[str, str]:
 def _ground_truth(path: Path, inputs: Mapping[str, str], names: Sequence[str]) -> GroundTruth:
     """The ground truth of the splits `names`, which must still be what was evaluated."""
     source = Path(next(iter(inputs)))
-    roots = [source.parent] if source.name == dataset.MANIFEST else []
+    roots = [source.parent] if source.name == MANIFEST else []
     roots += [source.parent.parent] if source.parent.name == "annotations" else []
-    root = next((root for root in roots if (root / dataset.CARD).is_file()), None)
+    root = next((root for root in roots if (root / CARD).is_file()), None)
     _check_unchanged(path, source, inputs)
     truth = read_inputs.read_dataset(root, names) if root else read_inputs.read_annotations(source)
     for other in truth.sources[1:]:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from skope.command_options import DATA, DIR, Commands, JsonOption, option
-from skope.console import Console, counted
 from skope.gen.cli import convert, inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
 from skope.output_folders import replaceable_output
+from skope.terminal.command_options import DATA, DIR, Commands, JsonOption, option
+from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import DatasetRequest

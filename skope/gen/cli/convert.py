@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from skope.command_options import DIR, FILE, LIST, Formerly, option
-from skope.console import Console
 from skope.errors import UserError
+from skope.terminal.command_options import DIR, FILE, LIST, Formerly, option
+from skope.terminal.console import Console
 
 _WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
 _READ = ("coco", "cvat", "skope3d")

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.command_options import (
+from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
+from skope.output_folders import replaceable_output
+from skope.terminal.command_options import (
     DATA,
     DIR,
     GALLERIES,
@@ -23,12 +25,10 @@ from skope.command_options import (
     panel,
     separated,
 )
-from skope.console import Console
-from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
-from skope.output_folders import replaceable_output
+from skope.terminal.console import Console
 
 if TYPE_CHECKING:
-    from skope.dataset import Dataset
+    from skope.dataset.folder import Dataset
 
 layer = panel("What to draw")
 
@@ -56,7 +56,7 @@ def check(
     json: JsonOption = False,
 ) -> None:
     """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.gen.inspect.check import check as find
     from skope.gen.inspect.diff import differences
     from skope.gen.inspect.repair import repair as mend
@@ -88,7 +88,7 @@ def stats(
     json: JsonOption = False,
 ) -> None:
     """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.gen.inspect.stats import plot, split_stats, table
 
     folder, drawn = open_dataset(dataset), None
@@ -126,7 +126,7 @@ def show(
     ] = None,
 ) -> None:
     """Draw labels on images: keypoints by default, and anything else of them."""
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.gen.inspect.overlays import LAYERS, one_image, sheets
 
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
@@ -157,7 +157,7 @@ def report(
     ] = None,
 ) -> None:
     """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.gen.inspect.report import write_report
 
     folder = open_dataset(dataset)
@@ -181,7 +181,7 @@ def view(
     port: PortOption = None,
 ) -> None:
     """Look through all images of a dataset in the browser, with layers to switch and filters; Ctrl-C ends it."""
-    from skope.dataset import open_dataset
+    from skope.dataset.folder import open_dataset
     from skope.gen.inspect.view import dataset_collection
     from skope.viewer.server import serve
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Final
 
-from skope.command_options import LIST, SITE, SIZE, panel
-from skope.console import counted
 from skope.errors import UserError
+from skope.terminal.command_options import LIST, SITE, SIZE, panel
+from skope.terminal.console import counted
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import DatasetRequest

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from skope.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
-from skope.console import Console
 from skope.output_folders import replaceable_output
-from skope.text_table import text_table
+from skope.terminal.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
+from skope.terminal.console import Console
+from skope.terminal.text_table import text_table
 
 
 def sites(
@@ -68,9 +68,9 @@ def _table() -> tuple[dict[str, Any], list[str]]:
 
 def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
     """Draw the plan of every town; which files were written, as a document and as lines."""
-    from skope import draw
     from skope.gen.inspect.town_maps import town_map
     from skope.gen.towns.town import towns
+    from skope.pictures import draw
 
     paths = []
     # Folders are recognised by this spelling of the command, which is older than --maps.
@@ -84,10 +84,10 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """Check a site file and draw its lanes; what it says, as a document and as lines."""
-    from skope import draw
     from skope.gen.site_files.lane_overlay import overlay
     from skope.gen.site_files.site_file import read_site
     from skope.gen.towns.road_graph import RoadGraph
+    from skope.pictures import draw
 
     own = read_site(path)
     road, graph = own.road, RoadGraph.of(own.site.town)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skope.command_options import DIR, VEHICLE_SHEETS, Commands, option
-from skope.console import Console, counted
 from skope.errors import UserError
 from skope.gen.cli.options import RendererOption
 from skope.output_folders import replaceable_output
 from skope.safe_names import name as check_name
-from skope.text_table import text_table
+from skope.terminal.command_options import DIR, VEHICLE_SHEETS, Commands, option
+from skope.terminal.console import Console, counted
+from skope.terminal.text_table import text_table
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.model import Vehicle
@@ -78,10 +78,10 @@ def show(
     renderer: RendererOption = "auto",
 ) -> None:
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
-    from skope import draw
     from skope.gen.inspect.vehicle_sheets import sheet
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.vehicles import user_models
+    from skope.pictures import draw
 
     engine, driver, why = choose_renderer(renderer)
     console.say(why)
@@ -123,7 +123,7 @@ def add(
     from skope.errors import one_of
     from skope.gen.inspect.vehicle_checks import findings
     from skope.gen.vehicles.fleet import fleet
-    from skope.gen.vehicles.keypoint_markers import read_marked
+    from skope.gen.vehicles.marked_models import read_marked
     from skope.gen.vehicles.user_models import check_mass, save, vehicle_of
     from skope.schema import VEHICLE_TYPES
 

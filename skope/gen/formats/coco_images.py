@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from skope import coco
-from skope.console import Console, counted
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.gen.formats import foreign_names
 from skope.gen.formats.coco_sources import AnnotationSource
@@ -17,6 +16,7 @@ from skope.gen.formats.picture_headers import PictureHeader, read_header
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, first
 from skope.schema import Image
+from skope.terminal.console import Console, counted
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from skope.console import Console
 from skope.errors import UserError
 from skope.gen.formats.coco_images import ImageImporter
 from skope.gen.formats.coco_sources import AnnotationSource, annotation_sources, open_source
@@ -17,6 +16,7 @@ from skope.gen.formats.dataset_builder import finish_dataset, labelled_frame
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, InFolder
 from skope.gen.output.writers import FolderWriter
+from skope.terminal.console import Console
 
 
 def read(

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import coco, schema
-from skope.console import Console
-from skope.dataset import FRAMES, PREDICTIONS
+from skope import schema
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.files import parse_json, read_json
 from skope.gen.formats import foreign_names
@@ -20,6 +20,7 @@ from skope.gen.formats.coco_write import CVAT_START
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME
 from skope.gen.formats.source_files import Files, files_at, first
 from skope.gen.output import licences
+from skope.terminal.console import Console
 
 _FOLDER: Final = "annotations"
 _SURE: Final = 0.5

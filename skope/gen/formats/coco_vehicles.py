@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import coco, keypoints, schema
+from skope import keypoints, schema
 from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
-from skope.console import Console
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.gen.formats.coco_images import ImportedImage, telling
 from skope.gen.formats.coco_sources import AnnotationSource
@@ -17,6 +17,7 @@ from skope.gen.formats.coco_write import UNSAID
 from skope.gen.formats.remarks import Remarks
 from skope.keypoints import SKOPE33, K, Scheme
 from skope.schema import Annotation
+from skope.terminal.console import Console
 from skope.types import Array
 
 _LEAST_PX: Final = 0.005

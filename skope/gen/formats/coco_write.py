@@ -10,14 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from skope import coco, schema
-from skope.console import Console
-from skope.dataset import Dataset
+from skope import schema
+from skope.dataset import coco
+from skope.dataset.folder import Dataset
 from skope.files import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation
+from skope.terminal.console import Console
 
 CVAT_START: Final = "person_keypoints_"
 UNSAID: Final = "-"

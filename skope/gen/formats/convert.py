@@ -8,8 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from skope.console import Console
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 from skope.files import replacing_folder, write_text
 from skope.gen.formats import coco_read, coco_write, folder_and_shards, kitti, mot, skope3d, yolo
@@ -17,6 +16,7 @@ from skope.gen.formats.archive import zipped
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
 from skope.gen.output.writers import FORMATS
 from skope.output_folders import move_new
+from skope.terminal.console import Console
 
 
 @dataclass(frozen=True, kw_only=True)

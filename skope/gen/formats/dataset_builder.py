@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import coco, schema, shards
-from skope.dataset import CARD, Dataset, open_dataset
+from skope import schema
+from skope.dataset import coco, shards
+from skope.dataset.folder import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files import json_bytes, read_bytes, sha256_of, write_json, write_text
 from skope.gen.output import card_text, licences

@@ -4,13 +4,13 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from skope.console import Console
-from skope.dataset import CARD, MANIFEST, Dataset
+from skope.dataset.folder import CARD, MANIFEST, Dataset
 from skope.errors import UserError
 from skope.files import read_bytes, write_bytes
 from skope.gen.output import dataset_card
 from skope.gen.output.parameters import DatasetPlan
 from skope.gen.output.writers import frames_of_split, writer_of
+from skope.terminal.console import Console
 
 
 def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:

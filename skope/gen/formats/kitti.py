@@ -20,13 +20,13 @@ from typing import Final
 import numpy as np
 
 from skope import boxes
-from skope.camera import Camera
-from skope.console import Console
-from skope.dataset import Dataset
+from skope.camera.model import Camera
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.output.writers import place_file
 from skope.schema import Annotation, Box3D, Image
+from skope.terminal.console import Console
 from skope.types import Array
 
 TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Van", "minivan": "Van", "other": "Misc"}

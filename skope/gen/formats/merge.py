@@ -7,16 +7,16 @@ from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
-from skope import shards
-from skope.console import Console
-from skope.dataset import MANIFEST, Dataset, read_manifest
+from skope.dataset import shards
+from skope.dataset.folder import MANIFEST, Dataset, read_manifest
+from skope.dataset.image_selection import recordings
 from skope.errors import UserError
 from skope.files import replacing_folder
 from skope.gen.formats.dataset_builder import bare_name, check_outside, dataset_at, finish_dataset, labelled_frame
 from skope.gen.output.licences import united
 from skope.gen.output.writers import FolderWriter, FrameFiles
-from skope.image_selection import recordings
 from skope.schema import AnnotationFile, Image
+from skope.terminal.console import Console
 
 
 def merge(sources: Sequence[Path], out: Path, console: Console) -> None:

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from skope.console import Console
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
+from skope.dataset.image_selection import recordings
 from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.formats.dataset_builder import frame_rate
 from skope.gen.output.writers import place_file
-from skope.image_selection import recordings
 from skope.schema import Annotation, Image
+from skope.terminal.console import Console
 
 CLASS: Final = 1
 

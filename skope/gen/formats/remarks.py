@@ -1,6 +1,6 @@
 """What an import doubts or has left out, said once each with how often it was met and where first."""
 
-from skope.console import Console, counted
+from skope.terminal.console import Console, counted
 
 
 class Remarks:

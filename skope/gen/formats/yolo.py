@@ -12,15 +12,15 @@ from typing import Final
 
 import numpy as np
 
-from skope.console import Console, counted
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
+from skope.dataset.image_selection import held_back
 from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
-from skope.image_selection import held_back
 from skope.keypoints import K, Scheme
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.terminal.console import Console, counted
 
 VALIDATED: Final = 0.1
 """Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
 
-from skope import keypoints, shards
-from skope.camera import Camera
-from skope.dataset import CARD, MANIFEST, Dataset, read_manifest
+from skope import keypoints
+from skope.camera.model import Camera
+from skope.dataset import shards
+from skope.dataset.folder import CARD, MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.gen.formats.archive import added_by_system
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skope.dataset import Dataset, read_manifest
+from skope.dataset.folder import Dataset, read_manifest
 from skope.errors import UserError
 from skope.schema import Annotation, Image
 

@@ -12,13 +12,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from skope import draw
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import sites
+from skope.pictures import draw
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import draw
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
+from skope.pictures import draw
 from skope.schema import Annotation, Image
 
 Pixels = NDArray[np.uint8]

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from skope.console import Console
-from skope.dataset import MANIFEST, Dataset
+from skope.dataset.folder import MANIFEST, Dataset
 from skope.errors import UserError
 from skope.gen.inspect.check import Finding
 from skope.gen.output.dataset_card import command
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.generate import PoolFactory, finish_rendering
+from skope.terminal.console import Console
 
 
 def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import shards
-from skope.dataset import Dataset
+from skope.dataset import shards
+from skope.dataset.folder import Dataset
 from skope.files import replacing
 from skope.keypoints import K
 from skope.schema import Annotation, AnnotationFile, Image
-from skope.text_table import text_table
+from skope.terminal.text_table import text_table
 
 PICTURES: Final = 200
 """Number of images of a split, evenly spread, whose brightness is measured."""

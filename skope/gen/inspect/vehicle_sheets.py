@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import draw
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
@@ -16,6 +15,7 @@ from skope.gen.scene.recording import RecordedVehicle, Recording
 from skope.gen.scenery.build import STUDIO
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import palette
+from skope.pictures import draw
 
 VIEWS: Final = {
     "three quarters front": (35.0, 18.0),

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from skope.console import Console
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
+from skope.terminal.console import Console
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import read_picture
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_wheels
 from skope.gen.labels.raycast import RayCaster

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Body

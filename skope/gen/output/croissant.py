@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from skope import schema, shards
-from skope.depth_files import DEPTH_SCALE
+from skope import schema
+from skope.dataset import shards
+from skope.dataset.depth_files import DEPTH_SCALE
 from skope.gen.output import card_text
 from skope.gen.output.licences import ADDRESSES
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope import keypoints, schema
-from skope.dataset import CARD, read_manifest
-from skope.depth_files import DEPTH_SCALE
+from skope.dataset.depth_files import DEPTH_SCALE
+from skope.dataset.folder import CARD, read_manifest
 from skope.files import write_json, write_text
 from skope.gen.labels import annotate
 from skope.gen.labels.annotate import Rules

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco
-from skope.depth_files import depth_png
+from skope.dataset import coco
+from skope.dataset.depth_files import depth_png
 from skope.errors import UserError, one_of
 from skope.files import json_bytes
 from skope.gen.labels.annotate import RuleCounts, Rules, annotate

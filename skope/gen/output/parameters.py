@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Self
 
-from skope.dataset import check_takes
+from skope.dataset.folder import check_takes
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.output import licences

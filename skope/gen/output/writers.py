@@ -11,8 +11,9 @@ from typing import IO, Any, Final
 
 import orjson
 
-from skope import coco, safe_names, shards
-from skope.dataset import MANIFEST, Dataset, read_manifest
+from skope import safe_names
+from skope.dataset import coco, shards
+from skope.dataset.folder import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import json_bytes, link, read_json, sha256_of, write_bytes
 from skope.gen.output.card_counts import Counts, Kind, kind_of

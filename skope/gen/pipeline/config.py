@@ -8,7 +8,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from skope.camera import Distortion
+from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope import safe_names
-from skope.dataset import CARD, Dataset, read_card
+from skope.dataset.folder import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import (
     file_in_place_of,

@@ -9,7 +9,6 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
-from skope.console import Console, disk_size, minutes
 from skope.errors import UserError
 from skope.gen.output import dataset_card
 from skope.gen.pipeline.config import DatasetRequest
@@ -19,6 +18,7 @@ from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
 from skope.gen.scene.package_versions import versions
+from skope.terminal.console import Console, disk_size, minutes
 
 PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
 """Starts the worker processes; they stop when the context ends."""

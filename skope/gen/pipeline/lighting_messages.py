@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from skope.console import Console
+from skope.terminal.console import Console
 
 
 def lighting_messages(console: Console) -> Callable[[str], None]:

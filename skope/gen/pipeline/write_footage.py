@@ -11,9 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import draw
-from skope.coco import write
-from skope.console import Console
+from skope.dataset.coco import write
 from skope.errors import UserError
 from skope.files import read_json, replacing
 from skope.gen.labels.annotate import Rules, annotate
@@ -24,8 +22,10 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.output_folders import changed
+from skope.pictures import draw
 from skope.safe_names import for_opencv
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.terminal.console import Console
 
 FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
 """Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""

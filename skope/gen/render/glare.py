@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.daylight import temperature_color
 from skope.gen.render.traffic_lights import lit_signals
 from skope.gen.render.vehicle_lamps import Lit, lit_lamps

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.pixel_windows import Window

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.vehicles.model import Body
 from skope.types import Array
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Signal
 from skope.types import Array

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.conditions import Range
 from skope.gen.towns.layout import Layout

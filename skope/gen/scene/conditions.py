@@ -8,7 +8,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from skope.camera import Distortion
+from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.scene.sun import sun_position
 

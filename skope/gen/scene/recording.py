@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import safe_names
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.files import read_bytes, write_bytes
 from skope.gen.scene.conditions import Conditions, Range

@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.gen.scene.camera_sampling import CAR, CameraRanges, moved, road_seen
 from skope.gen.scenery.houses import SIGHT

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Stream

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.scene.camera_sampling import CameraRanges, drawn
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera import Camera, Distortion
-from skope.camera_files import CameraCalibration, over_plane, read_calibration, read_plane
-from skope.camera_pose import fit_camera
+from skope.camera.calibration_files import CameraCalibration, over_plane, read_calibration, read_plane
+from skope.camera.model import Camera, Distortion
+from skope.camera.pose_from_points import fit_camera
 from skope.errors import UserError
 from skope.gen.site_files.toml_table import TomlTable
 from skope.types import Array

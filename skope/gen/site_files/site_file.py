@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from shapely import Polygon
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of

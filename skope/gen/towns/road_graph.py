@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
 from skope.gen.towns.regions import Region, polygons
 from skope.gen.towns.style import Road, style

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.towns.town import Mast, Town, folder
 from skope.gen.towns.user_road import OwnRoad

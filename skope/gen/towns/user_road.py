@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import safe_names
-from skope.camera import Camera
+from skope.camera.model import Camera
 
 Image = NDArray[np.uint8]
 

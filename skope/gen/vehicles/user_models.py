@@ -17,8 +17,8 @@ from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.files import check_version, read_json, write_bytes
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.keypoint_markers import Marked
 from skope.gen.vehicles.keypoint_separation import Sidecar
+from skope.gen.vehicles.marked_models import Marked
 from skope.gen.vehicles.model import Derived
 from skope.gen.vehicles.shape import Dimensions
 from skope.safe_names import name as check_name

@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import pytest
 
-from skope import coco, keypoints
+from skope import keypoints
+from skope.dataset import coco
 from skope.schema import AnnotationFile, Result
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 import sumolib
 
-from skope import coco
-from skope.camera import Camera
+from skope.camera.model import Camera
+from skope.dataset import coco
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.inference.progress import Progress
 from skope.eval.pose import fit_camera, pose_errors
-from skope.eval.pose.types import Ground
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.views import Scene, read_camera
 from skope.files import write_json
 from skope.schema import Annotation, AnnotationFile, Box3D, Result

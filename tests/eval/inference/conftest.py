@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope import coco
-from skope.console import Console
+from skope.dataset import coco
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
+from skope.terminal.console import Console
 from tests.samples import make_annotation, make_dataset
 
 

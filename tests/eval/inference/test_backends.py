@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 from torchvision.ops import MultiScaleRoIAlign
 
-from skope import activation_ranges, boxes, dataset, detector, weights
-from skope.console import Console
+from skope import activation_ranges, boxes, detector, weights
+from skope.dataset.folder import read_image
 from skope.detector import Detections
 from skope.errors import UserError
 from skope.eval.inference.backends import eight_bits
 from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
+from skope.terminal.console import Console
 
 PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
 """A generated junction by day; six of its vehicles stand clear of one another."""
@@ -31,7 +32,7 @@ CPU = torch.device("cpu")
 
 @pytest.fixture(scope="module")
 def pixels() -> NDArray[np.uint8]:
-    return dataset.read_image(PICTURE)
+    return read_image(PICTURE)
 
 
 def shipped() -> KeypointRCNN:

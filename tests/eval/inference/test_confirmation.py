@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.expected_sizes import ExpectedSizes
 from skope.eval.inference.predictor import Predictor

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.inference import progress
 from skope.eval.inference.progress import Progress

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from skope import coco, detector
-from skope.console import Console
+from skope import detector
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.inference.backends import bfloat16
 from skope.eval.inference.predictor import Predictor, _batches, _decoded, default_batch_size
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
+from skope.terminal.console import Console
 from tests.eval.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
 
@@ -162,7 +163,7 @@ def test_images_are_decoded_in_order_and_not_too_far_ahead(tmp_path: Path, monke
         read.append(path.name)
         return np.zeros((1, 1, 3), dtype=np.uint8)
 
-    monkeypatch.setattr("skope.dataset.read_image", slow_first)
+    monkeypatch.setattr("skope.dataset.folder.read_image", slow_first)
     stream = _decoded([make_image(i) for i in range(1, 31)], tmp_path, ahead=4)
     assert next(stream)[0].id == 1
     stream_ids = [next(stream)[0].id for _ in range(3)]

@@ -9,10 +9,10 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from skope import coco
+from skope.dataset import coco
+from skope.dataset.image_selection import last_frames
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
-from skope.image_selection import last_frames
 from skope.metrics.score_reliability import calibration_error, reliability
 from skope.schema import AnnotationFile, Image
 from tests.samples import make_annotation

@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import boxes, coco
-from skope.console import Console
-from skope.dataset import read_image
+from skope import boxes
+from skope.dataset import coco
+from skope.dataset.folder import read_image
 from skope.detector import Detections
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
+from skope.terminal.console import Console
 
 WIDE = {"short": 640, "long": 1138}
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from skope import keypoints
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.eval.pose import search, solver
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes, read_shapes
-from skope.eval.pose.types import Ground
 from skope.eval.pose.views import Scene
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import AnnotationFile, Image, Result

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.schema import AnnotationFile, Image, Result
 from tests.samples import make_annotation
 

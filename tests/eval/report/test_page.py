@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco, keypoints
+from skope import keypoints
+from skope.dataset import coco
 from skope.eval.report import curves, gallery
 from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo

@@ -11,16 +11,16 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from skope import coco
-from skope.camera import Camera
-from skope.dataset import read_image
-from skope.eval.pose.types import Ground
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.dataset.folder import read_image
+from skope.eval.pose.ground import Ground
 from skope.eval.tracking import birdseye, birdseye_video, map_signs
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.tracks import Track
+from skope.pictures.video import write_video
 from skope.schema import AnnotationFile
-from skope.video import write_video
 from tests.eval.sightings import drive
 from tests.samples import make_image
 

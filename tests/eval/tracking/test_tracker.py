@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.pose.views import read_scene
 from skope.eval.tracking import kalman, track_footage

@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import coco
-from skope.console import Console
+from skope.dataset import coco
+from skope.dataset.image_selection import take
 from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
 from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
 from skope.files import write_json
-from skope.image_selection import take
+from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image
-from skope.video import write_video
+from skope.terminal.console import Console
 from skope.viewer.collection import Collection
 from skope.viewer.documents import Documents
 from tests.eval.report.test_page import detector_of

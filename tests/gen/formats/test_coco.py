@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
-from skope import coco, keypoints
-from skope.dataset import open_dataset
+from skope import keypoints
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.keypoints import PUBLISHED

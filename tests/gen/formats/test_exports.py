@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco, keypoints, shards
-from skope.camera import Camera
-from skope.camera_files import over_plane, read_calibration, read_plane
-from skope.dataset import open_dataset
+from skope import keypoints
+from skope.camera.calibration_files import over_plane, read_calibration, read_plane
+from skope.camera.model import Camera
+from skope.dataset import coco, shards
+from skope.dataset.folder import open_dataset
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D

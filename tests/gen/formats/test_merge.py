@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from skope import coco
-from skope.dataset import open_dataset, read_manifest
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset, read_manifest
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check

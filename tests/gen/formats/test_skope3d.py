@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import coco, keypoints
-from skope.dataset import open_dataset
+from skope import keypoints
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.files import read_json, write_json
 from skope.gen.formats import archive
 from skope.gen.inspect.check import check
-from skope.video import write_video
+from skope.pictures.video import write_video
 from tests.samples import make_dataset
 
 POINTS = [(4.25 * i - 2, 1.5 * i + 0.5, i % 3 != 1) for i in range(33)]

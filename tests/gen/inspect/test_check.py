@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skope.cli import app
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
 from skope.gen.inspect.check import check
 from tests.gen.small import content
 

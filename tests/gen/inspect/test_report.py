@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
 from typer.testing import CliRunner
 
-from skope import coco, draw
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.cli import app
-from skope.dataset import open_dataset
-from skope.depth_files import depth_png
+from skope.dataset import coco
+from skope.dataset.depth_files import depth_png
+from skope.dataset.folder import open_dataset
 from skope.gen.inspect.report.layers import figure
 from skope.gen.inspect.report.plots import plots, spread_of
 from skope.gen.inspect.report.sample import spread
 from skope.keypoints import PUBLISHED, SKOPE33
+from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.html_page import Page
 from tests.samples import make_annotation, make_dataset, make_image

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from skope import coco, keypoints
+from skope import keypoints
 from skope.cli import app
-from skope.dataset import open_dataset
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.files import write_json
 from skope.gen.inspect.stats import rows, split_stats
 from skope.schema import AnnotationFile

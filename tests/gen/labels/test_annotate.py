@@ -9,7 +9,7 @@ import pytest
 from pycocotools import mask as coco_mask
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules, _segmentation, annotate, bbox_of, behind, locate, occluded_by_others
 from skope.gen.render.choose_renderer import make_renderer

@@ -1,6 +1,6 @@
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.labels.annotate import locate
 from skope.gen.labels.raycast import RayCaster, _split_in_patches
 from tests.gen.rays import cast, vehicle_triangles

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skope import coco
 from skope.cli import app
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.labels.annotate import Rules

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.package_versions import versions
 from skope.gen.towns.town import Town

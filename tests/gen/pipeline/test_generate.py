@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope import coco
 from skope.cli import main
-from skope.dataset import open_dataset
+from skope.dataset import coco
+from skope.dataset.folder import open_dataset
 from skope.gen.inspect.check import check
 from skope.gen.pipeline.dataset_store import Store
 from tests.gen.small import SMALL, content, gen

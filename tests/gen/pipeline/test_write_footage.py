@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import pytest
 
-from skope import coco
+from skope.dataset import coco
 from tests.gen.site_files.test_site_file import BASE, EXAMPLE, toml
 
 SHORT = ("--fps", "5", "--seconds", "0.2", "--quiet", "--renderer", "pybullet", "--out", "out")

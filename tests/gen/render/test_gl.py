@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera import Camera
-from skope.depth_files import encode_depth
+from skope.camera.model import Camera
+from skope.dataset.depth_files import encode_depth
 from skope.gen.mesh import flat, merged
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.gl.light import Stage, joined

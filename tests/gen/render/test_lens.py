@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.render.choose_renderer import make_renderer

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.people import Look
 from skope.gen.render.pixel_windows import hull_of, may_be_seen, window_of

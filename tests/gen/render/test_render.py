@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.inspect import doctor
 from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import make_renderer

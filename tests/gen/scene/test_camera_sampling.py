@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset

@@ -7,7 +7,7 @@ import pytest
 from shapely import Point, Polygon
 
 from skope import keypoints
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.bystanders.bystander import KINDS, build
 from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate

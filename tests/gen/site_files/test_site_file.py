@@ -17,9 +17,9 @@ import shapely
 from shapely import LineString
 from shapely.ops import unary_union
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.cli import main
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.gen.inspect.check import check
 from skope.gen.labels.annotate import Rules

@@ -10,16 +10,16 @@ import pytest
 from typer.testing import CliRunner
 
 from skope.cli import app
-from skope.dataset import open_dataset
+from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import build, fleet
-from skope.gen.vehicles.keypoint_markers import read_marked
+from skope.gen.vehicles.marked_models import read_marked
 from skope.gen.vehicles.paints import color_name
 from skope.gen.vehicles.user_models import names
-from tests.gen.vehicles.test_keypoint_markers import nodes, renamed, swapped, without, written
+from tests.gen.vehicles.test_marked_models import nodes, renamed, swapped, without, written
 
 ROOT = Path(__file__).parents[3]
 

@@ -7,12 +7,12 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope import activation_ranges, detector
-from skope.console import Console
 from skope.errors import UserError
 from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
 from skope.eval.inference.backends.suppression import suppress_together
+from skope.terminal.console import Console
 
 _IN_TORCH = ("bfloat16", "float32")
 

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import draw
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.page import image_viewer
 from skope.page.html_pieces import tag
+from skope.pictures import draw
 from skope.schema import Annotation, Image
 
 LAYERS: Final = {

@@ -7,8 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
-from skope.console import Console
-from skope.dataset import Dataset
+from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files import write_text
 from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure
@@ -20,6 +19,7 @@ from skope.page import document
 from skope.page.html_pieces import table, tag
 from skope.page.image_viewer import switches
 from skope.schema import Annotation, Image
+from skope.terminal.console import Console
 
 Labelled = tuple[Image, Sequence[Annotation]]
 

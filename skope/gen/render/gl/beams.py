@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.gen.render.pixel_windows import beam_corners, beam_hull_of

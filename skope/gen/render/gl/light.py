@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.cache import Arrays
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight

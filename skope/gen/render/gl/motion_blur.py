@@ -7,7 +7,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.types import Array
 

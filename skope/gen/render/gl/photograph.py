@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import Device, linear, put
 from skope.gen.render.gl.light import Stage

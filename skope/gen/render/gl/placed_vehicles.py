@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.mesh import merged
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.pixel_windows import Window, hull_of, may_be_seen, window_of

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device, projection, put
 from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle
 from skope.gen.render.gl.water import Plane

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import FAR, projection
 from skope.gen.scene.conditions import Conditions

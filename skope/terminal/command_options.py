@@ -9,8 +9,8 @@ from typing import Annotated, Any, Final, TypeVar, get_args
 
 import typer
 
-from skope.console import Console
 from skope.errors import UserError, one_of
+from skope.terminal.console import Console
 from skope.version import __version__
 
 DATA: Final = Path("data/skope")

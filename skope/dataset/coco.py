@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from skope import keypoints, schema
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.files import json_bytes, parse_json, read_json, replacing
 from skope.keypoints import SKOPE33, Scheme

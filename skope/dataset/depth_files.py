@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import shards
+from skope.dataset import shards
 from skope.errors import UserError
 
 DEPTH_SCALE: Final = 256.0

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 
 IDENTITY = np.eye(4)

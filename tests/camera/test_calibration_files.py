@@ -9,11 +9,18 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera import Camera, Distortion
-from skope.camera_files import over_plane, read_calibration, read_opencv, read_plane, read_rope3d, read_tumtraf
-from skope.camera_pose import fit_camera
+from skope.camera.calibration_files import (
+    over_plane,
+    read_calibration,
+    read_opencv,
+    read_plane,
+    read_rope3d,
+    read_tumtraf,
+)
+from skope.camera.model import Camera, Distortion
+from skope.camera.pose_from_points import fit_camera
 from skope.errors import UserError
-from skope.video import write_video
+from skope.pictures.video import write_video
 
 BROWN = Distortion("brown", (-0.12, 0.03, 0.001, -0.002, 0.004))
 FISHEYE = Distortion("fisheye", (-0.02, 0.005, -0.002, 0.0004))

@@ -13,7 +13,7 @@ from skope.gen.inspect import vehicle_checks
 from skope.gen.mesh import Mesh
 from skope.gen.render import vehicle_lamps
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.keypoint_markers import CORNERS, LAMPS, read_marked
+from skope.gen.vehicles.marked_models import CORNERS, LAMPS, read_marked
 
 SEDAN = fleet()["sedan"].vehicle
 GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])

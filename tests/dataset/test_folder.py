@@ -5,13 +5,13 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import dataset
+from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
 from tests.samples import make_dataset
 
 
 def test_a_folder_is_read(tmp_path: Path) -> None:
-    data = dataset.open_dataset(make_dataset(tmp_path / "data", images=2))
+    data = open_dataset(make_dataset(tmp_path / "data", images=2))
     assert data.splits == ("easy", "train")
     file = data.read("train")
     assert (len(file.images), len(file.annotations), file.name) == (2, 4, "train")
@@ -24,11 +24,11 @@ def test_a_folder_is_read(tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such dataset folder; `skope gen"):
-        dataset.open_dataset(tmp_path / "nowhere")
+        open_dataset(tmp_path / "nowhere")
     with pytest.raises(UserError, match=r"no dataset\.json in it"):
-        dataset.open_dataset(tmp_path)
+        open_dataset(tmp_path)
     root = make_dataset(tmp_path / "data", images=1)
-    data = dataset.open_dataset(root)
+    data = open_dataset(root)
     with pytest.raises(UserError, match="no split 'hard'; there are: easy, train"):
         data.read("hard")
     image = data.read("easy").images[0]
@@ -54,7 +54,7 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
 def test_a_broken_card_names_its_field(tmp_path: Path, field: str, value: object, words: str) -> None:
     (tmp_path / "dataset.json").write_text(json.dumps({"keypoint_scheme": "skope33", field: value}))
     with pytest.raises(UserError, match=words) as caught:
-        dataset.open_dataset(tmp_path)
+        open_dataset(tmp_path)
     assert str(caught.value).startswith(f"{tmp_path / 'dataset.json'}: ")
     assert len(str(caught.value)) < 200
 
@@ -64,7 +64,7 @@ def test_a_card_of_another_scheme_is_refused(tmp_path: Path, card: object) -> No
     root = make_dataset(tmp_path / "data", images=1)
     (root / "dataset.json").write_text(json.dumps(card))
     with pytest.raises(UserError, match=r"keypoint_scheme: .* is not one of skope33, skope3d"):
-        dataset.open_dataset(root)
+        open_dataset(root)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.999])
@@ -72,10 +72,10 @@ def test_a_truncated_jpeg_is_refused(tmp_path: Path, share: float) -> None:
     path = tmp_path / "a.jpg"
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (90, 120, 3), dtype=np.uint8))
     whole = path.read_bytes()
-    assert dataset.read_image(path, size=(120, 90)).shape == (90, 120, 3)
+    assert read_image(path, size=(120, 90)).shape == (90, 120, 3)
     path.write_bytes(whole[: int(len(whole) * share)])
     with pytest.raises(UserError, match="truncated JPEG"):
-        dataset.read_image(path)
+        read_image(path)
 
 
 @pytest.mark.parametrize("data", [b"", b"GIF89a", b"\x89PNG\r\n\x1a\n broken"])
@@ -83,11 +83,11 @@ def test_a_file_that_is_no_image_is_refused(tmp_path: Path, data: bytes) -> None
     path = tmp_path / "a.jpg"
     path.write_bytes(data)
     with pytest.raises(UserError, match="not an image that can be decoded"):
-        dataset.read_image(path)
+        read_image(path)
 
 
 def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.zeros((3, 4, 3), np.uint8))
     with pytest.raises(UserError, match=r"a\.png: is 4x3, its annotation says 4x4"):
-        dataset.read_image(path, size=(4, 4))
+        read_image(path, size=(4, 4))

@@ -5,9 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
-from skope import draw, keypoints
-from skope.dataset import read_image
+from skope import keypoints
+from skope.dataset.folder import read_image
 from skope.errors import UserError
+from skope.pictures import draw
 from skope.schema import Annotation, Result
 from tests.samples import make_annotation
 

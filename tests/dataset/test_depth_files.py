@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.depth_files import depth_png, encode_depth, read_depth
+from skope.dataset.depth_files import depth_png, encode_depth, read_depth
 from skope.errors import UserError
 
 

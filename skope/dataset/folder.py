@@ -9,9 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import coco, keypoints, safe_names, schema, shards
-from skope.camera import Camera
-from skope.depth_files import read_depth
+from skope import keypoints, safe_names, schema
+from skope.camera.model import Camera
+from skope.dataset import coco, shards
+from skope.dataset.depth_files import read_depth
 from skope.errors import UserError, one_of
 from skope.files import check_version, read_json
 from skope.keypoints import Scheme
@@ -80,7 +81,7 @@ class Dataset:
 
     @property
     def sharded(self) -> bool:
-        """Whether the frames are in tar shards (see `skope.shards`)."""
+        """Whether the frames are in tar shards (see `skope.dataset.shards`)."""
         return self.card.get("format") == "shards"
 
     @property

@@ -1,7 +1,7 @@
 """Camera calibrations from the files of others: OpenCV's FileStorage, TUMTraf's JSON, Rope3D's text files.
 
-These count the centre of a pixel as (col, row), `skope.camera` as (col + 0.5, row + 0.5): half a pixel is added to
-their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
+These count the centre of a pixel as (col, row), `skope.camera.model` as (col + 0.5, row + 0.5): half a pixel is added
+to their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
 """
 
 import math
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.camera import Distortion
+from skope.camera.model import Distortion
 from skope.errors import UserError
 from skope.files import read_bytes, read_json, read_text
 from skope.safe_names import for_opencv

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pycocotools import mask as coco_mask
 
 from skope.boxes import xywh_to_xyxy
-from skope.camera import Camera
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files import write_bytes
 from skope.keypoints import SKOPE33, Scheme

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import coco, keypoints
-from skope.camera import Camera, Distortion
+from skope import keypoints
+from skope.camera.model import Camera, Distortion
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 from tests.samples import make_annotation, make_image

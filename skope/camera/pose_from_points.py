@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.camera import Camera, Distortion
+from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from skope.dataset.image_selection import take
 from skope.errors import UserError
-from skope.image_selection import take
 from skope.schema import AnnotationFile
 from tests.samples import make_annotation, make_image
 

@@ -1,0 +1,1 @@
+"""Pictures and videos that are drawn on and written."""

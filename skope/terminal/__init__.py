@@ -1,0 +1,1 @@
+"""What commands say and are asked: options, messages, progress, tables."""
