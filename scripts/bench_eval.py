@@ -21,10 +21,12 @@ import numpy as np
 import torch
 from pycocotools import mask as coco_mask
 
-from skope import detector, keypoints
+from skope import keypoints
 from skope.boxes import xyxy_to_xywh
 from skope.dataset.folder import open_dataset, read_image
 from skope.dataset.image_selection import take
+from skope.detector.checkpoint import find_checkpoint, load_weights
+from skope.detector.device import choose_device
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.metrics.counts import Options
@@ -160,7 +162,7 @@ class Stock:
     """torchvision's own call, image by image, as its users write it."""
 
     def __init__(self, checkpoint: Path, device: torch.device, floor: float) -> None:
-        self._model, _, _ = detector.load_weights(detector.find_checkpoint(checkpoint), device)
+        self._model, _, _ = load_weights(find_checkpoint(checkpoint), device)
         self._model.roi_heads.score_thresh = floor
         self._model.roi_heads.detections_per_img = 100
         self._device = device
@@ -185,7 +187,7 @@ def bench_inference(
 ) -> None:
     dataset = open_dataset(data)
     file = take(dataset.read(split), images)
-    where, quiet = detector.choose_device(device), Console(quiet=True)
+    where, quiet = choose_device(device), Console(quiet=True)
 
     def predictor(**settings: Any) -> Predictor:
         return Predictor(checkpoint, Settings(device=device, calibrated=False, **settings), quiet)

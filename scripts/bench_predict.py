@@ -33,9 +33,10 @@ from typing import Any, Final
 import torch
 from research.video_modes import COLUMNS, Counts, count
 
-from skope import detector
 from skope.dataset import coco
-from skope.detector import MIN_SCORE
+from skope.detections import results
+from skope.detector.checkpoint import load_weights
+from skope.detector.detect import MIN_SCORE, as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, Pixels, open_footage
 from skope.eval.inference.predict_footage import PredictJob, found_in
@@ -135,16 +136,16 @@ def by_torchvision(
     predictor: Predictor, job: PredictJob, options: argparse.Namespace
 ) -> Iterator[tuple[Image, list[Result]]]:
     """The model as torchvision has it, with its 1000 proposals and every detection above 0.05."""
-    model, _, _ = detector.load_weights(predictor.weights, options.device)
+    model, _, _ = load_weights(predictor.weights, options.device)
     config = predictor.config
     model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
     model.rpn._post_nms_top_n["testing"] = 1000
     model.roi_heads.score_thresh, model.roi_heads.detections_per_img = MIN_SCORE, 100
     for image, pixels in frames(job, options):
         with torch.inference_mode():
-            (found,) = model([detector.as_tensor(pixels, options.device)])
+            (found,) = model([as_tensor(pixels, options.device)])
         points = torch.cat([found["keypoints"][..., :2], found["keypoints_scores"].sigmoid()[..., None]], dim=-1)
-        yield image, detector.results(image.id, *(t.cpu() for t in (found["boxes"], found["scores"], points)))
+        yield image, results(image.id, *(t.cpu() for t in (found["boxes"], found["scores"], points)))
 
 
 def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> list[Result]:

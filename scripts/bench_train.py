@@ -33,8 +33,9 @@ from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.transforms import functional
 
-from skope import detector, keypoints
+from skope import keypoints
 from skope.dataset.folder import open_dataset
+from skope.detector.checkpoint import find_checkpoint, read_checkpoint
 from skope.terminal.console import Console
 from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
 from skope.train.distributed import ProcessGroup
@@ -129,7 +130,7 @@ def reference(
     backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, trainable_layers=3)
     max_size = recipe_of(options).max_size
     model = KeypointRCNN(backbone, 2, num_keypoints=keypoints.K, min_size=options.min_size, max_size=max_size)
-    model.load_state_dict(detector.read_checkpoint(detector.find_checkpoint(options.checkpoint))[1])
+    model.load_state_dict(read_checkpoint(find_checkpoint(options.checkpoint))[1])
     model.to(device).train()
     parameters = [p for p in model.parameters() if p.requires_grad]
     optimizer = torch.optim.SGD(parameters, lr=1e-4, momentum=0.9, weight_decay=1e-4)

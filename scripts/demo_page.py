@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
-from skope.files import read_json, write_text
+from skope.files.atomic import write_text
+from skope.files.json_files import read_json
 from skope.page import document
 from skope.page.html_pieces import share, table, tag
 from skope.pictures import draw

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.dataset.folder import open_dataset, read_image
-from skope.files import replacing
+from skope.files.atomic import replacing
 
 Pixels = NDArray[np.uint8]
 

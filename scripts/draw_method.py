@@ -17,7 +17,7 @@ from matplotlib.patches import Polygon
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.files import replacing
+from skope.files.atomic import replacing
 from skope.gen.inspect.vehicle_sheets import parked
 from skope.gen.labels.annotate import (
     POINT_TOLERANCE,

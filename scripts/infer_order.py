@@ -23,7 +23,7 @@ from scipy.optimize import linear_sum_assignment
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.files import write_json
+from skope.files.json_files import write_json
 from skope.gen.formats.archive import opened
 from skope.gen.formats.skope3d_scenes import ArchiveVehicle, archives, scene_of
 from skope.gen.vehicles.fleet import fleet

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Final
 
 from skope.dataset.folder import CARD
-from skope.detector import find_checkpoint
+from skope.detector.checkpoint import find_checkpoint
 from skope.gen.towns.sites import sites
 from skope.train.run_folder import resumable
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from skope.dataset import coco
-from skope.files import read_json
+from skope.files.json_files import read_json
 from skope.metrics.counts import Options, outcomes_at, ratio
 from skope.metrics.match import Matches, match
 from skope.metrics.precision_recall import AT_PRECISION, ranked, recall_at_precision

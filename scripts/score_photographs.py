@@ -26,20 +26,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import keypoints, safe_names
+from skope import keypoints
 from skope.dataset import coco, image_selection
 from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import BACKENDS, PRECISIONS, Settings
-from skope.files import read_json, sha256_of, write_json
+from skope.files import safe_names
+from skope.files.json_files import read_json, write_json
+from skope.files.output_folders import claim_output
+from skope.files.reading import sha256_of
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
 from skope.metrics.failures import OTHER_END, OTHER_SIDE
 from skope.metrics.match import Matches, match
 from skope.metrics.precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
-from skope.output_folders import claim_output
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Result
 from skope.terminal.console import Console

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from skope import keypoints
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.shape_jitter import jittered

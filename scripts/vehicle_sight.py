@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from skope import keypoints
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.labels.raycast import Fan
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import Vehicle

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import weights
 from skope.camera.model import Camera
 from skope.dataset import coco, folder
 from skope.dataset.folder import Dataset
+from skope.detector import weights
 from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
 
 if TYPE_CHECKING:
-    from skope.detector import Detections
+    from skope.detections import Detections
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.records import Located
     from skope.eval.tracking.tracks import Track
@@ -147,9 +147,9 @@ def read_camera(path: str | Path) -> Camera:
     Raises:
         UserError: The file cannot be read, or does not say where the camera hangs.
     """
-    from skope.eval.pose import views
+    from skope.dataset import camera_of_file
 
-    camera, posed = views.read_camera(Path(path))
+    camera, posed = camera_of_file.read_camera(Path(path))
     if not posed:
         raise UserError(f"{path}: does not say where the camera hangs; `skope eval camera` finds that out")
     return camera
@@ -172,13 +172,14 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     Raises:
         UserError: The camera's shape is not the image's.
     """
-    from skope.eval.pose import views
+    from skope.dataset.camera_of_file import sized
     from skope.eval.pose.ground import Ground
     from skope.eval.pose.records import Located
     from skope.eval.pose.solver import locate as solve
+    from skope.eval.pose.views import view_of
 
-    own = views.sized(camera, detections.size, "image")
-    view = views.view_of(detections)
+    own = sized(camera, detections.size, "image")
+    view = view_of(detections)
     road = None if ground is None else Ground(height=ground)
     poses = solve(own, view.found, sigma_px=view.sigma_px, ground=road, cut=view.cut)
     return Located(view, own, poses)

@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import keypoints, safe_names
+from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError, one_of
+from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 

@@ -94,19 +94,20 @@ def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder with the checkpoint of a small detector that has learned nothing; only `shrink` has it load."""
     import torch
 
-    from skope import detector
+    from skope.detector.build import DetectorConfig, build
+    from skope.detector.checkpoint import checkpoint_name, save_weights
     from tests.train.conftest import shrink
 
-    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
+    config = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
     with pytest.MonkeyPatch.context() as patch, torch.random.fork_rng(), torch.no_grad():
         shrink(patch)
         torch.manual_seed(0)
-        model = detector.build(config)
+        model = build(config)
         # Scores that lie well apart, and a handful of detections that are worth reporting.
         model.roi_heads.box_predictor.cls_score.weight *= 10
         model.roi_heads.box_predictor.cls_score.bias[1] -= 2.5
     folder = tmp_path_factory.mktemp("run")
-    detector.save_weights(folder / detector.checkpoint_name(1), model, config, {})
+    save_weights(folder / checkpoint_name(1), model, config, {})
     return folder
 
 

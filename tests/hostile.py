@@ -13,7 +13,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
-from skope.files import json_bytes, write_json
+from skope.files.json_files import json_bytes, write_json
 from skope.gen.labels.annotate import RuleCounts, Rules
 from skope.gen.output.card_counts import kind_of
 from skope.gen.output.frames import image_of

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.files import write_json
+from skope.files.json_files import write_json
 from skope.schema import Annotation, AnnotationFile, Image
 
 # A vehicle seen from its front left, in units of its box: x, y and v of each keypoint, all distinct.

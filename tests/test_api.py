@@ -13,7 +13,9 @@ import pytest
 
 import skope as door
 from skope.dataset import coco
-from skope.detector import Detections, detect, load_weights
+from skope.detections import Detections
+from skope.detector.checkpoint import load_weights
+from skope.detector.detect import detect
 from skope.errors import UserError
 from skope.eval.pose.records import records
 from tests import hostile

@@ -15,7 +15,7 @@ from skope.boxes import xyxy_to_xywh
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.gen.formats.skope3d import CORNERS
 from skope.gen.formats.skope3d_scenes import ArchiveVehicle
 from skope.gen.vehicles.fleet import fleet

@@ -7,11 +7,13 @@ from typing import Any
 
 import pytest
 
-from skope import detector, keypoints
+from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
+from skope.detector.build import DetectorConfig
+from skope.detector.checkpoint import read_checkpoint
 from skope.errors import UserError
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.keypoints import PUBLISHED, SKOPE33
 from skope.schema import AnnotationFile, Result
 from skope.train import configure, init_weights, splits
@@ -72,7 +74,7 @@ def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.M
     code, out, err = skope("train", "--data", published, "--device", "cpu", "--out", "run")
     assert (code, err[-200:]) == (0, err[-200:])
     assert "images are not mirrored: of scheme skope3d no mirror partners are known" in out
-    header, _ = detector.read_checkpoint(Path("run/epoch_001.safetensors"))
+    header, _ = read_checkpoint(Path("run/epoch_001.safetensors"))
     assert header["scheme"] == header["config"]["scheme"] == "skope3d"
     assert header["metadata"]["run"]["licences"] == [LICENCE]
     assert header["metadata"]["run"]["recipe"]["augment"]["flip"] == 0.0
@@ -126,6 +128,6 @@ def test_results_of_the_same_scheme_are_scored_point_by_point(skope: Any, tmp_pa
 
 def test_old_checkpoints_are_of_our_scheme() -> None:
     values = {"norm": "batch", "norm_eps": 1e-5, "min_size": 64, "max_size": 96}
-    assert detector.DetectorConfig.from_dict(values).scheme == "skope33"
+    assert DetectorConfig.from_dict(values).scheme == "skope33"
     with pytest.raises(UserError, match="scheme: 'coco17' is not one of"):
-        detector.DetectorConfig.from_dict({**values, "scheme": "coco17"})
+        DetectorConfig.from_dict({**values, "scheme": "coco17"})

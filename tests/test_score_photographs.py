@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from skope import detector, keypoints
+from skope import keypoints
 from skope.dataset import coco
-from skope.files import read_json, write_json
+from skope.detector.checkpoint import checkpoint_name
+from skope.files.json_files import read_json, write_json
 from skope.keypoints import INDEX
 from skope.schema import Annotation, AnnotationFile, Result, category
 from tests.samples import load_script, make_annotation, make_image
@@ -35,7 +36,7 @@ def script() -> ModuleType:
 @pytest.fixture
 def checkpoint(random_run: Path) -> Path:
     """The weights of a small-input detector that has learned nothing and finds a handful of vehicles."""
-    return random_run / detector.checkpoint_name(1)
+    return random_run / checkpoint_name(1)
 
 
 def vehicle(number: int, image: int, box: Box, *, names: Sequence[str] = keypoints.NAMES, crowd: int = 0) -> Annotation:

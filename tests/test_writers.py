@@ -18,8 +18,10 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from skope import cli, detector
+from skope import cli
 from skope.dataset import coco
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import checkpoint_bytes, checkpoint_name, save_weights
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.terminal.console import Console
@@ -257,9 +259,9 @@ def picture(path: Path, seed: int) -> None:
 def run_folder(path: Path, seed: int) -> Path:
     """A run folder with the checkpoint of a small detector that has learned nothing."""
     torch.manual_seed(seed)
-    config = detector.DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
-    model = detector.build(config)
-    detector.save_weights(path / detector.checkpoint_name(1), model, config, {})
+    config = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96)
+    model = build(config)
+    save_weights(path / checkpoint_name(1), model, config, {})
     return path
 
 
@@ -354,8 +356,8 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     """A place where nothing takes long: small networks, and pictures of nothing from roads, towns and vehicles."""
     plain = np.zeros((54, 96, 3), dtype=np.uint8)
     shrink(monkeypatch)
-    plainly = detector.checkpoint_bytes
-    monkeypatch.setattr(detector, "checkpoint_bytes", lambda *of, **_: plainly(*of))  # packing takes seconds
+    plainly = checkpoint_bytes
+    monkeypatch.setattr("skope.train.export.checkpoint_bytes", lambda *of, **_: plainly(*of))  # packing takes seconds
     # Before the renderer: what is imported for the first time would keep the one of the tests.
     monkeypatch.setattr("skope.gen.inspect.vehicle_sheets.sheet", lambda *_: plain)
     for module in ("pipeline.workers", "pipeline.write_footage", "render.choose_renderer"):

@@ -36,10 +36,13 @@ import numpy as np
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope import detector
 from skope.dataset.folder import CARD, open_dataset
 from skope.dataset.image_selection import take
-from skope.files import read_json, write_json, write_text
+from skope.detector.build import build
+from skope.detector.checkpoint import find_checkpoint, load_weights, save_weights
+from skope.detector.device import choose_device
+from skope.files.atomic import write_text
+from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE_TYPES
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, splits, validate
@@ -154,13 +157,13 @@ def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
 
 def headless(init: str, path: Path) -> Path:
     """A weights file with the backbone and pyramid of a checkpoint and heads that know nothing yet."""
-    model, config, _ = detector.load_weights(detector.find_checkpoint(Path(init)), torch.device("cpu"))
+    model, config, _ = load_weights(find_checkpoint(Path(init)), torch.device("cpu"))
     kept = {name: value for name, value in model.state_dict().items() if name.startswith("backbone.")}
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        fresh = detector.build(config, trainable_layers=5)
+        fresh = build(config, trainable_layers=5)
     fresh.load_state_dict({**fresh.state_dict(), **kept})
-    detector.save_weights(path, fresh, config, {})
+    save_weights(path, fresh, config, {})
     return path
 
 
@@ -170,7 +173,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
     done = folder / "result.json"
     if done.is_file():
         return dict(read_json(done))
-    device = detector.choose_device(options.device)
+    device = choose_device(options.device)
     recipe, variant = recipe_of(options, name), VARIANTS[name]
     data = variant.images or (options.varied if variant.varied else options.data)
     own = relabelled(data, variant.labels, folder / "data") if variant.labels else data
@@ -186,7 +189,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
         console=console,
         saving=loop.Saving(),
     )
-    model, _, _ = detector.load_weights(checkpoint, device)
+    model, _, _ = load_weights(checkpoint, device)
     found = figures(options, model, options.data, device)
     if variant.measured_so:
         found |= {f"{split}, its own boxes": row for split, row in figures(options, model, own, device).items()}

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from skope.camera.model import Distortion
 from skope.errors import UserError
-from skope.files import read_bytes, read_json, read_text
-from skope.safe_names import for_opencv
+from skope.files.json_files import read_json
+from skope.files.reading import read_bytes, read_text
+from skope.files.safe_names import for_opencv
 from skope.types import Array
 
 FORMATS: Final = ("opencv", "tumtraf", "rope3d")

@@ -12,7 +12,8 @@ import numpy as np
 from skope import keypoints, schema
 from skope.camera.model import Camera
 from skope.errors import UserError, one_of
-from skope.files import json_bytes, parse_json, read_json, replacing
+from skope.files.atomic import replacing
+from skope.files.json_files import json_bytes, parse_json, read_json
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
 from skope.version import __version__

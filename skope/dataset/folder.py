@@ -9,12 +9,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import keypoints, safe_names, schema
+from skope import keypoints, schema
 from skope.camera.model import Camera
 from skope.dataset import coco, shards
 from skope.dataset.depth_files import read_depth
 from skope.errors import UserError, one_of
-from skope.files import check_version, read_json
+from skope.files import safe_names
+from skope.files.json_files import check_version, read_json
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.files import parse_json, read_bytes, read_json, replacing, write_json
-from skope.safe_names import is_relative
+from skope.files.atomic import replacing
+from skope.files.json_files import parse_json, read_json, write_json
+from skope.files.reading import read_bytes
+from skope.files.safe_names import is_relative
 
 FOLDER: Final = "shards"
 _INDEX: Final = 4096

@@ -15,12 +15,13 @@ from skope.eval import report
 from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
 from skope.eval.report import table
-from skope.files import write_json, write_text
+from skope.files.atomic import write_text
+from skope.files.json_files import write_json
+from skope.files.output_folders import claim_output
 from skope.metrics import precision_recall, read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
-from skope.output_folders import claim_output
 from skope.pictures import draw
 from skope.schema import AnnotationFile, Result, far_outside
 from skope.terminal.console import Console, counted

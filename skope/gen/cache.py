@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.files import replacing
+from skope.files.atomic import replacing
 
 Arrays = Mapping[str, NDArray[Any]]
 

@@ -18,7 +18,7 @@ from pycocotools import mask as coco_mask
 from skope.boxes import xywh_to_xyxy
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.files import write_bytes
+from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Result
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.safe_names import for_opencv
+from skope.files.safe_names import for_opencv
 
 Pixels = NDArray[np.uint8]
 

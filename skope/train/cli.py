@@ -92,7 +92,7 @@ def run(
             raise UserError(f"--{name}: expected a number from 0, got {number}")
 
     from skope.dataset.folder import open_dataset
-    from skope.detector import choose_device, has_bfloat16
+    from skope.detector.device import choose_device, has_bfloat16
     from skope.train import configure
     from skope.train.loop import Saving, train
 

@@ -19,12 +19,16 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import activation_ranges, detector, keypoints, weights
+from skope import keypoints
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
-from skope.detector import DetectorConfig
+from skope.detector import activation_ranges, weights
+from skope.detector.build import ASPECTS, MAX_DETECTIONS, PROPOSALS, DetectorConfig
+from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
+from skope.detector.detect import MIN_SCORE
+from skope.detector.device import choose_device
 from skope.errors import UserError, one_of
-from skope.output_folders import check_file, write_new
+from skope.files.output_folders import check_file, write_new
 from skope.terminal.console import Console
 from skope.train import input_moments
 from skope.train.splits import SPLIT
@@ -97,11 +101,11 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
         raise UserError("--data is for --to compact")
     if to == "onnx" and importlib.util.find_spec("onnx") is None:
         raise UserError("--to onnx: needs the package onnx: pip install 'skope[onnx]'")
-    path = detector.find_checkpoint(checkpoint)
+    path = find_checkpoint(checkpoint)
     folder = Path() if weights.shipped(path) else path.parent
     out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
     check_file(out, _BEGINS[to])
-    model, config, metadata = detector.load_weights(path, "cpu")
+    model, config, metadata = load_weights(path, "cpu")
     if to == "compact":
         # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
         frozen = replace(config, norm="frozen")
@@ -110,13 +114,13 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
             with activation_ranges.noted(model) as ranges:
                 moments = _moments(model, data, console)
             metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
-        write_new(out, detector.checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
+        write_new(out, checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
     if to == "state_dict":
-        write_new(out, _pickled(detector.full_state(model)))
+        write_new(out, _pickled(full_state(model)))
         console.say(torchvision_code(out, config))
         return out
-    model.roi_heads.score_thresh = detector.MIN_SCORE
+    model.roi_heads.score_thresh = MIN_SCORE
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about tracing and the old exporter; tests compare the results
@@ -130,7 +134,7 @@ def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Ten
     images = image_selection.take(opened.read(SPLIT), IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
-    return input_moments.gather(model.to(detector.choose_device("auto")), seen)
+    return input_moments.gather(model.to(choose_device("auto")), seen)
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:
@@ -147,11 +151,11 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops import FrozenBatchNorm2d
 backbone = resnet_fpn_backbone(
     backbone_name="resnet50", weights=None, norm_layer=lambda width: FrozenBatchNorm2d(width, eps={config.norm_eps}))
-anchors = AnchorGenerator(({sizes}), ({detector.ASPECTS},) * {len(config.anchors)})
+anchors = AnchorGenerator(({sizes}), ({ASPECTS},) * {len(config.anchors)})
 model = KeypointRCNN(
     backbone, num_classes=2, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
-    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={detector.MAX_DETECTIONS},
-    rpn_post_nms_top_n_test={detector.PROPOSALS})
+    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={MAX_DETECTIONS},
+    rpn_post_nms_top_n_test={PROPOSALS})
 model.load_state_dict(torch.load({str(path)!r}))
 model.eval()"""
 

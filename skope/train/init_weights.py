@@ -15,8 +15,10 @@ from torchvision.models import ResNet50_Weights, WeightsEnum
 from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
-from skope import detector, keypoints, weights
-from skope.detector import DetectorConfig
+from skope import keypoints
+from skope.detector import weights
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.train.recipe import SMALL_SIZE
 
@@ -91,8 +93,8 @@ def initialise(
         shipped = init == "auto" and scheme == keypoints.SCHEME and weights.DEFAULT in weights.names()
         if init in INITS and not shipped:
             chosen = completed(_plain("batch", _DEFAULT_EPS))
-            return detector.build(chosen, trainable_layers=5), chosen, "random weights"
-        file = weights.path(weights.DEFAULT) if shipped else detector.find_checkpoint(Path(init))
+            return build(chosen, trainable_layers=5), chosen, "random weights"
+        file = weights.path(weights.DEFAULT) if shipped else find_checkpoint(Path(init))
         state, own = _from_file(file, scheme)
         chosen = completed(own)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
@@ -105,7 +107,7 @@ def check(init: str) -> None:
         return
     if not Path(init).exists() and init not in weights.names():
         raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join((*INITS, *weights.names()))}")
-    detector.find_checkpoint(Path(init))
+    find_checkpoint(Path(init))
 
 
 def _from_file(path: Path, scheme: str) -> tuple[State, DetectorConfig]:
@@ -116,7 +118,7 @@ def _from_file(path: Path, scheme: str) -> tuple[State, DetectorConfig]:
     """
     if path.suffix == ".safetensors":
         if _is_ours(path):
-            header, state = detector.read_checkpoint(path)
+            header, state = read_checkpoint(path)
             own = DetectorConfig.from_dict(header["config"])
             if own.scheme != scheme:
                 raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme}")
@@ -138,7 +140,7 @@ def _plain(norm: str, eps: float) -> DetectorConfig:
 def _is_ours(path: Path) -> bool:
     try:
         with safe_open(path, framework="pt") as file:
-            return detector.HEADER in (file.metadata() or {})
+            return HEADER in (file.metadata() or {})
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
 
@@ -148,7 +150,7 @@ def _loaded(path: Path, state: State, config: DetectorConfig, trainable_layers: 
     count = _num_keypoints(path, state)
     if count not in (keypoints.K, _COCO_KEYPOINTS):
         raise UserError(f"{path}: predicts {count} keypoints; expected {keypoints.K}, or COCO's {_COCO_KEYPOINTS}")
-    model = detector.build(config, trainable_layers=trainable_layers, num_keypoints=count)
+    model = build(config, trainable_layers=trainable_layers, num_keypoints=count)
     _load(path, model, state)
     if count != keypoints.K:
         heads = model.roi_heads
@@ -165,7 +167,7 @@ def _num_keypoints(path: Path, state: State) -> int:
 
 def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
     path = _fetch("imagenet", ResNet50_Weights.IMAGENET1K_V1)
-    model = detector.build(config, trainable_layers=trainable_layers)
+    model = build(config, trainable_layers=trainable_layers)
     state = {name: tensor for name, tensor in _unpickled(path).items() if not name.startswith("fc.")}
     _load(path, model.backbone.body, state)
     return model

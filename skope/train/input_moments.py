@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope.detector import as_tensor
+from skope.detector.detect import as_tensor
 
 _SAMPLES: Final = 256
 """Positions, or regions, that each call of a layer gives."""

@@ -10,9 +10,9 @@ from typing import Any, Final, Self
 
 import torch
 
-from skope.detector import checkpoint_name
+from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.keypoints import SCHEMES
 from skope.terminal.console import Console, counted, minutes
 from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate

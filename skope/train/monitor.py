@@ -9,7 +9,7 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 
 from skope.dataset.folder import read_image
-from skope.files import replacing
+from skope.files.atomic import replacing
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile
 from skope.terminal.console import counted

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from skope.errors import UserError
-from skope.files import read_text
+from skope.files.reading import read_text
 
 T = TypeVar("T")
 

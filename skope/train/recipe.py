@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
-from skope.detector import check_anchors
+from skope.detector.build import check_anchors
 from skope.errors import UserError, one_of
 from skope.schema import VEHICLE_TYPES
 from skope.train import overrides

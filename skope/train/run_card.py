@@ -5,7 +5,7 @@ from typing import Any
 
 from skope import keypoints
 from skope.dataset.folder import Dataset
-from skope.detector import BEST
+from skope.detector.checkpoint import BEST
 from skope.terminal.console import counted
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.validate import rank

@@ -25,11 +25,13 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import detector, keypoints
+from skope import keypoints
 from skope.dataset.folder import Dataset
-from skope.detector import BEST, DetectorConfig
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import BEST, checkpoint_name, checkpoints, read_checkpoint, save_weights
 from skope.errors import UserError
-from skope.files import locked, read_json, unwritable, write_bytes, write_json, write_text
+from skope.files.atomic import locked, unwritable, write_bytes, write_text
+from skope.files.json_files import read_json, write_json
 from skope.keypoints import Scheme
 from skope.terminal.console import disk_size
 from skope.train import init_weights, validate
@@ -163,7 +165,7 @@ def exclusive(run: Path) -> Iterator[None]:
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
     """Begin a run in a folder that holds none. Raises UserError where it holds one, or other files."""
-    if resumable(run) or detector.checkpoints(run):
+    if resumable(run) or checkpoints(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
@@ -208,7 +210,7 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         saved = torch.load(path, map_location="cpu", weights_only=True)
         plain = {name: saved[name] for name in _PLAIN}
         detector_config = DetectorConfig.from_dict(saved["detector"])
-        model = detector.build(detector_config, trainable_layers=config.recipe.trainable_layers)
+        model = build(detector_config, trainable_layers=config.recipe.trainable_layers)
         model.load_state_dict(saved["model"])
     except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
         raise UserError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0]})") from None
@@ -269,12 +271,12 @@ def save_state(run: Path, training: TrainingState) -> None:
 
 def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: int) -> Path:
     """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
-    checkpoint = run / detector.checkpoint_name(training.epochs_done)
+    checkpoint = run / checkpoint_name(training.epochs_done)
     _save_weights(checkpoint, config, training)
     write_text(run / _METRICS, "".join(json.dumps(row) + "\n" for row in training.history))
     save_state(run, training)
-    older = [epoch for epoch in detector.checkpoints(run) if epoch <= training.epochs_done][:-keep]
-    for epoch, path in detector.checkpoints(run).items():
+    older = [epoch for epoch in checkpoints(run) if epoch <= training.epochs_done][:-keep]
+    for epoch, path in checkpoints(run).items():
         if epoch in older or epoch > training.epochs_done:
             path.unlink()
     return checkpoint
@@ -292,16 +294,13 @@ def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
     last = bool(training.history) and "validation" in training.history[-1]
     if training.steps_done or not last or ranks[-1] != training.best or training.best in ranks[:-1]:
         return
-    if (
-        not (run / BEST).is_file()
-        or detector.read_checkpoint(run / BEST)[0]["metadata"]["epoch"] < training.epochs_done
-    ):
+    if not (run / BEST).is_file() or read_checkpoint(run / BEST)[0]["metadata"]["epoch"] < training.epochs_done:
         save_best(run, config, training)
 
 
 def _save_weights(path: Path, config: RunConfig, training: TrainingState) -> None:
     metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
-    detector.save_weights(path, training.shown, training.config, metadata)
+    save_weights(path, training.shown, training.config, metadata)
 
 
 def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:

@@ -11,7 +11,7 @@ import numpy as np
 from skope.dataset import image_selection, shards
 from skope.dataset.folder import MANIFEST, Dataset, open_dataset
 from skope.errors import UserError
-from skope.files import read_bytes
+from skope.files.reading import read_bytes
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.train.targets import Vehicles, vehicles_of

@@ -9,8 +9,10 @@ import numpy as np
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope import boxes, detector
+from skope import boxes
 from skope.dataset.folder import read_image
+from skope.detections import results
+from skope.detector.detect import detect, detect_on_boxes
 from skope.metrics.precision_recall import Options, score_split
 from skope.schema import AnnotationFile, Result
 
@@ -24,8 +26,8 @@ def detect_in_image(
     model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device, score: float
 ) -> list[Result]:
     """Detections above `score` in one (H, W, 3) image as results; only those go through the keypoint head."""
-    (detections,) = detector.detect(model, [pixels], device, min_score=score)
-    return detector.results(image_id, detections.boxes_xyxy, detections.scores, detections.keypoints)
+    (detections,) = detect(model, [pixels], device, min_score=score)
+    return results(image_id, detections.boxes_xyxy, detections.scores, detections.keypoints)
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def run_model(
         detected += detect_in_image(model, pixels, image.id, device, Options().score)
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
-        points = detector.detect_on_boxes(model, pixels, corners, device)
+        points = detect_on_boxes(model, pixels, corners, device)
         rows = zip(truth, points, strict=True)
         given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
     return ValidationResults(detected, given)

@@ -10,7 +10,7 @@ from importlib import resources
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.files import json_bytes
+from skope.files.json_files import json_bytes
 from skope.terminal.console import Console
 from skope.viewer.collection import Collection
 from skope.viewer.documents import STEPS, Documents

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.eval.pose.views import read_camera
+from skope.dataset.camera_of_file import read_camera
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "from-camera-to-tracks.md"

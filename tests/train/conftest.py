@@ -8,8 +8,6 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHe
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNN, KeypointRCNNHeads, KeypointRCNNPredictor
 from torchvision.models.resnet import Bottleneck, ResNet
 
-from skope import detector
-
 
 def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) -> None:
     """Have detectors made of the same parts with an eighth of the weights.
@@ -38,8 +36,8 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
             **options,
         )
 
-    patch.setattr(detector, "resnet_fpn_backbone", backbone)
-    patch.setattr(detector, "KeypointRCNN", network)
+    patch.setattr("skope.detector.build.resnet_fpn_backbone", backbone)
+    patch.setattr("skope.detector.build.KeypointRCNN", network)
 
 
 @pytest.fixture

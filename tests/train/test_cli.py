@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skope.errors import UserError
-from skope.files import write_json
+from skope.files.json_files import write_json
 from skope.train import cli, configure, loop
 from skope.train.recipe import RECIPES
 from skope.train.run_folder import RunConfig

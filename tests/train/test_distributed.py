@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from skope import detector
+from skope.detector.checkpoint import checkpoints
 from skope.train import distributed, step
 from skope.train.data import TrainingSample
 from skope.train.distributed import ProcessGroup
@@ -125,7 +125,7 @@ def test_under_torchrun_one_process_writes_and_talks(tmp_path: Path) -> None:
     assert done.stdout.count("images with") == 1
     (row,) = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert row["validation"]["images"] == 1
-    assert list(detector.checkpoints(tmp_path / "run")) == [1]
+    assert list(checkpoints(tmp_path / "run")) == [1]
 
 
 @pytest.mark.slow

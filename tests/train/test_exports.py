@@ -14,8 +14,10 @@ from safetensors.torch import load_file
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
-from skope import detector
 from skope.dataset.folder import read_image
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import load_weights, read_checkpoint, save_weights
+from skope.detector.detect import MIN_SCORE
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import input_moments
@@ -66,8 +68,8 @@ Answer = tuple[torch.Tensor, ...]
 def expected(learnt: tuple[Path, Path]) -> list[Answer]:
     """What the detector itself answers for each of the `images`."""
     data, checkpoint = learnt
-    model, _, _ = detector.load_weights(checkpoint, "cpu")
-    model.roi_heads.score_thresh = detector.MIN_SCORE
+    model, _, _ = load_weights(checkpoint, "cpu")
+    model.roi_heads.score_thresh = MIN_SCORE
     with torch.inference_mode():
         return [Deployed(model).eval()(image) for image in images(data)]
 
@@ -111,7 +113,7 @@ def test_compact_weights_are_rounded_for_a_dataset(
     export(checkpoint, "compact", path, data=data, console=Console(quiet=True))
     (image,) = seen
     assert np.array_equal(image, read_image(next((data / "images").rglob("*.png"))))
-    full, rounded = (detector.read_checkpoint(one)[1][name].flatten(1) for one in (checkpoint, path))
+    full, rounded = (read_checkpoint(one)[1][name].flatten(1) for one in (checkpoint, path))
     steps = load_file(path)[f"{name}.steps"][:, None]
     nearest = (full / steps).round() * steps
     # Inputs that all move together: the sum of the weights is what counts.
@@ -121,14 +123,14 @@ def test_compact_weights_are_rounded_for_a_dataset(
 
 def test_state_dict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines that are printed build torchvision's own model, whose detections are the same."""
-    monkeypatch.setattr(detector, "resnet_fpn_backbone", resnet_fpn_backbone)  # of its own size
-    monkeypatch.setattr(detector, "KeypointRCNN", KeypointRCNN)
+    monkeypatch.setattr("skope.detector.build.resnet_fpn_backbone", resnet_fpn_backbone)  # of its own size
+    monkeypatch.setattr("skope.detector.build.KeypointRCNN", KeypointRCNN)
     path = tmp_path / "other anchors.safetensors"
     anchors = (12, 24, 48, 96, 192)
-    config = detector.DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160, anchors=anchors)
+    config = DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160, anchors=anchors)
     torch.manual_seed(1)
-    detector.save_weights(path, detector.build(config), config, {})
-    expected, _, _ = detector.load_weights(path, "cpu")
+    save_weights(path, build(config), config, {})
+    expected, _, _ = load_weights(path, "cpu")
     export(path, "state_dict", tmp_path / "it's.pth", console=Console())
     names: dict[str, Any] = {}
     exec(capsys.readouterr().out, names)

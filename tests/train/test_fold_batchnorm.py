@@ -7,16 +7,15 @@ import torch
 from torch import nn
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope import detector
-from skope.backbone_norms import multiply_in
-from skope.detector import DetectorConfig
+from skope.detector.backbone_norms import multiply_in
+from skope.detector.build import DetectorConfig, build
 from skope.train.fold_batchnorm import fold_norms
-from tests.test_detector import use_uneven_statistics
+from tests.detector.test_detector import use_uneven_statistics
 
 
 def test_folded_and_plain_agree() -> None:
     torch.manual_seed(0)
-    plain = detector.build(DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160), trainable_layers=3)
+    plain = build(DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=96, max_size=160), trainable_layers=3)
     use_uneven_statistics(plain)
     folded = copy.deepcopy(plain).to(memory_format=torch.channels_last)
     assert fold_norms(folded) == 53
@@ -34,13 +33,13 @@ def test_folded_and_plain_agree() -> None:
 
 
 def test_norms_that_learn_are_left_alone() -> None:
-    assert fold_norms(detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))) == 0
+    assert fold_norms(build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))) == 0
 
 
 @pytest.mark.parametrize("norm", ["frozen", "batch"])
 def test_norms_that_are_multiplied_in_for_good_leave_the_maps_as_they_were(norm: str) -> None:
     torch.manual_seed(0)
-    model = detector.build(DetectorConfig(norm=norm, norm_eps=1e-3, min_size=96, max_size=160)).eval()
+    model = build(DetectorConfig(norm=norm, norm_eps=1e-3, min_size=96, max_size=160)).eval()
     use_uneven_statistics(model)
     pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():

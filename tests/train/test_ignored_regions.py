@@ -5,8 +5,7 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.image_list import ImageList
 
-from skope import detector
-from skope.detector import DetectorConfig
+from skope.detector.build import DetectorConfig, build
 from skope.train import ignored_regions
 
 VEHICLES = torch.tensor([[10.0, 10, 50, 40]])
@@ -33,7 +32,7 @@ EMPTY = {
 
 @pytest.fixture(scope="module")
 def model() -> KeypointRCNN:
-    model = detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))
+    model = build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))
     ignored_regions.prepare(model, regions=64, keypoint_regions=2)
     return model
 
@@ -70,7 +69,7 @@ def test_an_ignored_car_yields_no_negative_anchor_on_itself(model: KeypointRCNN)
 
 
 def test_what_is_too_small_inside_the_network_is_ignored() -> None:
-    model = detector.build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))
+    model = build(DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160))
     ignored_regions.prepare(model, regions=64, keypoint_regions=2, ignore_below=8.0)
     # Inside the network the image has half the size.
     boxes = torch.tensor([[10.0, 10, 40, 25], [50, 50, 90, 67], [100, 20, 114, 100]])

@@ -9,12 +9,14 @@ from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 from torchvision.models.detection._utils import overwrite_eps
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
-from skope import detector, keypoints, weights
-from skope.detector import DetectorConfig
+from skope import keypoints
+from skope.detector import weights
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import checkpoint_bytes, full_state, load_weights, save_weights
 from skope.errors import UserError
 from skope.train import init_weights
 from skope.train.recipe import RECIPES, SMALL_SIZE
-from tests.test_detector import SMALL, body_outputs, use_uneven_statistics
+from tests.detector.test_detector import SMALL, body_outputs, use_uneven_statistics
 
 COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
 
@@ -57,10 +59,10 @@ def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, m
     monkeypatch.setattr(weights, "FOLDER", tmp_path)
     assert initialise("auto")[2] == "random weights"  # while there are none
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
-    packed = detector.checkpoint_bytes(detector.build(config), config, {}, packed=True)
+    packed = checkpoint_bytes(build(config), config, {}, packed=True)
     weights.path(weights.DEFAULT).write_bytes(packed)
     (model, chosen, words), (named, _, _) = initialise("auto"), initialise("road33")
-    own, _, _ = detector.load_weights(weights.path(weights.DEFAULT), "cpu")
+    own, _, _ = load_weights(weights.path(weights.DEFAULT), "cpu")
     assert chosen == config
     assert words == "weights `road33` of the package"
     assert torch.equal(body_outputs(model), body_outputs(own))
@@ -118,9 +120,9 @@ def test_a_stock_file_fine_tunes_here(tmp_path: Path) -> None:
 
 def test_norm_and_eps_travel_with_a_checkpoint(tmp_path: Path) -> None:
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
-    ours = detector.build(config)
+    ours = build(config)
     use_uneven_statistics(ours)
-    detector.save_weights(tmp_path / "epoch_001.safetensors", ours, config, {})
+    save_weights(tmp_path / "epoch_001.safetensors", ours, config, {})
     for init in (tmp_path, tmp_path / "epoch_001.safetensors"):
         model, chosen, _ = initialise(str(init))
         assert chosen == config
@@ -129,9 +131,9 @@ def test_norm_and_eps_travel_with_a_checkpoint(tmp_path: Path) -> None:
 
 def test_the_size_of_images_travels_with_a_checkpoint_unless_one_is_asked_for(tmp_path: Path) -> None:
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, min_size=104, max_size=184)
-    model = detector.build(config)
-    detector.save_weights(tmp_path / "ours.safetensors", model, config, {})
-    save_file(detector.full_state(model), tmp_path / "stock.safetensors")
+    model = build(config)
+    save_weights(tmp_path / "ours.safetensors", model, config, {})
+    save_file(full_state(model), tmp_path / "stock.safetensors")
 
     def size(init: str, short: int | None, long: int | None) -> tuple[int, int]:
         _, chosen, _ = init_weights.initialise(

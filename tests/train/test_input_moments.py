@@ -5,8 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from skope import detector
-from skope.detector import DetectorConfig
+from skope.detector.build import DetectorConfig, build
 from skope.train import input_moments
 from tests.train.conftest import shrink
 
@@ -23,7 +22,7 @@ def test_inputs_of_a_convolution_are_its_patches(kernel: int, stride: int, pad: 
 def test_all_layers_of_a_detector_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     shrink(monkeypatch)
     torch.manual_seed(0)
-    model = detector.build(DetectorConfig(norm="frozen", norm_eps=1e-5, min_size=64, max_size=96)).eval()
+    model = build(DetectorConfig(norm="frozen", norm_eps=1e-5, min_size=64, max_size=96)).eval()
     model.roi_heads.score_thresh = 0.0
     image = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
     moments = input_moments.gather(model, [image])

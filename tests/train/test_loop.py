@@ -14,9 +14,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from skope import detector
 from skope.dataset import coco
 from skope.dataset.folder import read_image
+from skope.detector.checkpoint import BEST, checkpoints, load_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, step
@@ -106,7 +106,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert same_files(last, resumed), steps
     assert (whole / "metrics.jsonl").read_text() == (parts / "metrics.jsonl").read_text(), steps
     assert signal.getsignal(signal.SIGINT) is before
-    _, _, metadata = detector.load_weights(resumed, CPU)
+    _, _, metadata = load_weights(resumed, CPU)
     assert metadata["epoch"] == 2
     assert Recipe.from_dict(metadata["run"]["recipe"]) == recipe
     assert metadata["origin"] == "random weights"
@@ -166,7 +166,7 @@ def test_what_a_run_leaves(tmp_path: Path) -> None:
     out = tmp_path / "run"
     saving = Saving(keep=2, checkpoint_interval_s=0)
     train(data, out, replace(TINY, epochs=3, val_fraction=0.25), saving=saving)
-    assert list(detector.checkpoints(out)) == [2, 3]
+    assert list(checkpoints(out)) == [2, 3]
     files = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     board = {name for name in files if name.startswith("tensorboard/")}
     assert files - board == {
@@ -324,9 +324,9 @@ def test_where_the_best_cannot_be_written_the_epoch_is_not_lost(
         patch.setattr(run_folder, "save_best", full)
         with pytest.raises(UserError, match="No space left"):
             train(data, out, recipe)
-    assert not (out / detector.BEST).exists()
+    assert not (out / BEST).exists()
     train(data, out, recipe, resume=True)
-    assert same_files(out / detector.BEST, whole / detector.BEST)
+    assert same_files(out / BEST, whole / BEST)
 
 
 def test_types_that_are_not_there_are_not_left_out_in_silence(

@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope import boxes, detector
+from skope import boxes
 from skope.dataset.folder import open_dataset
+from skope.detections import Detections
+from skope.detector.checkpoint import load_weights
+from skope.detector.detect import detect
 from skope.schema import Annotation
 from skope.train.augment import Augment
 from skope.train.recipe import RECIPES
@@ -27,7 +30,7 @@ BY_HEART = replace(SMALL, epochs=40, learning_rate=0.04, augment=Augment(flip=0.
 """Knows one image afterwards."""
 
 
-def pck(found: detector.Detections, vehicles: list[Annotation], score: float = 0.9, iou: float = 0.6) -> float:
+def pck(found: Detections, vehicles: list[Annotation], score: float = 0.9, iou: float = 0.6) -> float:
     """Share of all labelled keypoints that the best detection on their vehicle puts within a tenth of its size."""
     correct = labelled = 0
     sure = found.scores > score
@@ -43,11 +46,11 @@ def pck(found: detector.Detections, vehicles: list[Annotation], score: float = 0
 
 
 def scores_on_its_images(data: Path, checkpoint: Path) -> list[float]:
-    model, _, _ = detector.load_weights(checkpoint, CPU)
+    model, _, _ = load_weights(checkpoint, CPU)
     dataset = open_dataset(data)
     file = dataset.read("train")
     vehicles = file.by_image()
-    return [pck(detector.detect(model, [dataset.image(image)], CPU)[0], vehicles[image.id]) for image in file.images]
+    return [pck(detect(model, [dataset.image(image)], CPU)[0], vehicles[image.id]) for image in file.images]
 
 
 @pytest.mark.slow

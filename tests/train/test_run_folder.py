@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from skope import detector
-from skope.detector import DetectorConfig
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import checkpoint_name, save_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train.export import FORMATS, export
-from tests.test_detector import SMALL
+from tests.detector.test_detector import SMALL
 from tests.train.conftest import shrink
 
 pytestmark = pytest.mark.usefixtures("small_network")
@@ -25,11 +25,11 @@ CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(1)
+    path = tmp_path_factory.mktemp("run") / checkpoint_name(1)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        detector.save_weights(path, detector.build(CONFIG), CONFIG, {})
+        save_weights(path, build(CONFIG), CONFIG, {})
     return path
 
 
@@ -91,7 +91,7 @@ def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint
 def test_an_export_looks_at_its_target_first(
     to: str, kind: str, said: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detector, "load_weights", lambda *_: pytest.fail("work was done before"))
+    monkeypatch.setattr("skope.train.export.load_weights", lambda *_: pytest.fail("work was done before"))
     monkeypatch.setattr("importlib.util.find_spec", lambda _: True)
     (tmp_path / "file").write_bytes(b"some text of mine")
     (tmp_path / "folder").mkdir()
@@ -120,5 +120,5 @@ def state() -> object:
 
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        model = detector.build(CONFIG)
+        model = build(CONFIG)
     return TrainingState(model, CONFIG, optimizer(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)

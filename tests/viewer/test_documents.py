@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.files import json_bytes
+from skope.files.json_files import json_bytes
 from skope.keypoints import INDEX, K
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import Options

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skope import weights
+from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli import footage, view
 from skope.eval.cli.options import MachineOptions, machine
@@ -165,8 +165,8 @@ def compare_runs(
 ) -> None:
     """Put evaluations side by side, with paired intervals of their differences from the first."""
     from skope.eval.report import compare
-    from skope.files import json_bytes
-    from skope.output_folders import write_new
+    from skope.files.json_files import json_bytes
+    from skope.files.output_folders import write_new
 
     document = compare.compare(folders)
     text = compare.render(document, protocol)

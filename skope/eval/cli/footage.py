@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope import weights
 from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions
 from skope.eval.inference.settings import TILES
-from skope.output_folders import claim_output
+from skope.files.output_folders import claim_output
 from skope.terminal.command_options import CAMERA_FILE, DIR, FILE, LIST, POSES, PREDICTED, SIZE, TRACKS, Formerly, panel
 from skope.terminal.console import Console
 
@@ -152,8 +152,8 @@ def predict(
     console: Console,
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
+    from skope.dataset.camera_of_file import read_camera
     from skope.eval.inference.footage import Cut, open_footage
-    from skope.eval.pose.views import read_camera
 
     _probability("--score", score)
     footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))
@@ -206,7 +206,7 @@ def pose(
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
     from skope.eval.pose.pose_errors import measure, summary, table
     from skope.eval.pose.records import locate_view, records, write_poses
-    from skope.files import write_json
+    from skope.files.json_files import write_json
 
     levels, score, sigma = _numbers("--noise", noise), options.score, options.sigma
     scene = options.scene(*levels, console=console)

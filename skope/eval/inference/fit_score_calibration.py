@@ -8,22 +8,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import detector
 from skope.dataset.image_selection import held_back, ignoring, last_frames
-from skope.detector import find_checkpoint
+from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
+from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
 from skope.eval.inference.predictor import CALIBRATED, Predictor
 from skope.eval.inference.score_calibration import ALPHA, IOU
 from skope.eval.inference.settings import Settings
+from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
-from skope.output_folders import check_file, work_of, write_new
 from skope.schema import AnnotationFile
 from skope.terminal.console import Console
 from skope.types import Array
-from skope.weights import shipped
 
 TRAIN: Final = "train"
 
@@ -97,9 +96,9 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     scores, hits = calibrated_weights.vehicle_outcomes(file, results)
     vehicles = calibrated_weights.fit_vehicles(scores, hits)
     _tell("vehicles", scores, calibrated_weights.calibrated(scores, *vehicles), hits, console)
-    model, config, metadata = detector.load_weights(weights, "cpu")
+    model, config, metadata = load_weights(weights, "cpu")
     calibrated_weights.fold(model, vehicles, fitted)
-    content = detector.checkpoint_bytes(model, config, {**metadata, CALIBRATED: fitted_on})
+    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED: fitted_on})
     write_new(job.out, content)
     return job.out
 

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import safe_names
 from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference import stream
+from skope.files import safe_names
 from skope.schema import Image
 
 Pixels = NDArray[np.uint8]

@@ -15,8 +15,9 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.dataset import coco
+from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import FRAMES, PREDICTIONS
-from skope.detector import choose_device
+from skope.detector.device import choose_device
 from skope.errors import UserError
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.confirmation import FARTHEST_S, WEAK, Confirmation
@@ -25,10 +26,10 @@ from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
-from skope.eval.pose.views import with_camera
-from skope.files import replacing, sha256_of
+from skope.files.atomic import replacing
+from skope.files.output_folders import claim_output
+from skope.files.reading import sha256_of
 from skope.keypoints import Scheme
-from skope.output_folders import claim_output
 from skope.pictures import draw
 from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image, Result

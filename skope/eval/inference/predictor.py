@@ -14,8 +14,13 @@ import torch
 from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
-from skope import boxes, detector, keypoints
+from skope import boxes, keypoints
 from skope.dataset.folder import read_image
+from skope.detections import Detections
+from skope.detector.checkpoint import find_checkpoint, load_weights
+from skope.detector.detect import MIN_SCORE, detect, detect_on_boxes
+from skope.detector.device import choose_device
+from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.backends.prepare import prepare
@@ -25,7 +30,6 @@ from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.terminal.console import Console, minutes
-from skope.weights import shipped
 
 Pixels = NDArray[np.uint8]
 T = TypeVar("T")
@@ -46,13 +50,13 @@ class Predictor:
 
     def __init__(self, checkpoint: Path, settings: Settings, console: Console) -> None:
         self._settings, self._console = settings, console
-        self._device = detector.choose_device(settings.device)
+        self._device = choose_device(settings.device)
         self.batch_size = settings.batch_size or default_batch_size(self._device)
         """Images of one size that go through the network together, at most."""
-        self.weights = detector.find_checkpoint(checkpoint)
+        self.weights = find_checkpoint(checkpoint)
         self.model: KeypointRCNN
         """The network, whose parts a backend may have taken over."""
-        self.model, self.config, self.metadata = detector.load_weights(self.weights, self._device)
+        self.model, self.config, self.metadata = load_weights(self.weights, self._device)
         self.scheme = keypoints.SCHEMES[self.config.scheme]
         self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
         if settings.min_size is not None:
@@ -142,7 +146,7 @@ class Predictor:
         pinned = ((image, _pinned(pixels)) for image, pixels in images)
         return read_ahead(self.each(read_ahead(pinned, 2 * self.batch_size)), self.batch_size)
 
-    def detections(self, images: Sequence[Pixels]) -> list[detector.Detections]:
+    def detections(self, images: Sequence[Pixels]) -> list[Detections]:
         """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""
         batches = _batches(enumerate(images), self.batch_size)
         return [found for batch in batches for found in self._detect([pixels for _, pixels in batch])]
@@ -153,7 +157,7 @@ class Predictor:
         for (image, _), found in zip(batch, answers, strict=True):
             yield image, found.to_results(image.id)
 
-    def _detect(self, batch: Sequence[Pixels]) -> list[detector.Detections]:
+    def _detect(self, batch: Sequence[Pixels]) -> list[Detections]:
         """One pass of images of one size through the network."""
         answers = self._run(batch)
         if self._settings.tiles == "auto" and (parts := self._tiles(batch[0])):
@@ -164,17 +168,17 @@ class Predictor:
         height, width = image.shape[:2]
         return tiles_of(width, height, short=self.config.min_size, long=self.config.max_size)
 
-    def _with_tiles(self, image: Pixels, whole: detector.Detections, parts: list[Tile]) -> detector.Detections:
+    def _with_tiles(self, image: Pixels, whole: Detections, parts: list[Tile]) -> Detections:
         """What the whole image and its tiles show together."""
         batches = _batches(((part, part.of(image)) for part in parts), self.batch_size)
         found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
         return joined(whole, list(zip(parts, found, strict=True)))
 
-    def _run(self, images: Sequence[Pixels]) -> list[detector.Detections]:
+    def _run(self, images: Sequence[Pixels]) -> list[Detections]:
         """Images of one size through the network, with keypoint scores as they are."""
-        least = detector.MIN_SCORE if self._settings.min_score is None else self._settings.min_score
+        least = MIN_SCORE if self._settings.min_score is None else self._settings.min_score
         try:
-            return detector.detect(self.model, images, self._device, min_score=least)
+            return detect(self.model, images, self._device, min_score=least)
         except torch.OutOfMemoryError:
             raise UserError(
                 f"{self._device}: out of memory with {len(images)} images in the network at a time, short side "
@@ -185,7 +189,7 @@ class Predictor:
         # In order of id, so that of two vehicles with the same box each is matched to itself.
         truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
         given = np.array([a.bbox for a in truth]).reshape(-1, 4)
-        points = detector.detect_on_boxes(self.model, pixels, boxes.xywh_to_xyxy(given), self._device)
+        points = detect_on_boxes(self.model, pixels, boxes.xywh_to_xyxy(given), self._device)
         rows = zip(truth, self._scored(points), strict=True)
         return [Result(image_id=image_id, bbox=vehicle.bbox, score=1.0, keypoints=p) for vehicle, p in rows]
 

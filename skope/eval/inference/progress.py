@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from skope.errors import UserError
-from skope.files import json_bytes, parse_json, writing
+from skope.files.atomic import writing
+from skope.files.json_files import json_bytes, parse_json
 
 
 class Progress:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from skope import keypoints, schema
 from skope.errors import UserError
-from skope.files import read_json, sha256_of, write_json
-from skope.output_folders import differences
+from skope.files.json_files import read_json, write_json
+from skope.files.output_folders import differences
+from skope.files.reading import sha256_of
 from skope.types import Array
 
 VERSION: Final = 1

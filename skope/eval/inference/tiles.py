@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torchvision.ops import nms
 
 from skope import boxes
-from skope.detector import Detections
+from skope.detections import Detections
 
 _WORTH: Final = 1.25
 """An image is cut into tiles where it is larger than inside the network by more than this."""

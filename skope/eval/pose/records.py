@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.keypoints import WHEELS
 from skope.types import Array
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.errors import UserError
 from skope.eval.pose.shape_model import Shapes
-from skope.files import read_json
+from skope.files.json_files import read_json
 from skope.types import Array
 
 _NUMBERS: Final = 4

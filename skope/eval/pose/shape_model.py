@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.files import read_json
+from skope.files.json_files import read_json
 from skope.types import Array
 
 ROWS: Final = keypoints.K + 1

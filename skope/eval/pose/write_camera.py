@@ -16,8 +16,8 @@ from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.views import read_scene
-from skope.files import read_bytes, read_text
-from skope.output_folders import write_new
+from skope.files.output_folders import write_new
+from skope.files.reading import read_bytes, read_text
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
 _UNKNOWN: Final = 0.3

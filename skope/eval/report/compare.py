@@ -13,7 +13,7 @@ import numpy as np
 
 from skope.errors import UserError, one_of
 from skope.eval.report.table import evidence, number
-from skope.files import read_json
+from skope.files.json_files import read_json
 from skope.metrics import precision_recall
 from skope.metrics.counts import FIGURES, PROTOCOLS, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference

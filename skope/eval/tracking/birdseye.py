@@ -11,7 +11,7 @@ from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_view import GroundView, Pixels
 from skope.eval.tracking.tracks import Track
-from skope.files import replacing
+from skope.files.atomic import replacing
 from skope.terminal.console import counted
 from skope.types import Array
 

@@ -19,7 +19,7 @@ from skope.eval.tracking.detections import Detection, detection_from_dict, detec
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
-from skope.files import replacing, write_text
+from skope.files.atomic import replacing, write_text
 from skope.pictures.video import write_video
 from skope.terminal.console import Console
 

@@ -10,10 +10,10 @@ from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
 from skope.eval.view.video_frames import VideoFrames
-from skope.files import read_json
+from skope.files.json_files import read_json
+from skope.files.output_folders import WORK
 from skope.metrics import read_inputs
 from skope.metrics.counts import Options
-from skope.output_folders import WORK
 from skope.schema import Image
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture, read_picture

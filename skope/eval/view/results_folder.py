@@ -10,7 +10,7 @@ from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.report import compare
 from skope.eval.view.footage_folder import footage_collection
-from skope.files import sha256_of
+from skope.files.reading import sha256_of
 from skope.metrics import read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth

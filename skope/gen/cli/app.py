@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from skope.files.output_folders import replaceable_output
 from skope.gen.cli import convert, inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
-from skope.output_folders import replaceable_output
 from skope.terminal.command_options import DATA, DIR, Commands, JsonOption, option
 from skope.terminal.console import Console, counted
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from skope.files.output_folders import replaceable_output
 from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
-from skope.output_folders import replaceable_output
 from skope.terminal.command_options import (
     DATA,
     DIR,
@@ -210,7 +210,7 @@ def video(
     renderer: RendererOption = "auto",
 ) -> None:
     """Make footage of a site, with labels of every frame."""
-    from skope.files import sha256_of
+    from skope.files.reading import sha256_of
     from skope.gen.labels.annotate import Rules
     from skope.gen.pipeline.config import from_preset
     from skope.gen.pipeline.write_footage import plan_of, write_footage

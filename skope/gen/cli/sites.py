@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from skope.output_folders import replaceable_output
+from skope.files.output_folders import replaceable_output
 from skope.terminal.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
 from skope.terminal.console import Console
 from skope.terminal.text_table import text_table

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skope.errors import UserError
+from skope.files.output_folders import replaceable_output
+from skope.files.safe_names import name as check_name
 from skope.gen.cli.options import RendererOption
-from skope.output_folders import replaceable_output
-from skope.safe_names import name as check_name
 from skope.terminal.command_options import DIR, VEHICLE_SHEETS, Commands, option
 from skope.terminal.console import Console, counted
 from skope.terminal.text_table import text_table

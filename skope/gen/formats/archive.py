@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
-from skope.files import replacing
-from skope.safe_names import is_relative
+from skope.files.atomic import replacing
+from skope.files.safe_names import is_relative
 
 MEMBERS: Final = 2_000_000
 """Most members of an archive."""

@@ -14,7 +14,7 @@ from skope import schema
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
-from skope.files import parse_json, read_json
+from skope.files.json_files import parse_json, read_json
 from skope.gen.formats import foreign_names
 from skope.gen.formats.coco_write import CVAT_START
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME

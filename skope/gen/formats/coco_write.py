@@ -13,7 +13,7 @@ from typing import Any, Final
 from skope import schema
 from skope.dataset import coco
 from skope.dataset.folder import Dataset
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
 from skope.keypoints import K, Scheme

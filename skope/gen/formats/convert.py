@@ -10,12 +10,12 @@ from typing import Final
 
 from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
-from skope.files import replacing_folder, write_text
+from skope.files.atomic import replacing_folder, write_text
+from skope.files.output_folders import move_new
 from skope.gen.formats import coco_read, coco_write, folder_and_shards, kitti, mot, skope3d, yolo
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
 from skope.gen.output.writers import FORMATS
-from skope.output_folders import move_new
 from skope.terminal.console import Console
 
 

@@ -13,7 +13,9 @@ from skope import schema
 from skope.dataset import coco, shards
 from skope.dataset.folder import CARD, Dataset, open_dataset
 from skope.errors import UserError
-from skope.files import json_bytes, read_bytes, sha256_of, write_json, write_text
+from skope.files.atomic import write_text
+from skope.files.json_files import json_bytes, write_json
+from skope.files.reading import read_bytes, sha256_of
 from skope.gen.output import card_text, licences
 from skope.gen.output.card_counts import kind_of
 from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, checksum

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from skope.dataset.folder import CARD, MANIFEST, Dataset
 from skope.errors import UserError
-from skope.files import read_bytes, write_bytes
+from skope.files.atomic import write_bytes
+from skope.files.reading import read_bytes
 from skope.gen.output import dataset_card
 from skope.gen.output.parameters import DatasetPlan
 from skope.gen.output.writers import frames_of_split, writer_of

@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from skope.safe_names import NAME_BYTES, is_relative
+from skope.files.safe_names import NAME_BYTES, is_relative
 
 SPLITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("train", "training", "trainset"), "train"),

@@ -23,7 +23,7 @@ from skope import boxes
 from skope.camera.model import Camera
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.output.writers import place_file
 from skope.schema import Annotation, Box3D, Image
 from skope.terminal.console import Console

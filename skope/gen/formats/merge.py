@@ -11,7 +11,7 @@ from skope.dataset import shards
 from skope.dataset.folder import MANIFEST, Dataset, read_manifest
 from skope.dataset.image_selection import recordings
 from skope.errors import UserError
-from skope.files import replacing_folder
+from skope.files.atomic import replacing_folder
 from skope.gen.formats.dataset_builder import bare_name, check_outside, dataset_at, finish_dataset, labelled_frame
 from skope.gen.output.licences import united
 from skope.gen.output.writers import FolderWriter, FrameFiles

@@ -11,7 +11,7 @@ from typing import Final
 from skope.dataset.folder import Dataset
 from skope.dataset.image_selection import recordings
 from skope.errors import UserError
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import frame_rate
 from skope.gen.output.writers import place_file
 from skope.schema import Annotation, Image

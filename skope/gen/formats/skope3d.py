@@ -21,15 +21,17 @@ from skope import boxes, keypoints
 from skope.dataset.folder import Dataset
 from skope.dataset.image_selection import recordings
 from skope.errors import UserError
-from skope.files import read_json, read_text, write_json, write_text
+from skope.files.atomic import write_text
+from skope.files.json_files import read_json, write_json
+from skope.files.reading import read_text
+from skope.files.safe_names import for_opencv
+from skope.files.safe_names import name as check_name
 from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
 from skope.gen.output.writers import FolderWriter
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.pictures.video import write_video
-from skope.safe_names import for_opencv
-from skope.safe_names import name as check_name
 from skope.schema import Annotation, Image
 from skope.terminal.console import Console
 from skope.types import Array

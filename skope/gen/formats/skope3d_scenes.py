@@ -20,11 +20,11 @@ from typing import Final
 import numpy as np
 
 from skope.errors import UserError
-from skope.files import decoded
+from skope.files.reading import decoded
+from skope.files.safe_names import counting_order
+from skope.files.safe_names import name as check_name
 from skope.gen.formats.archive import Archive
 from skope.keypoints import K
-from skope.safe_names import counting_order
-from skope.safe_names import name as check_name
 from skope.types import Array
 
 VIDEO: Final = "original.avi"

@@ -15,7 +15,7 @@ import numpy as np
 from skope.dataset.folder import Dataset
 from skope.dataset.image_selection import held_back
 from skope.errors import UserError
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
 from skope.keypoints import K, Scheme

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope.dataset import shards
 from skope.dataset.folder import Dataset
-from skope.files import replacing
+from skope.files.atomic import replacing
 from skope.keypoints import K
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.terminal.text_table import text_table

@@ -8,7 +8,8 @@ from typing import Any, Final
 from skope import keypoints, schema
 from skope.dataset.depth_files import DEPTH_SCALE
 from skope.dataset.folder import CARD, read_manifest
-from skope.files import write_json, write_text
+from skope.files.atomic import write_text
+from skope.files.json_files import write_json
 from skope.gen.labels import annotate
 from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, licences

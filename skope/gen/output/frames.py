@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.errors import UserError, one_of
-from skope.files import json_bytes
+from skope.files.json_files import json_bytes
 from skope.gen.labels.annotate import RuleCounts, Rules, annotate
 from skope.gen.output.card_counts import kind_of
 from skope.gen.output.writers import FrameFiles, Labels, checksum

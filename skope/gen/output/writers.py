@@ -11,11 +11,13 @@ from typing import IO, Any, Final
 
 import orjson
 
-from skope import safe_names
 from skope.dataset import coco, shards
 from skope.dataset.folder import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
-from skope.files import json_bytes, link, read_json, sha256_of, write_bytes
+from skope.files import safe_names
+from skope.files.atomic import link, write_bytes
+from skope.files.json_files import json_bytes, read_json
+from skope.files.reading import sha256_of
 from skope.gen.output.card_counts import Counts, Kind, kind_of
 from skope.keypoints import SKOPE33, Scheme
 

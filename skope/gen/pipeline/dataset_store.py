@@ -12,21 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope import safe_names
 from skope.dataset.folder import CARD, Dataset, read_card
 from skope.errors import UserError
-from skope.files import (
-    file_in_place_of,
-    json_bytes,
-    locked,
-    no_links_out,
-    parse_json,
-    read_bytes,
-    read_json,
-    write_bytes,
-    write_json,
-    writing,
-)
+from skope.files import safe_names
+from skope.files.atomic import file_in_place_of, locked, no_links_out, write_bytes, writing
+from skope.files.json_files import json_bytes, parse_json, read_json, write_json
+from skope.files.reading import read_bytes
 from skope.gen.output.card_counts import Counts
 from skope.gen.output.dataset_card import write as write_card
 from skope.gen.output.parameters import DatasetPlan, Parameters

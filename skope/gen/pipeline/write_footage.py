@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from skope.dataset.coco import write
 from skope.errors import UserError
-from skope.files import read_json, replacing
+from skope.files.atomic import replacing
+from skope.files.json_files import read_json
+from skope.files.output_folders import changed
+from skope.files.safe_names import for_opencv
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.output.frames import image_of
 from skope.gen.pipeline.lighting_messages import lighting_messages
@@ -21,9 +24,7 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.output_folders import changed
 from skope.pictures import draw
-from skope.safe_names import for_opencv
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.terminal.console import Console
 

@@ -24,12 +24,12 @@ from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Ligh
 from skope.gen.render.palette import Palette
 from skope.gen.render.pixel_windows import NEAR, Window, hull_of, window_of
 from skope.gen.render.traffic_lights import light_signals
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
 from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town
-from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles.model import Body
 from skope.gen.vehicles.paints import PAINTS
 from skope.types import Array

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
-from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles.model import Body
 from skope.types import Array
 

@@ -16,10 +16,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import safe_names
 from skope.camera.model import Camera
 from skope.errors import UserError, one_of
-from skope.files import read_bytes, write_bytes
+from skope.files import safe_names
+from skope.files.atomic import write_bytes
+from skope.files.reading import read_bytes
 from skope.gen.scene.conditions import Conditions, Range
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.towns.sites import Site
@@ -148,7 +149,7 @@ class Moment:
     velocity: Array
     """(N, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(N,) lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
+    """(N,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
 
@@ -193,7 +194,7 @@ class Recording:
     velocity: Array
     """(R, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(R,) lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
+    """(R,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
     photograph: NDArray[np.uint8] | None = None
     """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
@@ -17,7 +18,7 @@ from skope.gen.simulation.pedestrians import PlacedBystander
 from skope.gen.simulation.physics import Pose, at_rest
 from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.parking import Bay
-from skope.gen.traffic.sumo import LAMPS, Snapshot, Traffic
+from skope.gen.traffic.sumo import Snapshot, Traffic
 from skope.gen.vehicles.fleet import FleetEntry, build, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import draw_paint

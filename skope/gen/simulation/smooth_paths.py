@@ -45,7 +45,7 @@ class Driven(NamedTuple):
     speed: float
     """Speed of the rear axle, forwards, m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `skope.gen.traffic.sumo.LAMPS`."""
+    """Lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
 
 
 @dataclass

@@ -16,7 +16,7 @@ from shapely import Polygon
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.files import read_bytes, read_text
+from skope.files.reading import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day

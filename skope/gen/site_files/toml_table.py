@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from skope.errors import UserError
-from skope.files import read_text
+from skope.files.reading import read_text
 
 
 class TomlTable:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import safe_names
 from skope.camera.model import Camera
+from skope.files import safe_names
 
 Image = NDArray[np.uint8]
 

@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from skope.errors import UserError
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.traffic.demand import RIDERS, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
 from skope.gen.vehicles.fleet import FleetEntry
@@ -28,7 +29,6 @@ STEP: Final = 0.025
 _STEPS_MS: Final = (25, 20, 10, 5)
 """Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
 
-LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 _SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
 
 _OPTIONS: Final = {

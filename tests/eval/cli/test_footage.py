@@ -18,14 +18,15 @@ import sumolib
 
 from skope.camera.model import Camera
 from skope.dataset import coco
+from skope.dataset.camera_of_file import read_camera
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.inference.progress import Progress
 from skope.eval.pose import fit_camera, pose_errors
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.views import Scene, read_camera
-from skope.files import write_json
+from skope.eval.pose.views import Scene
+from skope.files.json_files import write_json
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from tests.eval.inference import streams
 from tests.eval.pose.test_solver import drawn

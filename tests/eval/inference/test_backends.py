@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 from torchvision.ops import MultiScaleRoIAlign
 
-from skope import activation_ranges, boxes, detector, weights
+from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detector import Detections
+from skope.detections import Detections
+from skope.detector import activation_ranges, weights
+from skope.detector.checkpoint import find_checkpoint, load_weights
+from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
 from skope.eval.inference.backends import eight_bits
 from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
@@ -36,13 +39,13 @@ def pixels() -> NDArray[np.uint8]:
 
 
 def shipped() -> KeypointRCNN:
-    model, _, _ = detector.load_weights(weights.path(weights.DEFAULT), CPU)
+    model, _, _ = load_weights(weights.path(weights.DEFAULT), CPU)
     model.transform.min_size, model.transform.max_size = (320,), 640
     return model
 
 
 def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
-    return detector.detect(model, [pixels], CPU, min_score=0.3)[0]
+    return detect(model, [pixels], CPU, min_score=0.3)[0]
 
 
 @pytest.fixture(scope="module")
@@ -129,15 +132,15 @@ def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pi
         return run
 
     pixels = pixels[:64, :96]
-    before, after = (detector.load_weights(detector.find_checkpoint(random_run), CPU)[0] for _ in range(2))
+    before, after = (load_weights(find_checkpoint(random_run), CPU)[0] for _ in range(2))
     with torch.inference_mode():
         hand_over(after, {name: by_itself(part) for name, part in parts_of(after).items()})
     for least in (0.05, 0.9999):
-        one, two = (detector.detect(model, [pixels], CPU, min_score=least)[0] for model in (before, after))
+        one, two = (detect(model, [pixels], CPU, min_score=least)[0] for model in (before, after))
         assert two.boxes_xyxy == pytest.approx(one.boxes_xyxy, abs=0.01)
         assert two.scores == pytest.approx(one.scores, abs=1e-5)
     assert len(two) == 0
-    one, two = (detector.detect_on_boxes(model, pixels, [[10, 10, 60, 50]], CPU) for model in (before, after))
+    one, two = (detect_on_boxes(model, pixels, [[10, 10, 60, 50]], CPU) for model in (before, after))
     assert two[..., 2] == pytest.approx(one[..., 2], abs=1e-4)
 
 
@@ -207,7 +210,7 @@ class Said(Console):
 
 @pytest.fixture
 def model(random_run: Path) -> KeypointRCNN:
-    return detector.load_weights(detector.find_checkpoint(random_run), CPU)[0]
+    return load_weights(find_checkpoint(random_run), CPU)[0]
 
 
 @pytest.fixture
@@ -251,7 +254,7 @@ def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(
     )
     layers = activation_ranges.rounded_layers(model)
     ranges = {activation_ranges.KEY: {name: [0.0, 1.0] for name in layers}}
-    monkeypatch.setattr(detector, "has_bfloat16", lambda _: False)
+    monkeypatch.setattr("skope.eval.inference.backends.prepare.has_bfloat16", lambda _: False)
     said = Said()
     assert prepare(model, ranges, CPU, backend="auto", precision="auto", console=said) == "float32"
     assert said.lines[0].endswith("(unsupported opset): pip install 'skope[openvino]'; torch computes instead")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import detector
+from skope.detector.checkpoint import find_checkpoint, load_weights
+from skope.detector.detect import detect
 from skope.eval.inference import calibrated_weights
 from skope.eval.inference.score_calibration import ScoreCalibration, path_beside
 from skope.metrics.score_reliability import calibration_error, reliability
@@ -62,13 +63,13 @@ def test_what_counts_as_found() -> None:
 
 
 def test_folded_weights_give_the_calibrated_scores(random_run: Path) -> None:
-    model, _, _ = detector.load_weights(detector.find_checkpoint(random_run), "cpu")
+    model, _, _ = load_weights(find_checkpoint(random_run), "cpu")
     image = np.random.default_rng(2).integers(0, 256, (96, 128, 3), dtype=np.uint8)
-    (before,) = detector.detect(model, [image], "cpu", min_score=0.0, max_detections=20)
+    (before,) = detect(model, [image], "cpu", min_score=0.0, max_detections=20)
     points = ScoreCalibration(scale=np.linspace(0.2, 1.7, 33), offset=np.linspace(-3, 2, 33), fitted_on={})
     folded = copy.deepcopy(model)
     calibrated_weights.fold(folded, (0.7, -0.4), points)
-    (after,) = detector.detect(folded, [image], "cpu", min_score=0.0, max_detections=20)
+    (after,) = detect(folded, [image], "cpu", min_score=0.0, max_detections=20)
     assert len(before) == len(after) == 20
     np.testing.assert_allclose(after.boxes_xyxy, before.boxes_xyxy, atol=1e-3)
     np.testing.assert_allclose(after.scores, calibrated_weights.calibrated(before.scores, 0.7, -0.4), atol=1e-5)

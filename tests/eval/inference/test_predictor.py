@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from skope import detector
 from skope.dataset import coco
+from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.errors import UserError
 from skope.eval.inference.backends import bfloat16
 from skope.eval.inference.predictor import Predictor, _batches, _decoded, default_batch_size
@@ -143,7 +143,7 @@ def test_too_little_memory_is_said_in_a_line(random_run: Path, monkeypatch: pyte
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     predictor = Predictor(random_run, Settings(device="cpu", batch_size=4), Console(quiet=True))
-    monkeypatch.setattr(detector, "detect", full)
+    monkeypatch.setattr("skope.eval.inference.predictor.detect", full)
     with pytest.raises(UserError, match=r"^cpu: out of memory with 3 images .* lower --batch-size or --min-size$"):
         predictor.detections([np.zeros((48, 64, 3), dtype=np.uint8)] * 3)
 
@@ -173,8 +173,8 @@ def test_images_are_decoded_in_order_and_not_too_far_ahead(tmp_path: Path, monke
 
 
 def test_bfloat16_rounds_products_and_leaves_coordinates_alone(random_run: Path) -> None:
-    path = detector.find_checkpoint(random_run)
-    model, low = (detector.load_weights(path, "cpu")[0] for _ in range(2))
+    path = find_checkpoint(random_run)
+    model, low = (load_weights(path, "cpu")[0] for _ in range(2))
     bfloat16.convert(low)
     image = torch.rand((1, 3, 64, 96), generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():

@@ -13,7 +13,7 @@ import pytest
 from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import read_image
-from skope.detector import Detections
+from skope.detections import Detections
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of

@@ -16,7 +16,7 @@ from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
 from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
-from skope.files import write_json
+from skope.files.json_files import write_json
 from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image
 from skope.terminal.console import Console

@@ -15,7 +15,7 @@ from skope.camera.calibration_files import over_plane, read_calibration, read_pl
 from skope.camera.model import Camera
 from skope.dataset import coco, shards
 from skope.dataset.folder import open_dataset
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.schema import Annotation, AnnotationFile, Box3D
 from tests import hostile

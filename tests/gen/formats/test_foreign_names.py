@@ -2,9 +2,9 @@
 
 import pytest
 
+from skope.files.safe_names import counting_order, is_relative
 from skope.gen.formats import foreign_names
 from skope.gen.formats.foreign_names import Place, endings, named_split, places, slashed, split_of
-from skope.safe_names import counting_order, is_relative
 
 
 @pytest.mark.parametrize(

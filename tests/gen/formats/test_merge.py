@@ -11,7 +11,7 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_manifest
 from skope.errors import UserError
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.output.licences import terms_of, united
 from skope.gen.output.writers import checksum

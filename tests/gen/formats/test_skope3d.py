@@ -14,7 +14,7 @@ import pytest
 from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.gen.formats import archive
 from skope.gen.inspect.check import check
 from skope.pictures.video import write_video

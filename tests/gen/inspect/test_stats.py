@@ -12,7 +12,7 @@ from skope import keypoints
 from skope.cli import app
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
-from skope.files import write_json
+from skope.files.json_files import write_json
 from skope.gen.inspect.stats import rows, split_stats
 from skope.schema import AnnotationFile
 from tests.samples import make_annotation, make_dataset, make_image

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from skope import files
 from skope.errors import UserError
+from skope.files.atomic import locked
 from tests import hostile
 from tests.gen.small import content, gen
 
@@ -139,9 +139,9 @@ def test_whoever_holds_the_lock_holds_the_file_that_is_there(tmp_path: Path, mon
         flock(file, how)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with files.locked(path, "busy"), path.open("w") as other:
+    with locked(path, "busy"), path.open("w") as other:
         with pytest.raises(BlockingIOError):
             flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        with pytest.raises(UserError, match="busy"), files.locked(path, "busy"):
+        with pytest.raises(UserError, match="busy"), locked(path, "busy"):
             pass
     assert not path.exists()

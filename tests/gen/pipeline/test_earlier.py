@@ -1,6 +1,6 @@
 """What an earlier layout of the package left behind is read and gone on with: a recording, a dataset half made.
 
-tests/files/earlier was made at commit eb2d498, before modules and classes had their present places and names.
+The folder earlier was made at commit eb2d498, before modules and classes had their present places and names.
 """
 
 import json
@@ -16,7 +16,7 @@ from skope.gen.scene.package_versions import versions
 from skope.gen.towns.town import Town
 from tests import hostile
 
-EARLIER = Path(__file__).parents[2] / "files" / "earlier"
+EARLIER = Path(__file__).parent / "earlier"
 
 
 def test_recordings_load() -> None:

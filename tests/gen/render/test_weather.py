@@ -12,11 +12,11 @@ from skope.gen.render.gl.light import STANDING, _signed_water
 from skope.gen.render.sensor import sigma_of
 from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Recording
 from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.scenery.build import STUDIO, scenery
 from skope.gen.towns.town import Town
-from skope.gen.traffic.sumo import LAMPS
 from tests.gen.scenes import conditions, standing
 
 SIZE = (320, 180)

@@ -13,9 +13,10 @@ from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose_renderer import make_renderer
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.recorder import FLASH, flashed
-from skope.gen.traffic.sumo import LAMPS, STEP, SumoRider
+from skope.gen.traffic.sumo import STEP, SumoRider
 from tests.gen.scenes import standing, with_people
 
 PATH = np.array([[0.0, 0.0, 0.1], [30.0, 0.0, 0.1], [30.0, 40.0, 2.1]])

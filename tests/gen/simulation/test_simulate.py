@@ -7,6 +7,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.parked import parked
@@ -17,7 +18,7 @@ from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import trips
-from skope.gen.traffic.sumo import LAMPS, STEP, Traffic
+from skope.gen.traffic.sumo import STEP, Traffic
 from skope.gen.vehicles.fleet import fleet
 from tests.gen.scenes import driven
 

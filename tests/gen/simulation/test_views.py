@@ -12,13 +12,13 @@ from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import simulate_job
 from skope.gen.scene import recording as recordings
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
 from skope.gen.towns.style import style
 from skope.gen.towns.town import Mast, Town, Variant
-from skope.gen.traffic.sumo import LAMPS
 from skope.gen.vehicles.paints import PAINTS
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from skope.cli import app
 from skope.dataset.folder import open_dataset
 from skope.errors import UserError
-from skope.files import read_json, write_json
+from skope.files.json_files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import build, fleet

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.resnet import Bottleneck
 
-from skope.backbone_norms import multiply_in
+from skope.detector.backbone_norms import multiply_in
 from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
 
 

@@ -9,8 +9,8 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from skope import activation_ranges
-from skope.activation_ranges import Ranges
+from skope.detector import activation_ranges
+from skope.detector.activation_ranges import Ranges
 
 _STEPS: Final = 255
 _LARGEST: Final = 127

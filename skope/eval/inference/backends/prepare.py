@@ -6,7 +6,8 @@ from typing import Any
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope import activation_ranges, detector
+from skope.detector import activation_ranges
+from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
@@ -80,7 +81,7 @@ def _by_runtime(runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, An
 def _number_format(precision: str, runtime: Runtime | None, *, ranged: bool, device: torch.device) -> str:
     formats = _IN_TORCH if runtime is None else runtime.formats
     if precision == "auto":
-        good = {"int8": ranged, "bfloat16": detector.has_bfloat16(device), "float32": True}
+        good = {"int8": ranged, "bfloat16": has_bfloat16(device), "float32": True}
         return next(number for number in formats if good[number])
     if precision not in formats:
         name = "torch" if runtime is None else runtime.backend

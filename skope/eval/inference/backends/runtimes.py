@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final
 
 import torch
 
-from skope.detector import has_bfloat16
+from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference.backends.network_parts import INPUT, Floats, NetworkPart, Run
 

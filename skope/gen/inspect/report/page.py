@@ -9,7 +9,7 @@ from typing import Final
 
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
-from skope.files import write_text
+from skope.files.atomic import write_text
 from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure
 from skope.gen.inspect.report.plots import Spread, plots, spread_of
 from skope.gen.inspect.report.sample import spread

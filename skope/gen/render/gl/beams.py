@@ -11,7 +11,7 @@ from skope.gen.render.gl.context import Device
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.gen.render.pixel_windows import beam_corners, beam_hull_of
 from skope.gen.render.vehicle_lamps import has_headlights
-from skope.gen.traffic.sumo import LAMPS
+from skope.gen.scene.lamps import LAMPS
 from skope.types import Array
 
 IRRADIANCE: Final = 0.06

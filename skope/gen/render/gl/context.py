@@ -18,7 +18,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.render.materials import GLOSS, MATERIALS
 from skope.gen.render.palette import Palette
 from skope.gen.render.pixel_windows import Window
-from skope.gen.traffic.sumo import LAMPS
+from skope.gen.scene.lamps import LAMPS
 from skope.types import Array
 
 NEAR: Final = 0.3

@@ -18,7 +18,7 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from skope.compensated_rounding import CompensatedRounding
+from skope.detector.compensated_rounding import CompensatedRounding
 
 BYTES: Final = 33_500_000
 """Bytes that the rounded weights of a detector take at most."""

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from skope.errors import UserError
-from skope.files import json_bytes, link, parse_json, read_text, replacing, replacing_folder, writing
+from skope.files.atomic import link, replacing, replacing_folder, writing
+from skope.files.json_files import json_bytes, parse_json
+from skope.files.reading import read_text
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:

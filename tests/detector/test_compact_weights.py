@@ -12,9 +12,12 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 
-from skope import compact_weights, detector, keypoints
-from skope.compact_weights import DamagedError
-from skope.detector import DetectorConfig
+from skope import keypoints
+from skope.detector import compact_weights
+from skope.detector.build import PROPOSALS, DetectorConfig, build
+from skope.detector.checkpoint import checkpoint_bytes, load_weights, read_checkpoint
+from skope.detector.compact_weights import DamagedError
+from skope.detector.detect import detect
 from skope.errors import UserError
 
 CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, min_size=96, max_size=160)
@@ -82,19 +85,19 @@ def test_channels_of_zeros_stay_zero_and_one_spike_does_not_overflow() -> None:
 @pytest.fixture(scope="module")
 def model() -> KeypointRCNN:
     torch.manual_seed(0)
-    return detector.build(CONFIG).eval()
+    return build(CONFIG).eval()
 
 
 @pytest.fixture(scope="module")
 def packed(model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("packed") / "a.compact.safetensors"
-    path.write_bytes(detector.checkpoint_bytes(model, CONFIG, {"epoch": 3}, packed=True))
+    path.write_bytes(checkpoint_bytes(model, CONFIG, {"epoch": 3}, packed=True))
     return path
 
 
 def test_a_packed_detector_is_small_and_near(model: KeypointRCNN, packed: Path) -> None:
     assert packed.stat().st_size <= 35_000_000
-    loaded, config, metadata = detector.load_weights(packed, "cpu")
+    loaded, config, metadata = load_weights(packed, "cpu")
     assert (config, metadata) == (CONFIG, {"epoch": 3})
     before = model.state_dict()
     for name, tensor in loaded.state_dict().items():
@@ -106,14 +109,14 @@ def test_a_packed_detector_is_small_and_near(model: KeypointRCNN, packed: Path) 
 
 
 def test_stock_torchvision_gives_the_same_detections(packed: Path) -> None:
-    loaded, config, _ = detector.load_weights(packed, "cpu")
-    sizes = {"min_size": config.min_size, "max_size": config.max_size, "rpn_post_nms_top_n_test": detector.PROPOSALS}
+    loaded, config, _ = load_weights(packed, "cpu")
+    sizes = {"min_size": config.min_size, "max_size": config.max_size, "rpn_post_nms_top_n_test": PROPOSALS}
     stock = keypointrcnn_resnet50_fpn(
         weights=None, weights_backbone=None, num_classes=2, num_keypoints=keypoints.K, **sizes
     )
-    stock.load_state_dict(detector.read_checkpoint(packed)[1], strict=True)
+    stock.load_state_dict(read_checkpoint(packed)[1], strict=True)
     pixels = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
-    ours, theirs = (detector.detect(m, [pixels], "cpu", min_score=0.0, max_detections=5)[0] for m in (loaded, stock))
+    ours, theirs = (detect(m, [pixels], "cpu", min_score=0.0, max_detections=5)[0] for m in (loaded, stock))
     assert len(ours.scores) == 5
     np.testing.assert_allclose(ours.boxes_xyxy, theirs.boxes_xyxy, atol=1e-3)
     np.testing.assert_allclose(ours.keypoints, theirs.keypoints, atol=1e-3)
@@ -122,7 +125,7 @@ def test_stock_torchvision_gives_the_same_detections(packed: Path) -> None:
 def refusal(path: Path) -> str:
     """The one line with which a file is refused."""
     with pytest.raises(UserError) as caught:
-        detector.load_weights(path, "cpu")
+        load_weights(path, "cpu")
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -174,7 +177,7 @@ def test_a_header_that_lies_is_refused_whatever_its_checksum(packed: Path, tmp_p
     ]:
         assert words in refusal(tampered(packed, tmp_path / "a.safetensors", packed=value)), value
     tampered(packed, tmp_path / "b.safetensors", config={**CONFIG.to_dict(), "min_size": 128})
-    assert detector.load_weights(tmp_path / "b.safetensors", "cpu")[1].min_size == 128  # what the checksum is for
+    assert load_weights(tmp_path / "b.safetensors", "cpu")[1].min_size == 128  # what the checksum is for
     path = tmp_path / "c.safetensors"
     path.write_bytes(packed.read_bytes().replace(b'\\"min_size\\": 96', b'\\"min_size\\": 97'))
     assert "sha256 differs" in refusal(path)

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from skope import compact_weights
-from skope.compensated_rounding import CompensatedRounding
+from skope.detector import compact_weights
+from skope.detector.compensated_rounding import CompensatedRounding
 
 
 def correlated(count: int, size: int) -> Tensor:

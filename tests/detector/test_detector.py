@@ -17,8 +17,12 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints, keypoints_to_heatmap
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope import detector, keypoints, weights
-from skope.detector import DetectorConfig
+from skope import keypoints
+from skope.detector import weights
+from skope.detector.build import PROPOSALS, DetectorConfig, build
+from skope.detector.checkpoint import checkpoint_name, find_checkpoint, load_weights, save_weights
+from skope.detector.detect import detect, detect_on_boxes
+from skope.detector.device import choose_device
 from skope.errors import UserError
 from tests.train.conftest import shrink
 
@@ -55,13 +59,13 @@ def use_uneven_statistics(model: torch.nn.Module) -> None:
 @pytest.fixture(scope="module")
 def model() -> KeypointRCNN:
     torch.manual_seed(0)
-    return detector.build(config())
+    return build(config())
 
 
 @pytest.fixture(scope="module")
 def checkpoint(model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("run") / detector.checkpoint_name(3)
-    detector.save_weights(path, model, config(), {"epoch": 3})
+    path = tmp_path_factory.mktemp("run") / checkpoint_name(3)
+    save_weights(path, model, config(), {"epoch": 3})
     return path
 
 
@@ -70,31 +74,29 @@ def small_model() -> KeypointRCNN:
     """A model of few weights, for what does not depend on how many they are."""
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        return detector.build(config())
+        return build(config())
 
 
 @pytest.fixture(scope="module")
 def small_checkpoint(small_model: KeypointRCNN, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("small") / detector.checkpoint_name(3)
-    detector.save_weights(path, small_model, config(), {"epoch": 3})
+    path = tmp_path_factory.mktemp("small") / checkpoint_name(3)
+    save_weights(path, small_model, config(), {"epoch": 3})
     return path
 
 
 def test_a_checkpoint_loads_with_equal_outputs(model: KeypointRCNN, checkpoint: Path) -> None:
-    loaded, loaded_config, metadata = detector.load_weights(checkpoint, "cpu")
+    loaded, loaded_config, metadata = load_weights(checkpoint, "cpu")
     assert (loaded_config, metadata) == (config(), {"epoch": 3})
     assert torch.equal(body_outputs(loaded), body_outputs(model))
-    (ours,), (theirs,) = (
-        detector.detect(m, [image()], "cpu", min_score=0.0, max_detections=3) for m in (model, loaded)
-    )
+    (ours,), (theirs,) = (detect(m, [image()], "cpu", min_score=0.0, max_detections=3) for m in (model, loaded))
     assert np.array_equal(ours.keypoints, theirs.keypoints)
 
 
 @pytest.mark.parametrize(("norm", "eps"), [("batch", 1e-5), ("frozen", 1e-5), ("frozen", 0.0)])
 def test_weights_load_strictly_into_stock_torchvision_and_back(norm: str, eps: float, tmp_path: Path) -> None:
-    ours = detector.build(config(norm, eps))
+    ours = build(config(norm, eps))
     use_uneven_statistics(ours)
-    detector.save_weights(tmp_path / "a.safetensors", ours, config(norm, eps), {})
+    save_weights(tmp_path / "a.safetensors", ours, config(norm, eps), {})
     stock = keypointrcnn_resnet50_fpn(weights=None, weights_backbone=None, num_classes=2, num_keypoints=keypoints.K)
     stock.load_state_dict(load_file(tmp_path / "a.safetensors"), strict=True)
     if eps != 1e-5:
@@ -102,7 +104,7 @@ def test_weights_load_strictly_into_stock_torchvision_and_back(norm: str, eps: f
             if isinstance(module, torch.nn.BatchNorm2d):
                 module.eps = eps
     torch.testing.assert_close(body_outputs(stock), body_outputs(ours), rtol=1e-4, atol=1e-4)
-    loaded, _, _ = detector.load_weights(tmp_path / "a.safetensors", "cpu")
+    loaded, _, _ = load_weights(tmp_path / "a.safetensors", "cpu")
     assert torch.equal(body_outputs(loaded), body_outputs(ours))
     loaded.load_state_dict(stock.state_dict(), strict=True)
     assert torch.equal(body_outputs(loaded), body_outputs(ours))
@@ -112,10 +114,10 @@ def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
     """A strict load into a stock model succeeds with other anchors too, but what it finds then is another thing."""
     own = replace(config("frozen"), anchors=(8, 16, 40, 64, 96))
     torch.manual_seed(2)
-    ours = detector.build(own)
+    ours = build(own)
     path = tmp_path / "a.safetensors"
-    detector.save_weights(path, ours, own, {})
-    loaded, chosen, _ = detector.load_weights(path, "cpu")
+    save_weights(path, ours, own, {})
+    loaded, chosen, _ = load_weights(path, "cpu")
     assert chosen == own
     generator = AnchorGenerator(((8,), (16,), (40,), (64,), (96,)), ((0.5, 1.0, 2.0),) * 5)
     pixels = [torch.rand(3, 96, 128, generator=torch.Generator().manual_seed(0))]
@@ -124,7 +126,7 @@ def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
         norm = functools.partial(FrozenBatchNorm2d, eps=1e-5)
         backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, norm_layer=norm)
         sizes = {"min_size": 96, "max_size": 160, "box_score_thresh": 0.0, "box_detections_per_img": 8}
-        sizes["rpn_post_nms_top_n_test"] = detector.PROPOSALS
+        sizes["rpn_post_nms_top_n_test"] = PROPOSALS
         stock = KeypointRCNN(backbone, 2, num_keypoints=33, rpn_anchor_generator=anchors, **sizes).eval()
         stock.load_state_dict(load_file(path), strict=True)
         with torch.inference_mode():
@@ -140,7 +142,7 @@ def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
 def test_older_checkpoints_have_the_anchors_of_torchvision(checkpoint: Path, tmp_path: Path) -> None:
     values = {name: value for name, value in config().to_dict().items() if name not in ("anchors", "scheme")}
     older = edited_header(checkpoint, tmp_path / "older.safetensors", config=values)
-    _, chosen, _ = detector.load_weights(older, "cpu")
+    _, chosen, _ = load_weights(older, "cpu")
     assert chosen == config()
     assert chosen.anchors == (32, 64, 128, 256, 512)
 
@@ -172,7 +174,7 @@ def test_a_checkpoint_of_something_else_is_refused(
 ) -> None:
     path = edited_header(small_checkpoint, tmp_path / "other.safetensors", **changes)
     with pytest.raises(UserError, match=words) as caught:
-        detector.load_weights(path, "cpu")
+        load_weights(path, "cpu")
     assert str(path) in str(caught.value)
 
 
@@ -197,22 +199,22 @@ def test_files_that_are_no_checkpoint_are_refused(
         (tmp_path / "none.safetensors", "no such checkpoint"),
     ]:
         with pytest.raises(UserError, match=words) as caught:
-            detector.load_weights(path, "cpu")
+            load_weights(path, "cpu")
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
 
 
 def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no checkpoint"):
-        detector.find_checkpoint(tmp_path)
+        find_checkpoint(tmp_path)
     (tmp_path / "best.safetensors").touch()
-    assert detector.find_checkpoint(tmp_path).name == "best.safetensors"
+    assert find_checkpoint(tmp_path).name == "best.safetensors"
     for name in ("epoch_009.safetensors", "epoch_1000.safetensors", "epoch_010.safetensors", "epoch_x.safetensors"):
         (tmp_path / name).touch()
-    assert detector.find_checkpoint(tmp_path).name == "epoch_1000.safetensors"
-    assert detector.find_checkpoint(tmp_path / "epoch_009.safetensors").name == "epoch_009.safetensors"
+    assert find_checkpoint(tmp_path).name == "epoch_1000.safetensors"
+    assert find_checkpoint(tmp_path / "epoch_009.safetensors").name == "epoch_009.safetensors"
     with pytest.raises(UserError, match="no such"):
-        detector.find_checkpoint(tmp_path / "other")
+        find_checkpoint(tmp_path / "other")
 
 
 @pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}, *BAD_ANCHORS])
@@ -222,16 +224,16 @@ def test_a_bad_config_names_its_field(field: dict[str, Any]) -> None:
 
 
 def test_devices() -> None:
-    assert detector.choose_device("cpu") == torch.device("cpu")
+    assert choose_device("cpu") == torch.device("cpu")
     for name in ("tpu", "cuda:99"):
         with pytest.raises(UserError, match="device"):
-            detector.choose_device(name)
+            choose_device(name)
 
 
 def test_detection_restores_the_model(model: KeypointRCNN) -> None:
     model.train()
     before = model.roi_heads.score_thresh, model.roi_heads.detections_per_img
-    (found,) = detector.detect(model, [image()], "cpu", min_score=0.0, max_detections=4)
+    (found,) = detect(model, [image()], "cpu", min_score=0.0, max_detections=4)
     assert found.boxes_xyxy.shape == (4, 4)
     assert found.keypoints.shape == (4, keypoints.K, 3)
     assert ((found.keypoints[..., 2] >= 0) & (found.keypoints[..., 2] <= 1)).all()
@@ -258,7 +260,7 @@ def test_keypoints_on_boxes_have_no_bias(model: KeypointRCNN, monkeypatch: pytes
     for row, col in [(0, 0), (28, 5), (55, 55)]:
         peak.row, peak.col = row, col
         # 96 of 192 pixels high: the network sees half the size, the boxes as 56 x 84 and 56 x 56 pixels.
-        points = detector.detect_on_boxes(model, image(192, 256), boxes, "cpu")
+        points = detect_on_boxes(model, image(192, 256), boxes, "cpu")
         share = (np.array([col, row]) + 0.5) / 56
         errors = points[..., :2] - (boxes[:, :2] + share * (boxes[:, 2:] - boxes[:, :2]))[:, None]
         assert np.abs(errors[1]).max() < 1e-3
@@ -266,7 +268,7 @@ def test_keypoints_on_boxes_have_no_bias(model: KeypointRCNN, monkeypatch: pytes
         assert np.abs(errors[0, :, 1]).max() <= 1.0 + 1e-3, "84 rows for 56 cells: within half an inner pixel"
         assert points.shape == (2, keypoints.K, 3)
         assert points[1, :, 2] == pytest.approx(1 / (1 + np.exp(-2.0)))
-    assert detector.detect_on_boxes(model, image(), np.zeros((0, 4)), "cpu").shape == (0, keypoints.K, 3)
+    assert detect_on_boxes(model, image(), np.zeros((0, 4)), "cpu").shape == (0, keypoints.K, 3)
 
 
 def test_torchvision_codes_and_decodes_continuous_coordinates() -> None:
@@ -289,11 +291,11 @@ def test_weights_of_the_package_go_by_their_name(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(weights, "FOLDER", tmp_path / "package")
     with pytest.raises(UserError, match="no such checkpoint"):
-        detector.find_checkpoint(Path("road33"))
-    detector.save_weights(weights.path("road33"), small_model, config(), {})
-    assert detector.find_checkpoint(Path("road33")) == tmp_path / "package" / "road33.safetensors"
+        find_checkpoint(Path("road33"))
+    save_weights(weights.path("road33"), small_model, config(), {})
+    assert find_checkpoint(Path("road33")) == tmp_path / "package" / "road33.safetensors"
     with pytest.raises(UserError, match="road33 comes with skope"):
-        detector.find_checkpoint(Path("other"))
-    own = Path("road33") / detector.checkpoint_name(1)  # what a user calls so comes first
-    detector.save_weights(own, small_model, config(), {})
-    assert detector.find_checkpoint(Path("road33")) == own
+        find_checkpoint(Path("other"))
+    own = Path("road33") / checkpoint_name(1)  # what a user calls so comes first
+    save_weights(own, small_model, config(), {})
+    assert find_checkpoint(Path("road33")) == own

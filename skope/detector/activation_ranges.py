@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from torch import Tensor, nn
 
-from skope.compact_weights import DELICATE
+from skope.detector.compact_weights import DELICATE
 from skope.errors import UserError
 
 KEY: Final = "activation_ranges"

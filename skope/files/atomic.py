@@ -1,17 +1,14 @@
-"""Reading and writing files so that nothing half-written is ever taken for whole."""
+"""Write files and folders so that nothing half-written is ever taken for whole."""
 
-import codecs
 import contextlib
 import fcntl
-import hashlib
-import json
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from skope.errors import UserError
+from skope.files.reading import read_bytes, sha256_of
 
 
 @contextlib.contextmanager
@@ -172,91 +169,3 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def json_bytes(value: Any) -> bytes:
-    """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
-    import orjson
-
-    try:
-        data = orjson.dumps(value)
-    except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
-        data = b"null"
-    if b"null" in data:  # what orjson makes of NaN too
-        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
-    return data
-
-
-def parse_json(data: bytes) -> Any:
-    """The value of JSON text in UTF-8, with or without a byte order mark, or in UTF-16 or 32.
-
-    Raises json.JSONDecodeError or UnicodeDecodeError where it is none.
-    """
-    import orjson
-
-    with contextlib.suppress(orjson.JSONDecodeError):
-        return orjson.loads(data.removeprefix(codecs.BOM_UTF8))
-    # NaN, which Python writes, is for those to refuse who know the field's name.
-    return json.loads(data)
-
-
-def decoded(data: bytes) -> str:
-    """UTF-8 text, without the byte order mark that some editors put first; UnicodeDecodeError where it is none."""
-    return data.decode("utf-8-sig")
-
-
-def read_text(path: Path) -> str:
-    """The text of a user's file in UTF-8; a UserError names a file that is missing or holds anything else."""
-    try:
-        return decoded(read_bytes(path))
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not UTF-8 text") from None
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal; a UserError names one that cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically, indented for people; NaN and infinities are refused as JSON has none."""
-    write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
-
-
-def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing or malformed one is a UserError that names it."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise UserError(f"{path}: is a folder, expected a JSON file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-    try:
-        return parse_json(data)
-    except json.JSONDecodeError as error:
-        raise UserError(f"{path}: not valid JSON: {error.msg} at line {error.lineno}") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not valid JSON: not UTF-8 text") from None
-
-
-def check_version(path: Path, found: Any, expected: int) -> None:
-    """Raise a UserError where the file at `path` is of another version than is read here."""
-    if type(found) is not int or found != expected:
-        raise UserError(f"{path}: version: expected {expected}, got {found!r:.60}")
-
-
-def read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None

@@ -9,13 +9,16 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from skope import activation_ranges, detector, keypoints, weights
+from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
-from skope.detector import Detections, detect
+from skope.detections import Detections
+from skope.detector import activation_ranges, weights
+from skope.detector.checkpoint import load_weights, read_checkpoint
+from skope.detector.detect import detect
 from tests.samples import make_dataset
 
-PICTURE = Path(__file__).parents[1] / "docs" / "noon.jpg"
+PICTURE = Path(__file__).parents[2] / "docs" / "noon.jpg"
 """A generated junction by day with more than six vehicles, most of them clear of one another."""
 ROAD33 = weights.path(weights.DEFAULT)
 
@@ -27,13 +30,13 @@ def picture() -> NDArray[np.uint8]:
 
 @pytest.fixture(scope="module")
 def found(picture: NDArray[np.uint8]) -> Detections:
-    model, _, _ = detector.load_weights(ROAD33, "cpu")
+    model, _, _ = load_weights(ROAD33, "cpu")
     return detect(model, [picture], "cpu")[0]
 
 
 def test_it_is_small_enough_to_travel_and_says_where_it_is_from() -> None:
     assert ROAD33.stat().st_size <= 35_000_000
-    header, state = detector.read_checkpoint(ROAD33)
+    header, state = read_checkpoint(ROAD33)
     assert header["scheme"] == keypoints.SCHEME
     assert header["metadata"]["run"]["data"] == ["data/paper_22", "data/world_31", "data/world_51", "data/varied_22"]
     assert header["config"]["norm"] == "frozen"  # small batches of who goes on from it have no statistics

@@ -21,10 +21,11 @@ from typing import Any
 import pytest
 import typer
 
-from skope import cli, safe_names
+from skope import cli
 from skope.dataset import coco, shards
 from skope.dataset.folder import open_dataset
 from skope.errors import UserError
+from skope.files import safe_names
 from skope.gen.formats.convert import WRITERS
 from skope.gen.output.writers import checksum, unpack_shards
 from skope.gen.pipeline.dataset_store import Store

@@ -1,0 +1,60 @@
+"""The camera that a file tells of, whoever wrote it, and a camera at the size of an image."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from skope.camera.calibration_files import read_calibration
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.errors import UserError
+from skope.files.json_files import read_json
+from skope.schema import Image
+
+
+def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
+    """A camera from a file, and whether the file says where it hangs: else its own frame is the world.
+
+    Read are what `skope eval camera` writes, annotation files (their first image's camera) and the calibrations of
+    `skope.camera.calibration_files`. `size` serves where the file says nothing of it.
+    """
+    if path.suffix.lower() == ".json":
+        document = read_json(path)
+        if isinstance(document, dict) and "images" in document:
+            images = [image for image in coco.read(path).images if image.camera is not None]
+            if not images:
+                raise UserError(f"{path}: images: none has a camera")
+            assert images[0].camera is not None
+            return images[0].camera, True
+        if isinstance(document, dict) and "T_camera_world" in document:
+            try:
+                return Camera.from_dict(document, int(document["width"]), int(document["height"])), True
+            except (KeyError, TypeError):
+                raise UserError(f"{path}: width, height: expected whole numbers") from None
+            except UserError as error:
+                raise UserError(f"{path}: {error}") from None
+    calibration = read_calibration(path)
+    width_height = calibration.size or size
+    if width_height is None:
+        raise UserError(f"{path}: image size: missing")
+    pose = np.eye(4) if calibration.T_camera_world is None else calibration.T_camera_world
+    return Camera(*width_height, calibration.K, pose, calibration.distortion), calibration.T_camera_world is not None
+
+
+def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
+    """The camera at an image's size; a UserError where its shape is another."""
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+        raise UserError(
+            f"{name}: is {size[0]}x{size[1]}, which a camera of {camera.width}x{camera.height} does not make"
+        )
+    return camera.resized(size)
+
+
+def with_camera(image: Image, camera: Camera | None) -> Image:
+    """The image with `camera`, at its size, as its camera; unchanged for None."""
+    if camera is None:
+        return image
+    return replace(image, camera=sized(camera, (image.width, image.height), image.file_name))

@@ -1,0 +1,46 @@
+"""What a detector found in an image."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import boxes
+from skope.schema import Result
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Vehicles found in one image, best score first."""
+
+    boxes_xyxy: NDArray[np.float64]
+    """(N, 4) pixels of the original image."""
+    scores: NDArray[np.float64]
+    """(N,) confidence that this is a vehicle, 0 to 1."""
+    keypoints: NDArray[np.float64]
+    """(N, 33, 3) x, y, p: pixels of the original image, and the sigmoid of the heat map's peak, 0 to 1.
+
+    p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
+    taken in float64, from which the peak can be had back (`skope.eval.inference.score_calibration` does).
+    """
+    size: tuple[int, int]
+    """Width and height of the image, pixels."""
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def above(self, score: float) -> Self:
+        """The detections that score higher than `score`, which is from 0 to 1."""
+        kept = self.scores > score
+        return replace(self, boxes_xyxy=self.boxes_xyxy[kept], scores=self.scores[kept], keypoints=self.keypoints[kept])
+
+    def to_results(self, image_id: int) -> list[Result]:
+        """The detections as COCO results of image `image_id`, for `skope.coco.write_results` and `skope.score`."""
+        return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
+
+
+def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
+    """Detections in an image, (N, 4), (N,) and (N, 33, 3) as in `Detections`, as N COCO results."""
+    rows = zip(boxes.xyxy_to_xywh(boxes_xyxy), np.asarray(scores), np.asarray(points), strict=True)
+    return [Result(image_id=image_id, bbox=box, score=float(score), keypoints=found) for box, score, found in rows]

@@ -1,0 +1,15 @@
+"""Keypoint R-CNN: build, save, load, run; the weights that come with the package."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from skope.detector.checkpoint import read_checkpoint as read_checkpoint
+
+
+def __getattr__(name: str) -> Any:
+    """Load `read_checkpoint` when it is first used: torch takes seconds, and `weights` does without."""
+    if name != "read_checkpoint":
+        raise AttributeError(f"module 'skope.detector' has no attribute {name!r}")
+    from skope.detector.checkpoint import read_checkpoint
+
+    return read_checkpoint

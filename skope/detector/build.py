@@ -1,0 +1,117 @@
+"""Keypoint R-CNN with 33 keypoints: stock torchvision, built from a config.
+
+Boxes and keypoints are continuous pixel coordinates of the image that was passed in, as everywhere in skope.
+torchvision resizes the image before the network and scales the answers back by the same two factors.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Final, Self
+
+from torch import nn
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.ops import FrozenBatchNorm2d
+
+from skope import keypoints
+from skope.errors import UserError, one_of
+
+NORMS: Final = ("frozen", "batch")
+ANCHORS: Final = (32, 64, 128, 256, 512)
+"""Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the pyramid."""
+ASPECTS: Final = (0.5, 1.0, 2.0)
+"""Heights of the anchors of a level over their widths, as in torchvision's own model."""
+MAX_DETECTIONS: Final = 300
+"""Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
+PROPOSALS: Final = 300
+"""Regions of an image that are looked at closely when vehicles are found; of torchvision's own 1000 the others cost a
+third of the time on a CPU and found no further vehicle (docs/results.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorConfig:
+    """What a state dict does not tell about its model."""
+
+    norm: str
+    """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
+    norm_eps: float
+    """Number that normalisation adds to each variance; 0 in the weights trained on COCO."""
+    min_size: int
+    """Short side of the image inside the network, pixels, unless its long side would then exceed `max_size`."""
+    max_size: int
+    """Largest long side of the image inside the network, pixels."""
+    scheme: str = keypoints.SCHEME
+    """What the keypoints are: a name in `keypoints.SCHEMES`."""
+    anchors: tuple[int, ...] = ANCHORS
+    """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
+
+    def __post_init__(self) -> None:
+        one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
+        check_anchors(self.anchors)
+        one_of("norm", self.norm, NORMS)
+        if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
+            raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
+        for name in ("min_size", "max_size"):
+            value = getattr(self, name)
+            # Below 64 the backbone's last map may be a single cell, which has no variance to normalise by.
+            if isinstance(value, bool) or not isinstance(value, int) or not 64 <= value <= 16384:
+                raise UserError(f"{name}: expected 64 to 16384 pixels, got {value!r}")
+        if self.max_size < self.min_size:
+            raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
+
+    def with_min_size(self, min_size: int) -> Self:
+        """The config with another short side, pixels; the long side's limit changes in proportion."""
+        return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
+        names = {field.name for field in fields(cls)}
+        # Older checkpoints do not name their scheme and anchors.
+        if not isinstance(values, Mapping) or {"scheme", "anchors", *values} != names:
+            raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
+        anchors = values.get("anchors", ANCHORS)
+        if not isinstance(anchors, list | tuple):
+            raise UserError(f"anchors: expected a list of pixels, got {anchors!r}")
+        return cls(**{**values, "anchors": tuple(anchors)})
+
+
+def check_anchors(anchors: Sequence[int]) -> None:
+    """Raise a UserError unless these are sides of anchors, one for each level of the pyramid, from small to large."""
+    whole = all(isinstance(side, int) and not isinstance(side, bool) and side >= 4 for side in anchors)
+    if not whole or len(anchors) != len(ANCHORS) or list(anchors) != sorted({*anchors}):
+        raise UserError(f"anchors: expected {len(ANCHORS)} rising sides from 4 pixels, got {list(anchors)}")
+
+
+def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointRCNN:
+    """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for one class, with weights drawn from torch's random state.
+
+    Args:
+        config: Normalisation and size of the images inside the network.
+        trainable_layers: How many of the backbone's stages learn, 0 to 5 from the last one, where normalisation is
+            frozen; with normalisation that learns all of them do, as in torchvision.
+        num_keypoints: Another number than 33 is for weights that were trained on such a scheme and whose predictor is
+            replaced next.
+    """
+    norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
+    backbone = resnet_fpn_backbone(
+        backbone_name="resnet50",
+        weights=None,
+        norm_layer=functools.partial(norm, eps=config.norm_eps),
+        trainable_layers=trainable_layers if config.norm == "frozen" else 5,
+    )
+    return KeypointRCNN(
+        backbone,
+        num_classes=2,  # 0 is the background
+        num_keypoints=num_keypoints,
+        min_size=config.min_size,
+        max_size=config.max_size,
+        box_detections_per_img=MAX_DETECTIONS,
+        rpn_post_nms_top_n_test=PROPOSALS,
+        rpn_anchor_generator=AnchorGenerator(tuple((side,) for side in config.anchors), (ASPECTS,) * len(ANCHORS)),
+    )

@@ -1,0 +1,195 @@
+"""Checkpoints: safetensors whose header says which model their tensors are of; which file of a run is meant."""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as serialized
+from torch.overrides import TorchFunctionMode
+from torchvision.models.detection import KeypointRCNN
+
+from skope import keypoints
+from skope.detector import compact_weights, weights
+from skope.detector.build import DetectorConfig, build
+from skope.errors import UserError, one_of
+from skope.files.atomic import write_bytes
+
+HEADER: Final = "skope"
+_PACKED: Final = "packed"
+_CHECKSUM: Final = "sha256"
+_FORMAT_VERSION: Final = 1
+
+
+def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
+    """Write a checkpoint, whose tensors are those of torchvision's own model: they load there with `strict=True`.
+
+    Args:
+        path: The .safetensors file to write.
+        model: The weights.
+        config: What the weights do not tell about the model.
+        metadata: JSON values, which `load_weights` gives back.
+    """
+    write_bytes(path, checkpoint_bytes(model, config, metadata))
+
+
+def checkpoint_bytes(
+    model: KeypointRCNN,
+    config: DetectorConfig,
+    metadata: Mapping[str, Any],
+    *,
+    packed: bool = False,
+    moments: Mapping[str, torch.Tensor] | None = None,
+) -> bytes:
+    """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
+
+    The tensors are the model's, or, `packed`, what `skope.compact_weights` makes of them: a seventh of the bytes, with
+    a checksum, where `moments` are those that `pack` takes. The same model gives the same bytes.
+    """
+    header: dict[str, Any] = {
+        "version": _FORMAT_VERSION,
+        "scheme": config.scheme,
+        "num_keypoints": keypoints.K,
+        "config": config.to_dict(),
+        "metadata": dict(metadata),
+    }
+    state = full_state(model)
+    if packed:
+        state, header[_PACKED] = compact_weights.pack(state, moments=moments)
+        header[_CHECKSUM] = compact_weights.digest(state, header)
+    # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
+    return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
+
+
+def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
+    """The model's tensors, which load strictly into torchvision's own model, whichever normalisation it has."""
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always there suits both.
+    for name in [name for name in state if name.endswith(".running_var")]:
+        state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
+    return state
+
+
+def load_weights(
+    path: Path, device: torch.device | str, *, trainable_layers: int = 5
+) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
+    """Load a checkpoint that `save_weights` wrote.
+
+    Args:
+        path: The .safetensors file.
+        device: Where the model shall be.
+        trainable_layers: As in `build`.
+
+    Returns:
+        The model in evaluation mode, its config, and the metadata.
+
+    Raises:
+        UserError: The file, which it names, is no such checkpoint, or one of an unknown keypoint scheme.
+    """
+    header, state = read_checkpoint(path)
+    try:
+        config = DetectorConfig.from_dict(header["config"])
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    with _NotDrawn():
+        model = build(config, trainable_layers=trainable_layers)
+    _check_tensors(path, model.state_dict(), state)
+    model.load_state_dict(state)
+    return model.to(device).eval(), config, header["metadata"]
+
+
+class _NotDrawn(TorchFunctionMode):
+    """Leave weights that a file will give as their memory is: drawing 59 million of them takes longer than reading."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return args[0] if func in (torch.Tensor.normal_, torch.Tensor.uniform_) else func(*args, **(kwargs or {}))
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """The checked header (config, metadata ...) and the tensors of a checkpoint."""
+    if not path.is_file():
+        raise UserError(f"{path}: no such checkpoint file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = _check_header(path, file.metadata() or {})
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
+    return header, _unpacked(path, header, tensors) if _PACKED in header else tensors
+
+
+def _unpacked(path: Path, header: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    digested = {name: value for name, value in header.items() if name != _CHECKSUM}
+    if compact_weights.digest(tensors, digested) != header.get(_CHECKSUM):
+        raise UserError(f"{path}: {_CHECKSUM} differs: the file is damaged, or was changed after it was written")
+    try:
+        return compact_weights.unpack(tensors, header[_PACKED])
+    except compact_weights.DamagedError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
+    if HEADER not in metadata:
+        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {HEADER})")
+    try:
+        header = json.loads(metadata[HEADER])
+    except json.JSONDecodeError:
+        header = None
+    if not isinstance(header, dict) or not {"config", "metadata"} <= set(header):
+        raise UserError(f"{path}: the header's field {HEADER} is damaged")
+    expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K}
+    for name, value in expected.items():
+        if header.get(name) != value:
+            raise UserError(f"{path}: {name}: expected {value!r}, got {header.get(name)!r}")
+    one_of(f"{path}: scheme", header.get("scheme"), tuple(keypoints.SCHEMES))
+    return header
+
+
+def _check_tensors(path: Path, expected: Mapping[str, torch.Tensor], got: Mapping[str, torch.Tensor]) -> None:
+    counts = {name for name in got if name.endswith(".num_batches_tracked")}
+    missing, extra = sorted(set(expected) - set(got)), sorted(set(got) - set(expected) - counts)
+    for what, names in (("lacks", missing), ("has unknown", extra)):
+        if names:
+            raise UserError(f"{path}: {what} {len(names)} tensor(s), first {names[0]}")
+    for name, tensor in expected.items():
+        if got[name].shape != tensor.shape:
+            raise UserError(f"{path}: tensor {name}: expected {tuple(tensor.shape)}, got {tuple(got[name].shape)}")
+
+
+BEST: Final = "best.safetensors"
+"""File name of the weights of a run's best epoch."""
+
+
+def checkpoint_name(epoch: int) -> str:
+    """File name of the checkpoint after `epoch` epochs."""
+    return f"epoch_{epoch:03d}.safetensors"
+
+
+def checkpoints(run: Path) -> dict[int, Path]:
+    """Checkpoints of a run folder by the number of epochs behind them, ascending."""
+    found = ((re.fullmatch(r"epoch_(\d+)\.safetensors", path.name), path) for path in run.glob("epoch_*.safetensors"))
+    return dict(sorted((int(match.group(1)), path) for match, path in found if match))
+
+
+def find_checkpoint(path: Path) -> Path:
+    """The weights that `path` names.
+
+    `path` itself if it is a file; the newest checkpoint of the run folder `path`, or the best if alone; or, where
+    neither is there, the weights of that name that come with the package. Raises UserError where there are none.
+    """
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        if str(path) in weights.names():
+            return weights.path(str(path))
+        shipped = "".join(f"; {name} comes with skope" for name in weights.names())
+        raise UserError(f"{path}: no such checkpoint or run folder; `skope train` makes one{shipped}")
+    found = checkpoints(path)
+    if not found and (path / BEST).is_file():
+        return path / BEST
+    if not found:
+        raise UserError(f"{path}: no checkpoint in this folder (epoch_NNN.safetensors); `skope train` makes one")
+    return found[max(found)]

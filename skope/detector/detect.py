@@ -1,0 +1,161 @@
+"""Run a detector on images: vehicles and their keypoints, or keypoints in given boxes."""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.transform import resize_boxes
+
+from skope import keypoints
+from skope.detections import Detections
+from skope.detector.build import MAX_DETECTIONS
+from skope.detector.heatmap_peaks import heatmap_peaks
+
+MIN_SCORE: Final = 0.05
+"""Detections that score less are not reported."""
+_REGIONS_AT_ONCE: Final = 128
+"""Given boxes that go through the keypoint head together, so that memory stays small."""
+
+
+def detect(
+    model: KeypointRCNN,
+    images: Sequence[NDArray[np.uint8]],
+    device: torch.device | str,
+    *,
+    min_score: float = MIN_SCORE,
+    max_detections: int = MAX_DETECTIONS,
+) -> list[Detections]:
+    """Find vehicles in images, which go through the network as one batch.
+
+    In an image that is less than a pixel wide or high inside the network there are none.
+
+    Args:
+        model: The detector.
+        images: (H, W, 3) uint8 sRGB each, of any sizes.
+        device: Where the model is.
+        min_score: Only detections that score above this are made.
+        max_detections: The best of an image, at most so many.
+
+    Returns:
+        The detections of each image.
+    """
+    seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
+    with _inference(model, min_score, max_detections):
+        found = dict(zip(seen, _found(model, [images[i] for i in seen], device), strict=True)) if seen else {}
+    return [found[i] if i in found else _nothing(image) for i, image in enumerate(images)]
+
+
+def _found(
+    model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str
+) -> Iterator[Detections]:
+    """The detections of images: torchvision's own path through the model, but for how heat maps are read."""
+    batch, _ = model.transform([as_tensor(image, device) for image in images])
+    features = model.backbone(batch.tensors)
+    proposals, _ = model.rpn(batch, features)
+    heads = model.roi_heads
+    regions = heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes))
+    rectangles, scores, _ = heads.postprocess_detections(*heads.box_predictor(regions), proposals, batch.image_sizes)
+    points = _keypoints(model, features, rectangles, batch.image_sizes)
+    # One way to the processor for the whole batch: on a GPU each takes as long as a small one.
+    together = torch.cat([torch.cat(rectangles), torch.cat(scores)[:, None], points.flatten(1)], dim=1).cpu().double()
+    of_image = torch.split(together, [len(one) for one in scores])
+    for image, inner_size, found in zip(images, batch.image_sizes, of_image, strict=True):
+        yield _in_image(image, inner_size, found[:, :4], found[:, 4], found[:, 5:].view(-1, keypoints.K, 3))
+
+
+def _keypoints(
+    model: KeypointRCNN,
+    features: Mapping[str, torch.Tensor],
+    rectangles: Sequence[torch.Tensor],
+    inner_sizes: Sequence[tuple[int, int]],
+) -> torch.Tensor:
+    """(N, 33, 3) x, y and peak logit for the N boxes of all images, (.., 4) of each, in pixels inside the network."""
+    heads = model.roi_heads
+    regions = heads.keypoint_roi_pool(features, rectangles, inner_sizes)
+    heatmaps = heads.keypoint_predictor(heads.keypoint_head(regions))
+    places, logits = heatmap_peaks(heatmaps, torch.cat(list(rectangles)))
+    return torch.cat([places, logits[..., None]], dim=-1)
+
+
+def _in_image(
+    image: NDArray[np.uint8],
+    inner_size: tuple[int, int],
+    rectangles: torch.Tensor,
+    scores: torch.Tensor,
+    points: torch.Tensor,
+) -> Detections:
+    """What was found in an image, in its own pixels."""
+    size = (image.shape[1], image.shape[0])
+    scale = _scale(inner_size, size)
+    in_pixels = (rectangles.reshape(-1, 2, 2) * scale).reshape(-1, 4)
+    return Detections(in_pixels.numpy(), scores.numpy(), _with_probability(points, scale), size)
+
+
+def _scale(inner_size: tuple[int, int], size: tuple[int, int]) -> torch.Tensor:
+    """(2,) from pixels inside the network, whose height and width these are, to those of a (width, height) image."""
+    return torch.tensor([size[0] / inner_size[1], size[1] / inner_size[0]], dtype=torch.float64)
+
+
+def _nothing(image: NDArray[np.uint8]) -> Detections:
+    """No detections: for an image that is too narrow for the network."""
+    return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), (image.shape[1], image.shape[0]))
+
+
+def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
+    """Length of an image's short side inside the network, pixels."""
+    short, long = sorted(image.shape[:2])
+    return float(short * min(model.transform.min_size[-1] / short, model.transform.max_size / long))
+
+
+def detect_on_boxes(
+    model: KeypointRCNN, image: NDArray[np.uint8], boxes_xyxy: ArrayLike, device: torch.device | str
+) -> NDArray[np.float64]:
+    """Find the keypoints of vehicles whose boxes are given: localisation apart from detection.
+
+    Args:
+        model: The detector.
+        image: (H, W, 3) uint8 sRGB.
+        boxes_xyxy: (N, 4) pixels of `image`.
+        device: Where the model is.
+
+    Returns:
+        (N, 33, 3) x, y in pixels of `image` and p, as in `Detections.keypoints`.
+    """
+    boxes = torch.as_tensor(np.asarray(boxes_xyxy, dtype=np.float32).reshape(-1, 4), device=device)
+    if not len(boxes):
+        return np.zeros((0, keypoints.K, 3))
+    with _inference(model, MIN_SCORE, MAX_DETECTIONS):
+        batch, _ = model.transform([as_tensor(image, device)])
+        (inner_size,) = batch.image_sizes
+        features = model.backbone(batch.tensors)
+        parts = resize_boxes(boxes, list(image.shape[:2]), list(inner_size)).split(_REGIONS_AT_ONCE)
+        found = torch.cat([_keypoints(model, features, [part], [inner_size]) for part in parts])
+        return _with_probability(found.cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))
+
+
+@contextlib.contextmanager
+def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> Iterator[None]:
+    heads = model.roi_heads
+    before = model.training, heads.score_thresh, heads.detections_per_img
+    model.eval()
+    heads.score_thresh, heads.detections_per_img = min_score, max_detections
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        model.train(before[0])
+        heads.score_thresh, heads.detections_per_img = before[1:]
+
+
+def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
+    """An image as torchvision's detectors take it: (H, W, 3) 0..255 -> (3, H, W) float32 0..1."""
+    return torch.as_tensor(image, device=device).permute(2, 0, 1).float() / 255
+
+
+def _with_probability(points: torch.Tensor, scale: torch.Tensor) -> NDArray[np.float64]:
+    """(N, 33, 3) x, y and peak logit inside the network -> x, y, p in an image, which is (2,) times as large."""
+    return torch.cat([points[..., :2] * scale, points[..., 2:].sigmoid()], dim=-1).numpy()

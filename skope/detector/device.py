@@ -1,0 +1,35 @@
+"""What torch computes on: the device of a `--device` flag, and whether it has bfloat16."""
+
+import os
+import re
+from typing import Final
+
+import torch
+
+from skope.errors import UserError
+
+_WITHOUT_BFLOAT16: Final = ("SSE41", "AVX", "AVX2", "AVX2_VNNI", "AVX512_CORE", "AVX512_CORE_VNNI")
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster.
+
+    Of a CPU those count that the library of its products may use: ONEDNN_MAX_CPU_ISA limits them.
+    """
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    able = torch.cpu.get_capabilities()
+    allowed = os.environ.get("ONEDNN_MAX_CPU_ISA", "ALL").upper() not in _WITHOUT_BFLOAT16
+    return allowed and bool(able.get("amx_bf16") or able.get("avx512_bf16"))
+
+
+def choose_device(name: str) -> torch.device:
+    """The device of a `--device` flag; `auto` is a GPU where there is one."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise UserError(f"device: {name!r} is not one of auto, cpu, cuda, cuda:N")
+    device = torch.device(name)
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise UserError(f"device: {name} is not there (torch sees {torch.cuda.device_count()} GPUs)")
+    return device

@@ -1,0 +1,65 @@
+"""JSON as text and in files: strict when it is written, tolerant of byte order marks when it is read."""
+
+import codecs
+import contextlib
+import json
+from pathlib import Path
+from typing import Any
+
+from skope.errors import UserError
+from skope.files.atomic import write_text
+
+
+def json_bytes(value: Any) -> bytes:
+    """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
+    import orjson
+
+    try:
+        data = orjson.dumps(value)
+    except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
+        data = b"null"
+    if b"null" in data:  # what orjson makes of NaN too
+        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+    return data
+
+
+def parse_json(data: bytes) -> Any:
+    """The value of JSON text in UTF-8, with or without a byte order mark, or in UTF-16 or 32.
+
+    Raises json.JSONDecodeError or UnicodeDecodeError where it is none.
+    """
+    import orjson
+
+    with contextlib.suppress(orjson.JSONDecodeError):
+        return orjson.loads(data.removeprefix(codecs.BOM_UTF8))
+    # NaN, which Python writes, is for those to refuse who know the field's name.
+    return json.loads(data)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON atomically, indented for people; NaN and infinities are refused as JSON has none."""
+    write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file; a missing or malformed one is a UserError that names it."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise UserError(f"{path}: is a folder, expected a JSON file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        return parse_json(data)
+    except json.JSONDecodeError as error:
+        raise UserError(f"{path}: not valid JSON: {error.msg} at line {error.lineno}") from None
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not valid JSON: not UTF-8 text") from None
+
+
+def check_version(path: Path, found: Any, expected: int) -> None:
+    """Raise a UserError where the file at `path` is of another version than is read here."""
+    if type(found) is not int or found != expected:
+        raise UserError(f"{path}: version: expected {expected}, got {found!r:.60}")
