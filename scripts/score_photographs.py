@@ -36,9 +36,9 @@ from skope.files import safe_names
 from skope.files.json_files import read_json, write_json
 from skope.files.output_folders import claim_output
 from skope.files.reading import sha256_of
+from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.counts import Options, lengths, outcomes_at
-from skope.metrics.failures import OTHER_END, OTHER_SIDE
 from skope.metrics.match import Matches, match
 from skope.metrics.precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
@@ -53,9 +53,9 @@ LOWEST_PX: Final = 14.0
 BANDS_PX: Final = ((0, 32), (32, 64), (64, 128), (128, math.inf))
 """Heights of ground-truth boxes, from and below."""
 EXCHANGES: Final = {
-    "left_right": np.array(OTHER_SIDE),
+    "left_right": np.array(FLIP),
     "front_rear": np.array(OTHER_END),
-    "turned": np.array([OTHER_SIDE[i] for i in OTHER_END]),
+    "turned": np.array([FLIP[i] for i in OTHER_END]),
 }
 """Kind of flip -> (33,) index of the keypoint that each keypoint is taken for."""
 FEWEST_POINTS: Final = 4

@@ -45,6 +45,29 @@ def _mirrored(name: str) -> str:
 FLIP: Final = tuple(INDEX[_mirrored(name)] for name in NAMES)
 """`FLIP[i]` is the keypoint that `i` becomes when the image is mirrored (a permutation, as Ultralytics' flip_idx)."""
 
+_FRONT_AND_REAR: Final = {
+    "roof_front": "roof_rear",
+    "windscreen_base": "rear_window_base",
+    "headlight_outer": "taillight_outer",
+    "headlight_inner": "taillight_inner",
+    "wheel_front": "wheel_rear",
+    "bumper_front": "bumper_rear",
+    "hood_front": "trunk_rear",
+}
+"""The counterpart at the rear of each part at the front that has one."""
+
+
+def _at_other_end(name: str) -> str:
+    part, _, side = name.rpartition("_")
+    counterparts = _FRONT_AND_REAR | {rear: front for front, rear in _FRONT_AND_REAR.items()}
+    return f"{counterparts[part]}_{side}" if part in counterparts else name
+
+
+OTHER_END: Final = tuple(INDEX[_at_other_end(name)] for name in NAMES)
+"""`OTHER_END[i]` is the keypoint that `i` becomes when front and rear are taken for each other (a permutation).
+
+Mirrors, beltline and logo have no counterpart: they stay."""
+
 WHEELS: Final = tuple(INDEX[f"wheel_{end}_{side}"] for end in ("front", "rear") for side in ("right", "left"))
 """The four wheel centres: front right, front left, rear right, rear left."""
 
@@ -189,4 +212,6 @@ assert K == 33
 assert all(max(FOREIGN_SCHEMES[name]) < count for name, count in FOREIGN_K.items())
 assert FOREIGN_K.keys() == FOREIGN_SCHEMES.keys()
 assert all(FLIP[FLIP[i]] == i for i in range(K))
+assert all(OTHER_END[OTHER_END[i]] == i for i in range(K))
+assert all(FLIP[OTHER_END[i]] == OTHER_END[FLIP[i]] for i in range(K))
 assert {tuple(sorted((FLIP[a], FLIP[b]))) for a, b in SKELETON} == {tuple(sorted(edge)) for edge in SKELETON}

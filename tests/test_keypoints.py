@@ -49,6 +49,16 @@ def test_mirroring_swaps_right_and_left_and_keeps_the_logo() -> None:
     assert list(FLIP) == [*(i ^ 1 for i in range(32)), 32]
 
 
+def test_exchanging_the_ends_pairs_front_and_rear_of_the_same_side() -> None:
+    pairs = {
+        *((0, 2), (1, 3), (4, 6), (5, 7), (8, 10), (9, 11), (12, 14), (13, 15)),  # roof, glass, outer and inner lamps
+        *((16, 18), (17, 19), (20, 22), (21, 23), (24, 26), (25, 27)),  # wheels, bumpers, hood and trunk
+    }
+    assert {(i, j) for i, j in enumerate(keypoints.OTHER_END) if i < j} == pairs
+    assert [keypoints.OTHER_END[j] for j in keypoints.OTHER_END] == list(range(33))
+    assert [keypoints.OTHER_END[i] for i in range(28, 33)] == list(range(28, 33))  # mirrors, beltline, logo
+
+
 def test_the_skeleton_is_the_one_agreed_on() -> None:
     agreed = {frozenset(map(int, edge.split("-"))) for edge in EDGES.split()}
     assert {frozenset(edge) for edge in SKELETON} == agreed

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
+from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.counts import Floats, Integers, Options, Outcomes, lengths
 from skope.metrics.match import Matches
 
@@ -18,30 +19,6 @@ anywhere else."""
 RIGHT: Final = -1
 """Stands in place of a kind for a keypoint that is not wrong."""
 LEFT_RIGHT, FRONT_REAR, JITTER = range(len(KINDS))
-
-_ENDS: Final = (
-    ("roof_front", "roof_rear"),
-    ("windscreen_base", "rear_window_base"),
-    ("headlight_outer", "taillight_outer"),
-    ("headlight_inner", "taillight_inner"),
-    ("wheel_front", "wheel_rear"),
-    ("bumper_front", "bumper_rear"),
-    ("hood_front", "trunk_rear"),
-)
-
-
-def _other_end(name: str) -> str:
-    for pair in _ENDS:
-        for here, there in (pair, pair[::-1]):
-            if name.startswith(here):
-                return there + name.removeprefix(here)
-    return name
-
-
-OTHER_SIDE: Final = keypoints.FLIP
-"""The counterpart of each keypoint at the vehicle's other side; itself where there is none."""
-OTHER_END: Final = tuple(keypoints.INDEX[_other_end(name)] for name in keypoints.NAMES)
-"""The counterpart of each keypoint at the vehicle's other end; itself where there is none."""
 
 
 def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
@@ -55,10 +32,8 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Inte
     kinds[wrong] = JITTER
     if options.scheme is not keypoints.SKOPE33:  # which keypoints are counterparts is known of skope33 alone
         return kinds
-    side = _apart(matches, outcomes, OTHER_SIDE)
-    ends = np.minimum(
-        _apart(matches, outcomes, OTHER_END), _apart(matches, outcomes, [OTHER_SIDE[k] for k in OTHER_END])
-    )
+    side = _apart(matches, outcomes, FLIP)
+    ends = np.minimum(_apart(matches, outcomes, OTHER_END), _apart(matches, outcomes, [FLIP[k] for k in OTHER_END]))
     reach = options.alpha * outcomes.length[:, None]
     kinds[wrong & (side <= reach)] = LEFT_RIGHT
     kinds[wrong & (ends <= reach) & (ends < side)] = FRONT_REAR

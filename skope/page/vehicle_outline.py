@@ -30,6 +30,7 @@ _PLAN: Final = {
     "beltline": (-0.3, 1.6),
 }
 _LOGO: Final = (5.0, 0.0)
+assert {"front_logo", *(f"{part}_{side}" for part in _PLAN for side in ("right", "left"))} == {*keypoints.NAMES}
 
 
 def plan(name: str) -> tuple[float, float]:

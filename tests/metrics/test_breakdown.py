@@ -100,16 +100,6 @@ def test_failures_by_kind_equal_the_loops() -> None:
     assert min(seen.values()) > 10
 
 
-def test_counterparts() -> None:
-    ends, names = failures.OTHER_END, keypoints.NAMES
-    assert [ends[i] for i in ends] == list(range(33))
-    moved = {names[i]: names[ends[i]] for i in range(33) if ends[i] != i}
-    assert len(moved) == 28
-    assert moved["roof_front_left"] == "roof_rear_left"
-    assert moved["taillight_inner_right"] == "headlight_inner_right"
-    assert moved["trunk_rear_left"] == "hood_front_left"
-
-
 def test_confidence_equals_the_loops() -> None:
     seen = 0
     for case in cases():

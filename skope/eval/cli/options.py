@@ -9,7 +9,11 @@ from skope.terminal.command_options import panel
 if TYPE_CHECKING:
     from skope.eval.inference.settings import Settings
 
-machine = panel("Machine")
+data_option, counts, output, machine = map(panel, ("Data", "What counts", "Output", "Machine"))
+
+PAPER = "paper"
+PROTOCOLS = ("pooled", PAPER)
+"""How figures of images become one: sums over the split, or the mean of each image's as in the paper."""
 
 BackendOption = Annotated[
     str,

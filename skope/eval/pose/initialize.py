@@ -10,9 +10,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.eval.pose.ground import IMPOSSIBLE, Ground, Starts
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
 
 _MISFIT: Final = 0.12

@@ -6,19 +6,17 @@ on a known ground the height of the vehicle's origin and the lean of its upright
 """
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.eval.pose.ground import IMPOSSIBLE, Ground, Starts
+from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
-
-if TYPE_CHECKING:
-    from skope.eval.pose.ground import Starts
 
 _STEPS: Final = 12
 """Steps of the optimiser at most."""

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import keypoints
 from skope.camera.model import Camera
 from skope.eval.pose.candidates import FEWEST, best_types, refined, starts_of
 from skope.eval.pose.ground import Ground
@@ -18,6 +17,7 @@ from skope.eval.pose.observations import Mask, Observed
 from skope.eval.pose.optimize import Fits
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
+from skope.keypoints import FLIP, OTHER_END
 from skope.types import Array
 
 Rows = NDArray[np.intp]
@@ -36,31 +36,8 @@ RIVAL: Final = 30.0
 """Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
 _ROUNDS: Final = 2
 """How often the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
-
-
-_OPPOSITE: Final = {
-    "roof_front": "roof_rear",
-    "windscreen_base": "rear_window_base",
-    "headlight_outer": "taillight_outer",
-    "headlight_inner": "taillight_inner",
-    "wheel_front": "wheel_rear",
-    "bumper_front": "bumper_rear",
-    "hood_front": "trunk_rear",
-}
-
-
-def _other_end(name: str) -> str:
-    stem, _, side = name.rpartition("_")
-    both = _OPPOSITE | {b: a for a, b in _OPPOSITE.items()}
-    return f"{both[stem]}_{side}" if stem in both else name
-
-
-ENDS: Final = tuple(keypoints.INDEX[_other_end(name)] for name in keypoints.NAMES)
-"""`ENDS[i]` is the keypoint that `i` becomes when front and rear are taken for each other (a permutation)."""
-assert all(ENDS[ENDS[i]] == i for i in range(keypoints.K))
-
-
-_ORDERS: Final = (list(keypoints.FLIP), list(ENDS), [keypoints.FLIP[i] for i in ENDS])
+_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
+"""Order of the keypoints after each of `EXCHANGES`."""
 
 
 def retry_from_subsets(

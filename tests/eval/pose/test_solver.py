@@ -12,7 +12,7 @@ import pytest
 from skope import keypoints
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.eval.pose import search, solver
+from skope.eval.pose import solver
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.self_occlusion import facing
@@ -148,7 +148,7 @@ def nonsense() -> dict[str, Any]:
     one_place[..., :2] = 700
     return {
         "sides": found[:, list(keypoints.FLIP)],
-        "ends": found[:, list(search.ENDS)],
+        "ends": found[:, list(keypoints.OTHER_END)],
         "line": line,
         "zero": zero,
         "scattered": scattered,

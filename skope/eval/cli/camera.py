@@ -1,0 +1,50 @@
+"""`skope eval camera`: a camera's focal length and pose, from vehicles or marked points."""
+
+from pathlib import Path
+from typing import Annotated
+
+from skope.errors import UserError
+from skope.eval.cli.checks import check_pixels, check_probability
+from skope.eval.cli.options import counts, data_option, output
+from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
+from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, Formerly
+from skope.terminal.console import Console
+
+
+def camera(
+    keypoints: KeypointOptions,
+    console: Console,
+    points: Annotated[
+        Path | None,
+        data_option(
+            metavar=FILE,
+            help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres.",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None, data_option(metavar=SIZE, help="Size of the image that --points were marked in.")
+    ] = None,
+    max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles."), Formerly("--vehicles")] = 40,
+    noise: NoiseOption = 0.0,
+    score: ScoreOption = 0.9,
+    sigma: SigmaOption = None,
+    out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
+) -> None:
+    """Find a camera's focal length, height and tilt from vehicles on a level road, or all of it from marked points.
+
+    (`skope eval calibrate` is about a detector's keypoint scores.)
+    """
+    from skope.eval.pose.write_camera import from_points, from_vehicles
+
+    check_probability("--score", score)
+    check_pixels("--noise", noise)
+    check_pixels("--sigma", sigma)
+    if points is not None:
+        if keypoints.folder or keypoints.annotations or keypoints.predictions:
+            raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
+        lines = from_points(points, size, out)
+    else:
+        where = (keypoints.folder, keypoints.annotations, keypoints.predictions)
+        lines = from_vehicles(where, max_vehicles, score=score, noise=noise, sigma_px=sigma, out=out)
+    for line in lines:
+        console.result(line)

@@ -1,0 +1,184 @@
+"""`skope eval`: measure a checkpoint on a dataset, or score a results file."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from skope import keypoints
+from skope.detector import weights
+from skope.errors import UserError
+from skope.eval.cli.options import PAPER, PROTOCOLS, MachineOptions, counts, data_option, machine, output
+from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, separated
+from skope.terminal.console import Console
+
+GIVEN = "given"
+
+
+def evaluate_or_score(
+    *,
+    data: Annotated[Path | None, data_option(metavar=DIR, help="Dataset folder.", show_default=str(DATA))] = None,
+    split: Annotated[
+        list[str] | None,
+        data_option(
+            metavar=LIST,
+            help="Split to evaluate; several: repeat it or separate by commas.",
+            show_default="all test splits",
+        ),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        data_option(
+            metavar="PATH",
+            help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
+            show_default=f"{RUN} where it is there, else {weights.DEFAULT}",
+        ),
+    ] = None,
+    annotations: Annotated[
+        Path | None,
+        data_option(metavar=FILE, help="Score --predictions against this COCO file, without a dataset folder."),
+    ] = None,
+    predictions: Annotated[
+        Path | None,
+        data_option(metavar=FILE, help="Score this COCO results file, of any detector, instead of a checkpoint."),
+    ] = None,
+    scheme: Annotated[
+        str | None,
+        data_option(
+            choices=(keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES),
+            help="Keypoint scheme of --predictions; the points that mean the same are scored.",
+            show_default="the ground truth's",
+        ),
+    ] = None,
+    max_images: Annotated[
+        int | None,
+        data_option(least=1, help="Take only so many images of a split, by the rule of `skope train`."),
+    ] = None,
+    labelled: Annotated[
+        str,
+        counts(choices=("visible", "all"), help="Keypoints that count; all: hidden ones inside the image too."),
+    ] = "visible",
+    boxes: Annotated[
+        str,
+        counts(
+            choices=("full", "visible", GIVEN),
+            help="Ground-truth boxes, whole or of visible pixels; given: keypoints on the ground truth's own boxes.",
+        ),
+    ] = "full",
+    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = 0.9,
+    alpha: Annotated[float, counts(help="A keypoint is correct within this share of the box's longer edge.")] = 0.1,
+    iou: Annotated[
+        list[str] | None,
+        counts(
+            metavar=LIST,
+            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            show_default="0.9,0.8,0.7,0.6",
+        ),
+    ] = None,
+    keypoint_score: Annotated[
+        float, counts(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+    ] = 0.0,
+    protocol: Annotated[
+        str | None,
+        output(
+            choices=PROTOCOLS,
+            help="What the table shows.",
+            show_default="pooled, or paper beside the paper's rows",
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None,
+        output(choices=(PAPER,), help="Print the published rows below ours (splits easy, medium, hard)."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        output(metavar=DIR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
+    ] = None,
+    fast: Annotated[
+        bool, machine("--fast", help="Place keypoints only on detections above --score; no AP then.")
+    ] = False,
+    hardware: MachineOptions,
+    console: Console,
+) -> None:
+    """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
+    from skope.eval.evaluate import EvalJob, evaluate
+    from skope.metrics import read_inputs
+    from skope.metrics.counts import Options
+    from skope.metrics.match import THRESHOLDS
+
+    options = Options(
+        score=score,
+        alpha=alpha,
+        labelled=labelled,
+        boxes="full" if boxes == GIVEN else boxes,
+        iou=_thresholds(iou) or THRESHOLDS,
+        keypoint_score=keypoint_score,
+    )
+    splits = separated(split)
+    _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
+    if fast and (predictions or boxes == GIVEN):
+        raise UserError("--fast is for running a checkpoint that detects vehicles")
+    if scheme and not predictions:
+        raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
+    checkpoint = None if predictions else checkpoint or (RUN if RUN.exists() else Path(weights.DEFAULT))
+    out = out or _default_out(checkpoint)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out: {out} is a file, expected a folder")
+    truth = read_inputs.read_annotations(annotations) if annotations else read_inputs.read_dataset(data or DATA, splits)
+    scheme = scheme or truth.scheme.name
+    options = replace(options, scheme=truth.scheme, points=read_inputs.scheme_points(scheme, truth.scheme))
+    evaluate(
+        EvalJob(
+            truth=truth,
+            out=out,
+            options=options,
+            protocol=protocol or (PAPER if compare else "pooled"),
+            checkpoint=checkpoint,
+            predictions=predictions,
+            settings=hardware.settings(given=boxes == GIVEN),
+            fast=fast,
+            max_images=max_images,
+            scheme=scheme,
+            beside_paper=compare == PAPER,
+        ),
+        console,
+        width=shutil.get_terminal_size((120, 24)).columns,
+    )
+
+
+def _thresholds(values: list[str] | None) -> tuple[float, ...]:
+    """IoU thresholds from the strictest."""
+    try:
+        return tuple(sorted((float(part) for part in separated(values)), reverse=True))
+    except ValueError:
+        raise UserError(f"--iou: expected numbers, got {', '.join(values or ())}") from None
+
+
+def _refuse_mixtures(
+    data: Path | None,
+    checkpoint: Path | None,
+    splits: list[str],
+    annotations: Path | None,
+    predictions: Path | None,
+    boxes: str,
+) -> None:
+    def clash(a: str, b: str, given_a: Any, given_b: Any, why: str) -> None:
+        if given_a and given_b:
+            raise UserError(f"{a} and {b} do not go together: {why}")
+
+    clash("--predictions", "--checkpoint", predictions, checkpoint, "results are scored as they are")
+    clash("--predictions", "--boxes given", predictions, boxes == GIVEN, "only a checkpoint can be run on given boxes")
+    clash("--annotations", "--data", annotations, data, "each says what the ground truth is")
+    clash("--annotations", "--split", annotations, splits, "an annotation file is one split")
+    if annotations and not predictions:
+        raise UserError("--annotations needs --predictions; to run a checkpoint, give its dataset with --data")
+    if predictions and not annotations and len(splits) != 1:
+        raise UserError("--predictions with a dataset needs exactly one --split, the one that was predicted")
+
+
+def _default_out(checkpoint: Path | None) -> Path:
+    if not checkpoint:
+        return Path("eval")
+    shipped = str(checkpoint) in weights.names() and not checkpoint.exists()
+    run = RUN.parent / checkpoint if shipped else checkpoint
+    return (run.parent if run.is_file() else run) / "eval"

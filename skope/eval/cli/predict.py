@@ -1,0 +1,101 @@
+"""`skope eval predict`: run a detector on footage."""
+
+import math
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skope.detector import weights
+from skope.errors import UserError
+from skope.eval.cli.checks import check_probability
+from skope.eval.cli.options import FastMachineOptions, counts, data_option, output
+from skope.eval.cli.scene_options import CameraOption
+from skope.eval.inference.settings import TILES
+from skope.terminal.command_options import DIR, PREDICTED
+from skope.terminal.console import Console
+
+
+def predict(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SOURCE", help="Image, folder, glob (quoted), video file or rtsp:// / http:// stream."),
+    ],
+    *,
+    checkpoint: Annotated[
+        Path,
+        data_option(
+            metavar="PATH", help="Checkpoint file, run folder for its newest one, or weights that come with skope."
+        ),
+    ] = Path(weights.DEFAULT),
+    camera: CameraOption = None,
+    every: Annotated[int, data_option(help="Take every so many-th frame.")] = 1,
+    start: Annotated[float, data_option(help="Begin at this second of a video.")] = 0.0,
+    end: Annotated[float | None, data_option(help="End at this second of a video.", show_default="its end")] = None,
+    tiles: Annotated[
+        str,
+        counts(choices=TILES, help="auto: look at parts too where the image is larger than in the network."),
+    ] = "none",
+    score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
+    unconfirmed: Annotated[
+        bool, output("--unconfirmed", help="On video, keep also what no other frame confirms.")
+    ] = False,
+    every_frame: Annotated[
+        bool,
+        counts(
+            "--every-frame",
+            help="Run the detector on every frame of a video; on a CPU it runs twice a second by default, and points "
+            "on the vehicles are followed between.",
+        ),
+    ] = False,
+    overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
+    blur: Annotated[bool, output("--blur", help="Blur plates and glass in the overlay.")] = False,
+    out: Annotated[
+        Path | None,
+        output(metavar=DIR, help="Where to write.", show_default=f"{PREDICTED}/ and the source's name"),
+    ] = None,
+    hardware: FastMachineOptions,
+    console: Console,
+) -> None:
+    """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
+    from skope.dataset.camera_of_file import read_camera
+    from skope.eval.inference.footage import Cut, open_footage
+
+    check_probability("--score", score)
+    footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))
+    if blur and not overlay:
+        raise UserError("--blur is for the overlay: give --overlay too")
+    if overlay and footage.live:
+        raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
+    settings = hardware.settings(tiles=tiles)
+    out = out or PREDICTED / (Path(footage.name).stem or "images")
+    fixed = read_camera(camera)[0] if camera else None
+
+    from skope.eval.inference.predict_footage import PredictJob, predict
+
+    job = PredictJob(
+        footage=footage,
+        checkpoint=checkpoint,
+        out=out,
+        settings=settings,
+        score=score,
+        camera=fixed,
+        overlay=overlay,
+        blur=blur,
+        unconfirmed=unconfirmed,
+        every_frame=every_frame,
+    )
+    for path in predict(job, console):
+        console.result(f"wrote {path}")
+    for reason in footage.skipped:
+        typer.echo(f"skope: skipped: {reason}", err=True)
+    if footage.skipped:
+        raise typer.Exit(1)
+    here = shlex.quote(str(out))
+    if fixed:
+        console.result(f"next: skope eval track {here}")
+    elif footage.clip is not None:
+        console.result(
+            f"next, for metres: skope eval camera {here}, or your own: skope eval track {here} --camera FILE"
+        )

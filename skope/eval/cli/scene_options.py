@@ -1,0 +1,121 @@
+"""Options of the commands that take vehicles' keypoints to the road."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.errors import UserError
+from skope.eval.cli.checks import check_pixels, check_probability, numbers_of
+from skope.eval.cli.options import counts, data_option, output
+from skope.files.output_folders import claim_output
+from skope.terminal.command_options import DIR, FILE
+from skope.terminal.console import Console
+
+if TYPE_CHECKING:
+    from skope.eval.pose.views import Scene
+
+_FITTED = ("auto", "fit")
+_HIGHEST_M = 10_000.0
+
+OutOption = Annotated[Path, output(metavar=DIR, help="Where to write.")]
+CameraOption = Annotated[
+    Path | None,
+    data_option(
+        metavar=FILE,
+        help="Camera file: of `skope eval camera`, OpenCV (.yml, .xml), TUMTraf (.json), Rope3D (.txt), or an "
+        "annotation file.",
+        show_default="that of each image",
+    ),
+]
+NoiseOption = Annotated[float, counts(help="Pixels of noise added to ground-truth keypoints.")]
+ScoreOption = Annotated[float, counts(help="Take detections above this.")]
+SigmaOption = Annotated[
+    float | None,
+    counts(help="Standard deviation of a keypoint, pixels.", show_default="2% of the box's longer edge"),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeypointOptions:
+    """Where the keypoints of vehicles come from: a folder of predictions, or files."""
+
+    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Folder that `skope eval predict` wrote.")] = (
+        None
+    )
+    annotations: Annotated[
+        Path | None,
+        data_option(
+            metavar=FILE, help="COCO file with images and cameras instead of a folder; its own keypoints count."
+        ),
+    ] = None
+    predictions: Annotated[
+        Path | None,
+        data_option(metavar=FILE, help="COCO results for the images, in place of the annotations' keypoints."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(KeypointOptions):
+    """Whose keypoints are taken to the road, and what is known of the camera, the road and the keypoints."""
+
+    camera: CameraOption = None
+    ground: Annotated[
+        str,
+        data_option(
+            metavar="[auto|fit|none|METRES]",
+            help="Height of the level road in the camera's world; fit: the plane that the vehicles show; auto: 0 "
+            "unless they clearly show another; none: unknown, size tells distance.",
+        ),
+    ] = "auto"
+    score: ScoreOption = 0.5
+    sigma: SigmaOption = None
+
+    def scene(self, *noise: float, console: Console) -> "Scene":
+        """The vehicles' views and the road, fitted if it shall be; says so then.
+
+        `noise` are the levels that will be added, of which the first one counts here.
+        """
+        from skope.eval.pose.fit_ground import with_fitted_ground
+        from skope.eval.pose.views import read_scene
+        from skope.eval.pose.write_camera import doubt
+
+        check_probability("--score", self.score)
+        check_pixels("--noise", *noise)
+        check_pixels("--sigma", self.sigma)
+        scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
+        if self.camera and (words := doubt(self.camera)):
+            console.result(f"{words}: distances and speeds may all be off by as much, beyond what sigma says")
+        if self.ground in _FITTED:
+            scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
+            if words:
+                console.result(words)
+        return scene
+
+    @property
+    def place(self) -> Path:
+        """Folder of the file that lists the images."""
+        if self.folder:
+            return self.folder
+        assert self.annotations  # `scene` has seen to it
+        return self.annotations.parent
+
+    def claim_output(self, out: Path, command: str, **options: Any) -> None:
+        """Take the output folder of a command for these options and `options`."""
+        inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
+        inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
+        claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
+
+
+def _ground(text: str) -> float | None:
+    """Height of the plane to begin with; None: no plane."""
+    if text in _FITTED:
+        return 0.0
+    if text == "none":
+        return None
+    heights = numbers_of("--ground", text)
+    if len(heights) > 1 or abs(heights[0]) > _HIGHEST_M:
+        raise UserError(f"--ground: expected a height in metres up to {_HIGHEST_M:g}, got {text!r}")
+    return heights[0]

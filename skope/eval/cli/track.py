@@ -1,0 +1,40 @@
+"""`skope eval track`: vehicles followed through footage, in metres."""
+
+from typing import Annotated
+
+from skope.errors import UserError
+from skope.eval.cli.options import data_option, output
+from skope.eval.cli.scene_options import NoiseOption, OutOption, SceneOptions
+from skope.terminal.command_options import TRACKS
+from skope.terminal.console import Console
+
+
+def track(
+    options: SceneOptions,
+    console: Console,
+    fps: Annotated[
+        float | None, data_option(help="Frames a second.", show_default="the times that the frames carry")
+    ] = None,
+    noise: NoiseOption = 0.0,
+    video: Annotated[bool, output("--video", help="Also a bird's-eye video.")] = False,
+    out: OutOption = TRACKS,
+) -> None:
+    """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
+    from skope.eval.tracking.track_footage import TrackJob, run
+
+    if fps is not None and not 0.001 <= fps <= 1000:
+        raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
+    scene = options.scene(noise, console=console)
+    options.claim_output(out, "skope eval track", fps=fps, noise=noise)
+    job = TrackJob(
+        scene=scene,
+        place=options.place,
+        fps=fps,
+        noise=noise,
+        score=options.score,
+        sigma_px=options.sigma,
+        video=video,
+        out=out,
+    )
+    for line in run(job, console):
+        console.result(line)
