@@ -165,9 +165,9 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
             vehicles tells how far away they are, and less exactly.
 
     Returns:
-        The vehicles in the order of the detections: `located.poses` holds `position` (N, 3), `yaw` (N,) in radians
+        The vehicles in the order of the detections: its `poses` hold `position` (N, 3), `yaw` (N,) in radians
         counter-clockwise from world x, `size_lwh` (N, 3), `covariance` (N, 4, 4), `types`, and what to distrust in
-        `refusal` and `flags`; `located.good` (N,) says which vehicles have a pose.
+        `refusal` and `flags`; its `good` (N,) says which vehicles have a pose.
 
     Raises:
         UserError: The camera's shape is not the image's.

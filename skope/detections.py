@@ -36,7 +36,7 @@ class Detections:
         return replace(self, boxes_xyxy=self.boxes_xyxy[kept], scores=self.scores[kept], keypoints=self.keypoints[kept])
 
     def to_results(self, image_id: int) -> list[Result]:
-        """The detections as COCO results of image `image_id`, for `skope.coco.write_results` and `skope.score`."""
+        """The detections as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
         return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
 
 

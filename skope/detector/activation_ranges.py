@@ -1,7 +1,7 @@
 """How large the inputs of a detector's layers become on images: what arithmetic in eight bits needs to know of them.
 
 The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 bits when a checkpoint is packed
-(`skope.compact_weights`), the first and the last ones, have none: they are computed as they are.
+(`skope.detector.compact_weights`), the first and the last ones, have none: they are computed as they are.
 """
 
 import contextlib

@@ -46,8 +46,8 @@ def checkpoint_bytes(
 ) -> bytes:
     """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
 
-    The tensors are the model's, or, `packed`, what `skope.compact_weights` makes of them: a seventh of the bytes, with
-    a checksum, where `moments` are those that `pack` takes. The same model gives the same bytes.
+    The tensors are the model's, or, `packed`, what `skope.detector.compact_weights` makes of them: a seventh of the
+    bytes, with a checksum, where `moments` are those that `pack` takes. The same model gives the same bytes.
     """
     header: dict[str, Any] = {
         "version": _FORMAT_VERSION,

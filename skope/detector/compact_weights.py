@@ -65,7 +65,7 @@ def pack(
         state: float32 tensors (and whole numbers, which are kept) by name.
         most_bytes: what all rounded weights take at most; what is kept otherwise adds about a megabyte.
         moments: by weight, (N, N) mean of x x^T over the inputs x of its layer, in the order of `weight.flatten(1)`:
-            these are rounded by `skope.compensated_rounding`, others to what is nearest.
+            these are rounded by `skope.detector.compensated_rounding`, others to what is nearest.
 
     Returns:
         Tensors by name, and for each name {"kept": one of `WAYS`, "shape": [...]}. Integers are stored as deflated

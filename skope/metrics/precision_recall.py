@@ -54,7 +54,7 @@ def document(
         splits: Split name -> its entry.
         calibrated: Whether keypoint scores are calibrated probabilities; None where another program made them.
         scheme: Keypoint scheme of the detector.
-        work: What `outputs.claim_output` says of the files that were read, the version and the date.
+        work: What `skope.files.output_folders.claim_output` says of the files that were read, the version and the date.
     """
     return {
         "version": VERSION,

@@ -1,6 +1,7 @@
 """What the reports share: one HTML file with its style, its script and its pictures inside.
 
-`marks` are pieces of markup, `charts` and `outline` drawings with their numbers below, `stage` photographs with layers.
+`html_pieces` are pieces of markup, `charts` and `vehicle_outline` drawings with their numbers below, `image_viewer`
+photographs with layers.
 """
 
 from html import escape

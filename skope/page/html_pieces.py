@@ -9,7 +9,7 @@ _VOID: Final = ("img",)
 
 
 def tag(name: str, *children: str, **attributes: object) -> str:
-    """An element; children are markup, attributes are escaped. `class_` is class, and `data_tip` data-tip."""
+    """An element; children are markup, attributes are escaped. `class_` is class, and `aria_label` aria-label."""
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
         for key, value in attributes.items()

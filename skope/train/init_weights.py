@@ -50,10 +50,10 @@ def initialise(
     Args:
         init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the detector that
             comes with skope where it has the same keypoints, else random ones; never from the network. `coco` and
-            `imagenet`: downloaded where they are not there. `random`. Anything else is what `detector.find_checkpoint`
+            `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
             takes: a checkpoint of skope or of torchvision.
-        norm: Normalisation, one of `recipe.NORMS`. `given` is frozen for trained weights and learns for random ones, as
-            in torchvision.
+        norm: Normalisation, one of `skope.train.recipe.NORMS`. `given` is frozen for trained weights and learns for
+            random ones, as in torchvision.
         min_size: Short side of the images inside the network, pixels; None: that of the first weights if they are a
             checkpoint of skope, else that of `SMALL_SIZE`.
         max_size: Largest long side of the images inside the network, pixels; None: likewise.

@@ -138,7 +138,7 @@ def path_beside(weights: Path) -> Path:
 
 
 def check_free(weights: Path, work: Mapping[str, Any]) -> None:
-    """Raise a UserError where the calibration beside a checkpoint is of other work (`skope.output_folders.work_of`)."""
+    """Raise a UserError where the calibration beside a checkpoint is of other work than `work`."""
     path = path_beside(weights)
     if not path.exists():
         return

@@ -41,7 +41,7 @@ def _named(folder: Path, dataset: Path) -> Path:
 
 
 def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractContextManager[Path]:
-    """`skope.output_folders.look` at a dataset."""
+    """The folder or file `out` for what a command makes of a dataset, as `replaceable_output` gives it."""
     return replaceable_output(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
 
 

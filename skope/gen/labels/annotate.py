@@ -1,4 +1,7 @@
-"""Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks. Pure numpy."""
+"""Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks.
+
+It knows arrays alone, and none of the engines that made them.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -34,7 +37,8 @@ SLOPE_CAP: Final = 5.0
 MIN_PIXELS: Final = 20
 """Vehicles with fewer visible pixels are ignored as `small`."""
 MIN_CONTRAST: Final = 1.0
-"""Vehicles that change the image by less than this on average, of 255, are ignored as `unseen`."""
+"""Vehicles whose visible pixels change by less than this on average, in standard deviations of the camera's noise, are
+ignored as `unseen`."""
 
 
 @dataclass(frozen=True, kw_only=True)

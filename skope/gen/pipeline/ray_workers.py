@@ -20,8 +20,6 @@ from skope.gen.simulation.simulate import simulate_together
 
 _LOST: Final = 20
 """How many workers may be lost before the run is given up."""
-_START_S: Final = 60.0
-"""A cluster that cannot start a worker in this time is too small, seconds."""
 
 
 class Worker:

@@ -43,7 +43,8 @@ class RenderedFrame:
     """N silhouettes, in the order of the moment's road users."""
     contrast: NDArray[np.float64]
     """(N,) mean absolute difference over the visible pixels between the frame with and without the vehicle, before
-    noise, of 255; 0 without visible pixels."""
+    noise; 0 without visible pixels. Of 255 in what a renderer draws, in standard deviations of the noise in what the
+    camera's sensor makes of it."""
 
 
 class Renderer(Protocol):
