@@ -88,6 +88,15 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in map(slug, headings), link
 
 
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_files_in_backticks_are_there(page: str) -> None:
+    names = re.findall(r"`([\w./]+\.(?:py|toml|md|js))`", (ROOT / page).read_text(encoding="utf-8"))
+    assert len(names) > 20
+    files = [path for top in ("skope", "tests", "scripts") for path in (ROOT / top).rglob("*.*")]
+    for name in names:
+        assert (ROOT / name).is_file() or any(path.match(f"*/{name}") for path in files) or "NN" in name, name
+
+
 @pytest.mark.parametrize(("page", "line"), commands(), ids=lambda text: text[:60])
 def test_options_of_commands_exist(page: str, line: str) -> None:
     command, words = resolved(shlex.split(line.replace(MADE_UP, "")))
