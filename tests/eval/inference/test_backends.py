@@ -73,7 +73,7 @@ import json, sys
 from pathlib import Path
 import numpy as np, torch
 from skope import dataset
-from skope.console import Console
+from skope.terminal.console import Console
 from skope.eval.inference.backends.prepare import prepare
 from tests.eval.inference.test_backends import CPU, RUNTIMES, found, shipped
 picture, ranges, out = sys.argv[1:]

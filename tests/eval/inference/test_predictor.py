@@ -163,7 +163,7 @@ def test_images_are_decoded_in_order_and_not_too_far_ahead(tmp_path: Path, monke
         read.append(path.name)
         return np.zeros((1, 1, 3), dtype=np.uint8)
 
-    monkeypatch.setattr("skope.dataset.folder.read_image", slow_first)
+    monkeypatch.setattr("skope.eval.inference.predictor.read_image", slow_first)
     stream = _decoded([make_image(i) for i in range(1, 31)], tmp_path, ahead=4)
     assert next(stream)[0].id == 1
     stream_ids = [next(stream)[0].id for _ in range(3)]
