@@ -34,10 +34,10 @@ LONGEST: Final = (
     "gen/render/test_render.py",
     "test_writers.py",
     "train/test_loop.py",
-    "test_safe_names.py",
+    "files/test_safe_names.py",
     "gen/vehicles/test_fleet.py",
     "gen/render/test_weather.py",
-    "test_road33.py",
+    "detector/test_road33.py",
     "eval/inference/test_predictor.py",
     "gen/inspect/test_check.py",
     "gen/site_files/test_site_file.py",
@@ -64,6 +64,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest files."""
     here = Path(__file__).parent
     place = {here / name: k for k, name in enumerate(LONGEST)}
+    assert all(path.is_file() for path in place)
     items.sort(key=lambda item: place.get(item.path, len(place)))
 
 

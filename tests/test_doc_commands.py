@@ -41,6 +41,7 @@ NOT_RUN: Final = {
 DRAWN: Final = (
     "README.md",
     "generating.md",
+    "installing.md",
     "own-road.md",
     "rendering.md",
     "vehicles.md",

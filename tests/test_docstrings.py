@@ -4,7 +4,6 @@ import ast
 import builtins
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -38,25 +37,10 @@ OF_OTHERS = {
 """Names in docstrings that stand nowhere in the code, since others gave them."""
 
 
-def identifiers(tree: ast.AST) -> set[str]:
-    """Names that stand in code: variables, arguments, attributes, imports, and words of its strings."""
-    told = {id(node.value) for node in docstrings(tree)}
-    found: set[str] = set()
-    for node in ast.walk(tree):
-        for kind in ("id", "attr", "arg", "name", "asname", "module"):
-            if isinstance(value := getattr(node, kind, None), str):
-                found |= set(value.split("."))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
-            found |= set(re.findall(r"\w+", node.value))
-    return found
-
-
-def docstrings(tree: ast.AST) -> Iterator[ast.Expr]:
+def texts_of(nodes: list[ast.AST]) -> list[ast.Constant]:
     """Texts that stand alone: in modules, classes and functions, and below constants and fields."""
-    for node in ast.walk(tree):
-        for one in body if isinstance(body := getattr(node, "body", None), list) else ():
-            if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
-                yield one
+    alone = (node.value for node in nodes if isinstance(node, ast.Expr))
+    return [value for value in alone if isinstance(value, ast.Constant) and isinstance(value.value, str)]
 
 
 def defined(body: list[ast.stmt]) -> set[str]:
@@ -72,70 +56,83 @@ def defined(body: list[ast.stmt]) -> set[str]:
     return found
 
 
-@dataclass(frozen=True)
+class Module:
+    """What a module has that a docstring can speak of."""
+
+    def __init__(self, path: Path) -> None:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        nodes = list(ast.walk(tree))
+        self.docstrings = texts_of(nodes)
+        told = set(map(id, self.docstrings))
+        strings = [one.value for one in nodes if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+        in_code = [one.value for one in nodes if isinstance(one, ast.Constant) and id(one) not in told]
+        self.defined = defined(tree.body)
+        self.values = {text.rpartition("/")[2] for text in strings}
+        """Strings: keys and values in files; of paths the names of the files."""
+        self.identifiers = set(re.findall(r"\w+", " ".join(text for text in in_code if isinstance(text, str))))
+        """Names of variables, arguments, attributes and imports, and words of strings."""
+        for node in nodes:
+            for kind in ("id", "attr", "arg", "name", "asname", "module"):
+                if isinstance(value := getattr(node, kind, None), str):
+                    self.identifiers |= set(value.split("."))
+        self.members = {node.name: members_of(node) for node in nodes if isinstance(node, ast.ClassDef)}
+        """Names of attributes by the name of their class."""
+
+
+def members_of(node: ast.ClassDef) -> set[str]:
+    """Names of a class's fields, methods and of attributes in its methods."""
+    return defined(node.body) | {one.attr for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+
+
 class Package:
     """What there is in a package that a docstring can speak of."""
 
-    root: Path
-    modules: dict[str, ast.Module] = field(default_factory=dict)
-    """Modules by dotted name."""
-    members: dict[str, set[str]] = field(default_factory=dict)
-    """Names of attributes by the name of their class."""
-
-    def __post_init__(self) -> None:
-        for path in self.root.rglob("*.py"):
-            parts = [self.root.name, *path.relative_to(self.root).with_suffix("").parts]
-            tree = ast.parse(path.read_text(encoding="utf-8"))
-            self.modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = tree
-            for node in ast.walk(tree):
-                if isinstance(node, ast.ClassDef):
-                    inside = {one.attr for one in ast.walk(node) if isinstance(one, ast.Attribute)}
-                    self.members.setdefault(node.name, set()).update(inside, defined(node.body))
+    def __init__(self, root: Path) -> None:
+        self.name = root.name
+        self.modules: dict[str, Module] = {}
+        self.members: dict[str, set[str]] = {}
+        for path in root.rglob("*.py"):
+            parts = [root.name, *path.relative_to(root).with_suffix("").parts]
+            module = Module(path)
+            self.modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = module
+            for name, members in module.members.items():
+                self.members.setdefault(name, set()).update(members)
+        names = {name.rpartition(".")[2] for name in self.modules}
+        names |= set().union(*(module.defined for module in self.modules.values()), *self.members.values())
+        self.public = {name for name in names if not name.startswith("_")}
+        self.values = set().union(*(module.values for module in self.modules.values()))
 
     def has(self, path: str) -> bool:
         """Whether a dotted name that begins with the package's is that of a module or of something in one."""
-        module, _, name = path.rpartition(".")
+        place, _, name = path.rpartition(".")
         if path in self.modules:
             return True
-        tree = self.modules.get(module)
-        # What a package hands on may be loaded when it is first used: then its name is text there.
-        handed_on = values_in(tree) if tree and module == self.root.name else set()
-        return tree is not None and name in defined(tree.body) | handed_on
-
-    def public(self) -> set[str]:
-        """Names of modules, of what they define, and of members of classes, that do not begin with an underscore."""
-        names = {name.rpartition(".")[2] for name in self.modules}
-        names |= set().union(*(defined(tree.body) for tree in self.modules.values()), *self.members.values())
-        return {name for name in names if not name.startswith("_")}
+        if place not in self.modules:
+            return False
+        module = self.modules[place]
+        # What the package itself hands on is loaded when it is first used: its name is text there.
+        return name in module.defined | (module.values if place == self.name else set())
 
     def unknown(self) -> list[str]:
         """Module, line and name of each name in backticks that is not there."""
-        return sorted(set(self._unknown()))
+        return sorted({f"{module}:{line}: {name}" for module, line, name in self._unknown()})
 
-    def _unknown(self) -> Iterator[str]:
-        public = self.public()
-        strings = set().union(*(values_in(tree) for tree in self.modules.values()))
-        for module, tree in self.modules.items():
-            here = identifiers(tree) | set(dir(builtins))
-            for node in docstrings(tree):
-                for name in re.findall(r"`([^`\n]+)`", node.value.value):  # type: ignore[attr-defined]
-                    if not NAME.fullmatch(name) or name in OF_OTHERS or name in strings:
+    def _unknown(self) -> Iterator[tuple[str, int, str]]:
+        for place, module in self.modules.items():
+            here = module.identifiers | set(dir(builtins))
+            for text in module.docstrings:
+                for name in re.findall(r"`([^`\n]+)`", str(text.value)):
+                    if not NAME.fullmatch(name) or name in OF_OTHERS or name in self.values:
                         continue
                     first, *rest = name.split(".")
-                    if first == self.root.name:
+                    if first == self.name:
                         there = self.has(name)
                     elif rest and first in self.members:
                         there = set(rest) <= self.members[first]
                     else:
-                        there = (first in here or first in public) and set(rest) <= here | public
+                        there = {first, *rest} <= here | self.public
                     if not there:
-                        yield f"{module}:{node.lineno}: {name}"
-
-
-def values_in(tree: ast.AST) -> set[str]:
-    """Strings in code: keys and values in files; of paths the names of the files."""
-    texts = (one.value for one in ast.walk(tree) if isinstance(one, ast.Constant) and isinstance(one.value, str))
-    return {text.rpartition("/")[2] for text in texts}
+                        yield place, text.lineno, name
 
 
 def test_every_name_in_a_docstring_is_there() -> None:

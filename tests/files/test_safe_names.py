@@ -360,23 +360,29 @@ class Yard:
             for name in ("x", "x.npz", "x_00.npz", "x.json", "x.jpg", "x.png", "x.txt", "x-000000.tar"):
                 (folder / name).write_text("dear")
         self._folders = {*folders, root.parent}
+        # As text: thousands of commands are watched, each of which opens dozens of files.
+        self._touched = (f"{self.given}{os.sep}", *(f"{self.out.parent}{os.sep}{name}" for name in _OWN))
         self._before = self._around()
 
     def _inside(self, path: Path) -> bool:
         """Whether a path may be touched: results are written beside their place first."""
-        beside = path.relative_to(self.out.parent).parts[:1] if path.is_relative_to(self.out.parent) else ()
-        return path.is_relative_to(self.given) or any(part.startswith(_OWN) for part in beside)
+        return path == self.given or str(path).startswith(self._touched)
 
     def _around(self) -> dict[Path, tuple[int, bytes]]:
-        files = (path for path in self.root.rglob("*") if not self._inside(path))
-        return {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files if path.is_file()}
+        found = {}
+        for folder, below, names in os.walk(self.root):
+            below[:] = [name for name in below if not self._inside(Path(folder, name))]
+            files = (Path(folder, name) for name in names)
+            found |= {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files if not self._inside(path)}
+        return found
 
     @contextmanager
     def watched(self) -> Iterator[None]:
         """What is around must be left alone meanwhile: neither read nor changed."""
         with watching() as seen:
             yield
-        assert {path for path in seen if path.is_relative_to(self.root) and not self._inside(path)} <= self._folders
+        root = str(self.root)
+        assert {path for path in seen if str(path).startswith(root) and not self._inside(path)} <= self._folders
         assert self._around() == self._before
 
     def run(self, *arguments: object) -> tuple[int, str]:

@@ -302,10 +302,11 @@ def test_room_is_asked_for_before_the_first_epoch(tmp_path: Path, monkeypatch: p
         train(data, tmp_path / "run", TINY)
     assert not (tmp_path / "run").exists()
     monkeypatch.undo()
-    used = sum(path.stat().st_size for path in train(data, tmp_path / "run", TINY).parent.iterdir() if path.is_file())
+    run = train(data, tmp_path / "run", replace(TINY, epochs=1)).parent
+    used = sum(path.stat().st_size for path in run.iterdir() if path.is_file())
     # Of a run that is there, its own files count as room.
     monkeypatch.setattr(run_folder.shutil, "disk_usage", lambda _: usage._replace(free=2 * used))
-    train(data, tmp_path / "run", replace(TINY, epochs=3), resume=True)
+    train(data, run, TINY, resume=True)
 
 
 def test_where_the_best_cannot_be_written_the_epoch_is_not_lost(

@@ -49,16 +49,22 @@ def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
 
 
 @pytest.fixture(scope="module")
-def by_torch(pixels: NDArray[np.uint8]) -> Detections:
-    return found(shipped(), pixels)
+def noted(pixels: NDArray[np.uint8]) -> tuple[Detections, dict[str, Any]]:
+    """What torch finds, and the ranges of the layers' inputs meanwhile."""
+    model = shipped()
+    with activation_ranges.noted(model) as seen:
+        answer = found(model, pixels)
+    return answer, activation_ranges.to_metadata(model, seen)
 
 
 @pytest.fixture(scope="module")
-def ranges(pixels: NDArray[np.uint8]) -> dict[str, Any]:
-    model = shipped()
-    with activation_ranges.noted(model) as noted:
-        found(model, pixels)
-    return activation_ranges.to_metadata(model, noted)
+def by_torch(noted: tuple[Detections, dict[str, Any]]) -> Detections:
+    return noted[0]
+
+
+@pytest.fixture(scope="module")
+def ranges(noted: tuple[Detections, dict[str, Any]]) -> dict[str, Any]:
+    return noted[1]
 
 
 class Limits(NamedTuple):
@@ -146,10 +152,11 @@ def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pi
 
 def test_eight_bits_are_the_arithmetic_of_integers() -> None:
     """Of a small convolution and of a linear layer, multiplied out in whole numbers."""
-    generator = torch.Generator().manual_seed(3)
-    layers = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3, padding=1, stride=2), torch.nn.Flatten())
-    layers.append(torch.nn.Linear(4 * 3 * 3, 5))
-    x = torch.randn(2, 3, 6, 6, generator=generator)
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        layers = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3, padding=1, stride=2), torch.nn.Flatten())
+        layers.append(torch.nn.Linear(4 * 3 * 3, 5))
+        x = torch.randn(2, 3, 6, 6)
     exact = layers(x)
     weights_of = {name: layer.weight.detach().clone() for name, layer in layers.named_modules() if name in ("0", "2")}
     biases = {name: layers.get_submodule(name).bias.detach() for name in weights_of}
