@@ -21,7 +21,7 @@ def car(graph: RoadGraph, bay: Bay) -> Polygon:
     return Polygon(graph.world(corners))
 
 
-@pytest.mark.parametrize("name", ["town01", "town02", pytest.param("town03", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["town01", *(pytest.param(n, marks=pytest.mark.slow) for n in ("town02", "town03"))])
 def test_cars_along_kerbs_stand_beside_the_carriageway(name: str) -> None:
     town = Town(name, variant=Variant(7))
     graph = RoadGraph.of(town)

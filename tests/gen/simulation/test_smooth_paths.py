@@ -112,7 +112,14 @@ def test_vehicles_come_and_go() -> None:
         assert state.speed == pytest.approx(10.0)
 
 
-@pytest.mark.parametrize("name", ["t02_linden_pole", "t03_crown_mast", "t04_exit_gantry", "t05_park_third"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "t03_crown_mast",
+        "t04_exit_gantry",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("t02_linden_pole", "t05_park_third")),
+    ],
+)
 def test_recorded_velocities_are_how_bodies_move(name: str) -> None:
     """Every step of ten seconds: velocity against a central difference over 0.2 s, slip of the rear axle, yaw, roll."""
     plan = RecordingPlan(site=site(name), index=0, frames=400, interval=STEP, size=(640, 360), fov_deg=110, seed=0)

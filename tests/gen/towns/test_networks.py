@@ -123,6 +123,7 @@ def test_the_road_lies_where_vehicles_drive(town: Town) -> None:
     assert np.abs(top - places[:, 2]).max() < 0.01
 
 
+@pytest.mark.parametrize("town", by_size(), indirect=True)
 def test_nothing_is_in_the_way_over_lanes(town: Town) -> None:
     mesh = scenery(town).mesh
     corners = mesh.vertices[mesh.triangles]
@@ -138,6 +139,7 @@ def test_nothing_is_in_the_way_over_lanes(town: Town) -> None:
     assert GANTRY_CLEARANCE > CLEARANCE
 
 
+@pytest.mark.parametrize("town", by_size(), indirect=True)
 def test_sites_see_the_carriageway_and_have_nothing_before_them(town: Town) -> None:
     mesh = scenery(town).mesh
     _, ends = lane_pieces(town, 2.0)

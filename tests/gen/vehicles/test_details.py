@@ -20,6 +20,11 @@ CARS = sorted(name for name in fleet() if parametric(name).style.family == "car"
 OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in range(1, len(detail.options))]
 
 
+def a_third(models: list[str]) -> list[object]:
+    """Every third model; the slow tests have the others."""
+    return [pytest.param(model, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, model in enumerate(models)]
+
+
 def with_details(model: str, **details: float) -> ParametricVehicle:
     vehicle = build(model, {**parametric(model).shape.to_dict(), **details})
     assert isinstance(vehicle, ParametricVehicle)
@@ -43,24 +48,36 @@ def test_details_are_neutral_where_nothing_is_said() -> None:
     assert {f.default for f in fields(Shape) if f.name in DETAIL_NAMES} == {0.0}
 
 
-@pytest.mark.parametrize(("name", "number"), OPTIONS)
-def test_each_option_keeps_the_keypoints_on_the_surface(name: str, number: int) -> None:
+def assert_details_keep_the_keypoints(model: str, details: dict[str, float]) -> None:
     """Only lamps move keypoints, and only their own.
 
     Others move by no more than the 6 mm that a tail lamp is sunk; sides have other surfaces.
     """
-    model = CARS[OPTIONS.index((name, number)) % len(CARS)]
-    vehicle = with_details(model, **{name: float(number)})
+    vehicle = with_details(model, **details)
     assert_on_the_surface(vehicle)
     points = vehicle.points
     np.testing.assert_allclose(points[list(keypoints.FLIP)], points * [1, -1, 1], atol=1e-12)
-    moved = np.linalg.norm(points - parametric(model).points, axis=1) > (0.035 if name == "side" else 0.007)
+    moved = np.linalg.norm(points - parametric(model).points, axis=1) > (0.035 if "side" in details else 0.007)
     names = {keypoints.NAMES[i] for i in np.flatnonzero(moved)}
-    assert all(name in ("headlight", "taillight") and one.startswith(name) for one in names)
+    allowed = tuple(name for name in details if name in ("headlight", "taillight"))
+    assert all(one.startswith(allowed) for one in names)
     assert backs_seen(vehicle, np.random.default_rng(3), 6) == 0
     used = {vehicle.mesh.materials[i] for i in np.unique(vehicle.mesh.material)}
     assert {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"} <= used
     assert all(material in {*MATERIALS, "paint"} or own_color(material) for material in used)
+
+
+@pytest.mark.parametrize("turn", range(max(len(detail.options) for detail in DETAILS.values()) - 1))
+def test_details_keep_the_keypoints_on_the_surface(turn: int) -> None:
+    """Each option of each detail once, all details at a time."""
+    details = {name: float(1 + turn % (len(detail.options) - 1)) for name, detail in DETAILS.items()}
+    assert_details_keep_the_keypoints(CARS[turn % len(CARS)], details)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "number"), OPTIONS)
+def test_each_option_keeps_the_keypoints_on_the_surface(name: str, number: int) -> None:
+    assert_details_keep_the_keypoints(CARS[OPTIONS.index((name, number)) % len(CARS)], {name: float(number)})
 
 
 def test_each_option_is_drawn() -> None:
@@ -72,9 +89,7 @@ def test_each_option_is_drawn() -> None:
     assert {option for option in OPTIONS if not seen[option]} == set()
 
 
-@pytest.mark.parametrize(
-    "model", [pytest.param(model, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, model in enumerate(sorted(fleet()))]
-)
+@pytest.mark.parametrize("model", a_third(sorted(fleet())))
 def test_jittered_vehicles_keep_their_keypoints(model: str) -> None:
     rng = np.random.default_rng(11)
     for _ in range(3):
@@ -114,7 +129,7 @@ def test_unknown_options_are_named(name: str, value: float) -> None:
         with_details("sedan", **{name: value})
 
 
-@pytest.mark.parametrize("model", CARS)
+@pytest.mark.parametrize("model", a_third(CARS))
 def test_front_plates_stand_before_the_front(model: str) -> None:
     """What a ray from ahead meets in the middle of a plate is the plate."""
     for steps in (0, 1, 2):
