@@ -127,6 +127,7 @@ def test_lamps_are_found_and_lit_by_their_bits() -> None:
     assert all(lamp.center[0] * lamp.facing[0] > 0 for lamp in lamps_of(sedan) if lamp.material != "indicator_left")
 
 
+@pytest.mark.slow
 def test_a_wet_road_mirrors_lamps_and_is_darker(noon: RenderedFrame, unlit: RenderedFrame, lit: RenderedFrame) -> None:
     # Where a mirror on the road shows the left tail lamp, 0.9 m high at x = -2.3.
     below, _, _ = CAMERA.project(np.array([[-4.3, -0.9, 0.0]]))

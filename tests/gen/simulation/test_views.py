@@ -123,10 +123,10 @@ def replace_parked(recording: Recording) -> Recording:
 
 
 def test_a_town_is_grown_anew_by_its_seed() -> None:
-    own, first, second = (scenery(Town("town01", variant=variant)) for variant in (None, Variant(1), Variant(2)))
+    own, first = (scenery(Town("town01", variant=variant)) for variant in (None, Variant(1)))
     again = build._grow_scenery(Town("town01", variant=Variant(1)))
     assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
-    assert len({len(one.mesh.vertices) for one in (own, first, second)}) == 3
+    assert len(own.mesh.vertices) != len(first.mesh.vertices)
 
 
 def test_what_a_variant_is_drawn_with_is_switched_by_itself() -> None:

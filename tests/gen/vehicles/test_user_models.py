@@ -224,6 +224,7 @@ def test_labels_name_the_colour_that_most_of_a_model_has(car: Path, material: st
 # -------------------------------------------------------------------------------------------------------- the example
 
 
+@pytest.mark.slow
 def test_the_example_drives_as_the_guide_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     guide = (ROOT / "docs" / "vehicles.md").read_text(encoding="utf-8")
     add, make = re.findall(r"^ {4}skope gen (.*courier[ .].*)$", guide, re.MULTILINE)
