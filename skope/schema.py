@@ -268,12 +268,16 @@ class Result:
     category_id: int = CATEGORY_ID
     interpolated: bool = False
     """Whether it was followed from other frames, and no detector has seen it in this one."""
+    track_id: int | None = None
+    """Number of the vehicle among those of its video, which results of other frames share; None: not known."""
     boxed: bool = True
     """Whether its file has a box for it; else that is the extent of the keypoints that were found."""
 
     def __post_init__(self) -> None:
         _integer("image_id", self.image_id, 0)
         _integer("category_id", self.category_id, 0)
+        if self.track_id is not None:
+            _integer("track_id", self.track_id, 0)
         if not isinstance(self.interpolated, bool):
             raise UserError(f"interpolated: expected true or false, got {self.interpolated!r}")
         object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))

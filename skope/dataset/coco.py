@@ -242,6 +242,7 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
         keypoints=points,
         score=row["score"],
         interpolated=row.get("interpolated", False),
+        track_id=row.get("track_id"),
         boxed=row.get("bbox") is not None,
     )
 
@@ -356,6 +357,7 @@ def result_to_dict(result: Result) -> dict[str, Any]:
         "bbox": _rounded(result.bbox, 2),
         "keypoints": (points + 0.0).ravel().tolist(),
         "score": round(result.score, 6),
+        **({} if result.track_id is None else {"track_id": result.track_id}),
         **({"interpolated": True} if result.interpolated else {}),
     }
 

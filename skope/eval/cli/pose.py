@@ -1,6 +1,7 @@
 """`skope eval pose`: position, heading and size of vehicles."""
 
-from typing import Annotated
+from collections import Counter
+from typing import Annotated, Any
 
 from skope.eval.cli.checks import numbers_of
 from skope.eval.cli.options import counts
@@ -20,22 +21,24 @@ def pose(
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
     from skope.eval.pose.pose_errors import measure, summary, table
-    from skope.eval.pose.records import locate_view, records, write_poses
+    from skope.eval.pose.records import INTERPOLATED, locate_view, records, write_poses
     from skope.files.json_files import write_json
 
     levels, score, sigma = numbers_of("--noise", noise), options.score, options.sigma
     scene = options.scene(*levels, console=console)
     options.claim_output(out, "skope eval pose", noise=levels)
-    rows, refused = [], 0
+    rows: list[dict[str, Any]] = []
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         for view in scene.views(score=score, sigma_px=sigma, noise=levels[0]):
-            found = list(records(locate_view(view, scene)))
-            refused += sum(row["refused"] is not None for row in found)
-            rows += found
+            rows += records(locate_view(view, scene))
             bar.update()
     for path in write_poses(out, rows):
         console.result(f"wrote {path}")
-    console.result(f"{len(rows) - refused} poses of {len(rows)} vehicles; {refused} refused")
+    reasons = Counter(row["refused"] for row in rows)
+    between = reasons.pop(INTERPOLATED, 0)
+    refused, found = reasons.total() - reasons[None], reasons.total()
+    besides = f"; {between} more were followed between key frames and have none" if between else ""
+    console.result(f"{reasons[None]} poses of {found} vehicles; {refused} refused{besides}")
     if scene.has_truth:
         summaries = {}
         for level in levels if scene.results is None else (0.0,):

@@ -3,12 +3,12 @@
 Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
 pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
 the more the nearer its key frame is. One that only one of them shows is followed from there alone, as far as its points
-can be: a detector misses vehicles more often than vehicles vanish.
+can be: a detector misses vehicles more often than vehicles vanish. All that is one vehicle's has one `track_id`.
 """
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import cv2
@@ -47,7 +47,7 @@ _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
 
 
 def with_frames_between(
-    frames: Iterator[Frame], find: Callable[[Frame], list[Result]], every: int
+    frames: Iterator[Frame], find: Callable[[Frame], list[Result]], every: int, known: Sequence[int] = ()
 ) -> Iterator[tuple[Image, list[Result], bool]]:
     """The vehicles of all frames of a video, of which the detector sees each `every`-th and the last.
 
@@ -55,47 +55,59 @@ def with_frames_between(
         frames: Consecutive frames, of which the first is a key frame.
         find: Finds the vehicles of a key frame.
         every: Number of frames from one key frame to the next.
+        known: The `track_id` of each vehicle of the first frame, where it has been found before.
 
     Yields:
         Each image with its vehicles, and whether it is a key frame. Vehicles of other frames are `interpolated`.
     """
     since: list[Frame] = []
-    known: list[Result] = []
+    vehicles: list[Result] = []
+    names = itertools.count(1)
     for frame in frames:
         since.append(frame)
         if len(since) == 1:
-            known = find(frame)
-            yield frame[0], known, True
+            vehicles = find(frame)
+            if len(known) != len(vehicles):
+                known = [next(names) for _ in vehicles]
+            names = itertools.count(max([0, *known]) + 1)
+            vehicles = [replace(one, track_id=name) for one, name in zip(vehicles, known, strict=True)]
+            yield frame[0], vehicles, True
         elif len(since) > every:
-            last = find(frame)
-            yield from _between(since, known, last)
-            yield frame[0], last, True
-            since, known = [frame], last
+            between, vehicles = _between(since, vehicles, find(frame), names)
+            yield from between
+            yield frame[0], vehicles, True
+            since = [frame]
     if len(since) > 1:
-        last = find(since[-1])
-        yield from _between(since, known, last)
-        yield since[-1][0], last, True
+        between, vehicles = _between(since, vehicles, find(since[-1]), names)
+        yield from between
+        yield since[-1][0], vehicles, True
 
 
 def _between(
-    frames: Sequence[Frame], first: Sequence[Result], last: Sequence[Result]
-) -> Iterator[tuple[Image, list[Result], bool]]:
-    """The frames between two key frames, which are the ends of `frames`, with their vehicles."""
+    frames: Sequence[Frame], first: Sequence[Result], last: Sequence[Result], names: Iterator[int]
+) -> tuple[list[tuple[Image, list[Result], bool]], list[Result]]:
+    """The frames between two key frames, which are the ends of `frames`, with their vehicles; and those of the last."""
     grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
     ahead, back = _followed(grey, first), _followed(grey[::-1], last)
     pairs = _same(ahead, last)
     gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
-    new = sorted(set(range(len(last))) - {j for _, j in pairs})
+    before = {j: first[i].track_id for i, j in pairs}
+    last = [replace(one, track_id=before[j] if j in before else next(names)) for j, one in enumerate(last)]
     ways = [
-        *((_merged(ahead[i], back[j][::-1]), first[i].score, last[j].score) for i, j in pairs),
-        *((ahead[i], first[i].score, first[i].score) for i in gone),
-        *((back[j][::-1], last[j].score, last[j].score) for j in new),
+        *((_merged(ahead[i], back[j][::-1]), first[i], last[j]) for i, j in pairs),
+        *((ahead[i], first[i], first[i]) for i in gone),
+        *((back[j][::-1], last[j], last[j]) for j in range(len(last)) if j not in before),
     ]
+    out = []
     for k, (image, _) in enumerate(frames[1:-1], start=1):
         share = k / (len(frames) - 1)
-        there = [(way[k], (1 - share) * one + share * two) for way, one, two in ways]
-        found = [place.result(image, score) for place, score in there if place is not None]
-        yield image, [result for result in found if result is not None], False
+        there = [
+            place.result(image, (1 - share) * one.score + share * two.score, two.track_id)
+            for way, one, two in ways
+            if (place := way[k]) is not None
+        ]
+        out.append((image, [result for result in there if result is not None], False))
+    return out, last
 
 
 @dataclass(frozen=True)
@@ -127,13 +139,20 @@ class _Place:
         at = self.keypoints[:, :2] @ motion[:, :2].T + motion[:, 2]
         return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
 
-    def result(self, image: Image, score: float) -> Result | None:
+    def result(self, image: Image, score: float, track_id: int | None) -> Result | None:
         """As a vehicle of an image; None where hardly anything of it is inside."""
         box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
         if (box[2:] - box[:2]).min() < _SMALLEST_PX:
             return None
         bbox = box_math.xyxy_to_xywh(box[None])[0]
-        return Result(image_id=image.id, bbox=bbox, score=score, keypoints=self.keypoints, interpolated=True)
+        return Result(
+            image_id=image.id,
+            bbox=bbox,
+            score=score,
+            keypoints=self.keypoints,
+            interpolated=True,
+            track_id=track_id,
+        )
 
 
 Way: TypeAlias = list[_Place | None]

@@ -1,7 +1,6 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
 import hashlib
-import itertools
 import math
 import os
 from collections import Counter
@@ -19,8 +18,9 @@ from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detector.device import choose_device
 from skope.errors import UserError
+from skope.eval.box_links import FARTHEST_S, BoxLinks
 from skope.eval.inference.anonymize import blurred
-from skope.eval.inference.confirmation import FARTHEST_S, WEAK, Confirmation
+from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
@@ -76,8 +76,13 @@ class PredictJob:
     @property
     def confirms(self) -> bool:
         """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
+        return self.links and not self.unconfirmed
+
+    @property
+    def links(self) -> bool:
+        """Whether vehicles are followed from frame to frame."""
         dense = self.footage.fps is None or self.footage.fps * FARTHEST_S >= 1
-        return self.footage.clip is not None and dense and not self.unconfirmed
+        return self.footage.clip is not None and dense
 
 
 def predict(job: PredictJob, console: Console) -> list[Path]:
@@ -99,11 +104,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least, batch_size=batch_size), console)
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key"))
-    images = []
-    last_key = 1
+    images: list[Image] = []
+    last_key, names = 1, list[int]()
     for row in progress.rows():
         images.append(coco.image_from_dict(row["image"]))
-        last_key = images[-1].id if row["key"] else last_key
+        if row["key"]:
+            last_key, names = images[-1].id, [result.get("track_id", 0) for result in row["results"]]
         job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
     last = images[-1].id if images else 0
     if images:
@@ -111,7 +117,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key):
+            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key, names=names):
                 image = with_camera(bare, job.camera)
                 entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
                 progress.add({**entry, "skipped": list(job.footage.skipped), "key": key})
@@ -146,11 +152,11 @@ def _found_at(job: PredictJob) -> dict[str, str]:
 
 
 def found_in(
-    job: PredictJob, predictor: Predictor, *, last: int = 0, last_key: int = 1
+    job: PredictJob, predictor: Predictor, *, last: int = 0, last_key: int = 1, names: Sequence[int] = ()
 ) -> Iterator[tuple[Image, list[Result], bool]]:
     """The frames after number `last`, with what is found in them, and whether the detector has seen them.
 
-    `last_key` is the number of the last of them that it had seen.
+    `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of its vehicles there.
     """
     every = job.key_every
     if every == 1:
@@ -163,7 +169,7 @@ def found_in(
         return found
 
     # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.
-    for image, found, key in with_frames_between(job.footage.frames(last_key - 1), find, every):
+    for image, found, key in with_frames_between(job.footage.frames(last_key - 1), find, every, names):
         if image.id > last:
             yield image, found, key
 
@@ -200,16 +206,32 @@ def _content(footage: Footage) -> str:
 
 
 def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
-    """What gives the results of a frame that stay: those above the score, in a video those that others confirm."""
+    """What gives the results of a frame that stay: those above the score, in a video those that others confirm.
+
+    In a video they have the number of their vehicle, from 1.
+    """
     times = [image.time_s for image in images if image.time_s is not None]
-    interval = float(np.median(np.diff(times))) if job.confirms and len(times) > 1 else math.inf
+    interval = float(np.median(np.diff(times))) if job.links and len(times) > 1 else math.inf
     if interval > FARTHEST_S:
         return lambda row: [result for result in row["results"] if result["score"] > job.score]
-    confirmation = Confirmation(job.score, every=job.key_every)
-    for row, time_s in zip(progress.rows(), times, strict=True):
-        confirmation.add(time_s, list(map(coco.result_from_dict, row["results"])))
-    of_frame = dict(zip([image.id for image in images], confirmation.confirmed(), strict=True))
-    return lambda row: list(itertools.compress(row["results"], of_frame[row["image"]["id"]]))
+    rows = ((t, list(map(coco.result_from_dict, r["results"]))) for r, t in zip(progress.rows(), times, strict=True))
+    if job.confirms:
+        confirmation = Confirmation(job.score, every=job.key_every)
+        for time_s, found in rows:
+            confirmation.add(time_s, found)
+        numbers = confirmation.confirmed()
+    else:
+        links = BoxLinks()
+        numbers = [
+            np.where(np.array([one.score > job.score for one in found], dtype=bool), links.add(time_s, found), -1)
+            for time_s, found in rows
+        ]
+    of_frame = dict(zip([image.id for image in images], numbers, strict=True))
+    return lambda row: [
+        {**result, "track_id": number + 1}
+        for result, number in zip(row["results"], of_frame[row["image"]["id"]].tolist(), strict=True)
+        if number >= 0
+    ]
 
 
 def _overlay(job: PredictJob, progress: Progress, kept: Kept, count: int, scheme: Scheme, console: Console) -> Path:

@@ -1,7 +1,7 @@
 """Where the road is, from the vehicles on it: the plane on which all of them are likely, the camera being known.
 
 Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
-search, and Nelder and Mead's simplex on the cost of full fits ends it, as for a camera (`skope.eval.pose.fit_camera`).
+search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.eval.pose.fit_camera`).
 """
 
 import math
@@ -9,23 +9,35 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from skope.camera.model import Camera
 from skope.errors import UserError
+from skope.eval.pose.bundle_adjustment import (
+    FOCAL,
+    HEIGHT,
+    BundleAdjustment,
+    Known,
+    Solved,
+    VehicleViews,
+    camera_of,
+)
 from skope.eval.pose.candidates import best_types
-from skope.eval.pose.fit_camera import SampledVehicles, capped, sample
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.solver import levelled, locate
+from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.types import Array
 
 _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""
-_STEPS: Final = np.array([0.2, 0.02, 0.02])
-"""Steps in height (metres) and in the slopes along x and y: size of the first simplex."""
+_LOWEST: Final = 0.5
+"""Height of a camera over the road, metres, from which the search begins at least."""
+_FEWEST_PLACES: Final = 3
+"""Places that a plane goes through."""
+_CAP: Final = 150.0
+"""What a vehicle can cost at most."""
 _UNEVEN: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
 """Standard deviations of the road's height over its plane, metres, that are tried."""
 _ROUNDS: Final = 5
@@ -33,8 +45,7 @@ _ROUNDS: Final = 5
 _VEHICLES: Final = 40
 """So many vehicles are used at most."""
 _CLEAR: Final = 5.0
-"""How much less a vehicle must contradict another plane (twice the log likelihood) before the level z = 0 is given up;
-a road that is level is ahead by less than 1, one that lies a metre elsewhere behind by 20 and more."""
+"""How much less a view must contradict another plane (twice the log likelihood) before the level z = 0 is given up."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +77,19 @@ def with_fitted_ground(
             )
         return scene, None
     try:
-        vehicles = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px)
+        views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px).views
     except UserError as error:
         if asked == "fit":
             raise UserError(f"--ground fit: {error}") from None
         return scene, None
-    begun = _through_free_fits(vehicles, camera)
-    gain = _cost(vehicles, camera, scene.ground) - _cost(vehicles, camera, begun)
-    if asked == "auto" and gain < _CLEAR * len(vehicles.found):
-        return scene, None
-    fit = fit_ground(vehicles, camera, begun)
+    begun = _through_free_fits(views, camera)
+    if asked == "auto":
+        gain = (
+            _adjusted(views, camera, scene.ground, free=False).cost - _adjusted(views, camera, begun, free=False).cost
+        )
+        if gain < _CLEAR * len(views.found):
+            return scene, None
+    fit = fit_ground(views, camera, begun)
     return replace(scene, ground=fit.ground), _words(fit, asked)
 
 
@@ -89,42 +103,44 @@ def _words(fit: GroundFit, asked: str) -> str:
     )
 
 
-def fit_ground(vehicles: SampledVehicles, camera: Camera, begun: Ground) -> GroundFit:
-    """The plane under `vehicles`, which `camera` sees, near `begun`; how far they lie off it is its `height_sigma`."""
-    at = np.array([begun.height, *begun.slope])
-    for size in (_STEPS, _STEPS / 4):  # a simplex that has gone flat starts again
-        found = minimize(
-            lambda x: _cost(vehicles, camera, _placed(begun, x)) + float((x[1:] ** 2).sum()) / _SLOPE**2,
-            at,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": np.concatenate([at[None], at + np.diag(size)]),
-                "maxfev": 60,
-                "xatol": 1e-4,
-                "fatol": 1e-2,
-            },
-        )
-        at = np.asarray(found.x)
-    ground = _placed(begun, at)
-    ground = replace(ground, height_sigma=_unevenness(vehicles, camera, ground))
-    return GroundFit(ground, len(vehicles.found))
+def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
+    """The plane under vehicles that `camera` sees, near `begun`; how far they lie off it is its `height_sigma`."""
+    solved = _adjusted(views, camera, begun, free=True)
+    ground = _plane(camera, solved.bundle.camera, begun)
+    ground = replace(ground, height_sigma=_unevenness(views, camera, ground))
+    return GroundFit(ground, views.count)
 
 
-def _placed(like: Ground, at: Array) -> Ground:
-    return replace(like, height=float(at[0]), slope=(float(at[1]), float(at[2])))
+def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool) -> Solved:
+    """The likeliest vehicles on a road under a known camera, or on a road near it where that is `free`."""
+    focal = math.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    level, _ = levelled(camera, ground)
+    at = np.array([math.log(focal), *level.angles[1:], math.log(max(level.position[2], _LOWEST)), 0.0])
+    center = np.array([at[FOCAL], *camera.angles[1:], 0.0, 0.0])
+    slope = math.atan(_SLOPE)
+    sigma = np.array([0.0, slope, slope, np.inf, 0.0]) if free else np.zeros(len(at))
+    rays, valid = camera.rays(views.found[..., :2])
+    ideal = rays[..., :2] * focal + np.array(views.size) / 2
+    found = np.concatenate([ideal, np.where(valid, views.found[..., 2], 0.0)[..., None]], axis=-1)
+    adjustment = BundleAdjustment(replace(views, found=found), fleet_shapes(), Known(center, sigma))
+    return adjustment.refined(adjustment.begun(at))
 
 
-def _cost(vehicles: SampledVehicles, camera: Camera, ground: Ground) -> float:
-    level, flat = levelled(camera, ground)
-    seen = observe(level, vehicles.found, vehicles.sigma_px)
-    return float(capped(best_types(seen, fleet_shapes(), flat).cost[:, 0]).sum())
+def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
+    """The road on which a bundle adjustment has put the vehicles before a camera, in that camera's world."""
+    upright = camera_of(unknowns, (camera.width, camera.height)).T_camera_world[:3, 2]
+    x, y, z = camera.T_camera_world[:3, :3].T @ upright
+    slope = (-x / z, -y / z)
+    away = np.array(like.about) - camera.position[:2]
+    height = camera.position[2] - math.exp(unknowns[HEIGHT]) / z + float(np.dot(slope, away))
+    return replace(like, height=float(height), slope=(float(slope[0]), float(slope[1])))
 
 
-def _through_free_fits(vehicles: SampledVehicles, camera: Camera) -> Ground:
+def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
-    poses = locate(camera, vehicles.found, sigma_px=vehicles.sigma_px, ground=None)
+    poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None)
     good = np.array([reason is None for reason in poses.refusal])
-    if good.sum() >= len(_STEPS):
+    if good.sum() >= _FEWEST_PLACES:
         points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))
     else:
         points, sigma = poses.position, np.ones(len(poses.position))
@@ -137,18 +153,27 @@ def _through_free_fits(vehicles: SampledVehicles, camera: Camera) -> Ground:
         normal = (A.T * weight) @ A + prior
         at = np.linalg.solve(normal, (A.T * weight) @ points[:, 2])
         weight = 1 / (sigma**2 + (A @ at - points[:, 2]) ** 2)
-    return _placed(
-        Ground(height_sigma=_UNEVEN[2], tilt_sigma=math.radians(1.5), about=(float(middle[0]), float(middle[1]))), at
+    return Ground(
+        height=float(at[0]),
+        height_sigma=_UNEVEN[2],
+        tilt_sigma=math.radians(1.5),
+        slope=(float(at[1]), float(at[2])),
+        about=(float(middle[0]), float(middle[1])),
     )
 
 
-def _unevenness(vehicles: SampledVehicles, camera: Camera, ground: Ground) -> float:
+def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
     """The `height_sigma` under which the vehicles are likeliest, whatever their poses (Laplace's approximation)."""
 
     def surprise(sigma: float) -> float:
         level, flat = levelled(camera, replace(ground, height_sigma=sigma))
-        fits = best_types(observe(level, vehicles.found, vehicles.sigma_px), fleet_shapes(), flat)
+        fits = best_types(observe(level, views.found, views.sigma_px), fleet_shapes(), flat)
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
-        return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
+        return float((_capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 
     return min(_UNEVEN, key=surprise)
+
+
+def _capped(cost: Array) -> Array:
+    """Costs of vehicles that level off, still smooth, so that a false detection does not decide."""
+    return np.asarray(_CAP * np.tanh(np.minimum(cost, 1e6) / _CAP))

@@ -39,7 +39,10 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     # A keypoint (x, y, z) of the body lies at (X + c x - s y, Y + s x + c y, z) in the world, where X, Y are the place
     # and c, s are cosine and sine of the heading. Each keypoint gives two equations, rows . world = -shift, that are
     # linear in X, Y, c, s: those of its column and its row in the image.
-    R, t = seen.T_camera_world[:3, :3], seen.T_camera_world[:3, 3]
+    # X and Y count from the camera's foot: what they are in the world may be millions, as those of UTM are.
+    R = seen.T_camera_world[:3, :3]
+    foot = -R.T @ seen.T_camera_world[:3, 3] * [1.0, 1.0, 0.0]
+    t = seen.T_camera_world[:3, 3] + R @ foot
     body = shapes.mean[None, :, :-1]  # (1, T, 33, 3)
     x, y, z = body[..., 0], body[..., 1], body[..., 2] + ground.height
     weight = (seen.counted if chosen is None else chosen) / seen.variance
@@ -85,7 +88,7 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         ],
         axis=-2,
     )
-    p = np.concatenate([solution[..., :2], np.full((*solution.shape[:2], 1), ground.height)], axis=-1)
+    p = np.concatenate([solution[..., :2] + foot[:2], np.full((*solution.shape[:2], 1), ground.height)], axis=-1)
     return Starts(p, R_wv, cost)
 
 

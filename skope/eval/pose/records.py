@@ -19,6 +19,8 @@ from skope.files.atomic import write_text
 from skope.keypoints import WHEELS
 from skope.types import Array
 
+INTERPOLATED: Final = "interpolated"
+"""Why a vehicle has no pose that was followed from other frames: its keypoints measure nothing anew."""
 _CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
 """(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before
 right, low before high."""
@@ -39,10 +41,10 @@ class Located:
 
 
 def locate_view(view: View, scene: Scene) -> Located:
-    """Work out the poses of the vehicles in one image of a scene."""
-    camera = scene.camera_of(view.image)
-    poses = locate(camera, view.found, sigma_px=view.sigma_px, ground=scene.ground, cut=view.cut)
-    return Located(view, camera, poses)
+    """Work out the poses of the vehicles in one image of a scene; those that were followed there have none."""
+    camera, found = scene.camera_of(view.image), ~view.interpolated
+    poses = locate(camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.ground, cut=view.cut[found])
+    return Located(view, camera, poses if found.all() else poses.among(found, INTERPOLATED))
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:
@@ -58,7 +60,7 @@ def records(located: Located) -> Iterator[dict[str, Any]]:
             "score": round(float(view.scores[i]), 6),
             "bbox": _rounded(view.boxes[i], 2),
             "refused": reason,
-            "flags": [*poses.flags[i], *(["interpolated"] if view.interpolated[i] else [])],
+            "flags": list(poses.flags[i]),
         }
         if reason is None:
             T, size = poses.T_world_vehicle[i], poses.size_lwh[i]

@@ -14,7 +14,7 @@ goes on by Levenberg and Marquardt's method from the best few, and is repeated f
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,6 +100,29 @@ class Poses:
         """(N,) heading, counter-clockwise from world x, radians."""
         R = self.T_world_vehicle[:, :3, :3]
         return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+
+    def among(self, rows: NDArray[np.bool_], refusal: str) -> Self:
+        """The vehicles as the `rows` (M,) of M; the others are refused for one reason, and their numbers are NaN."""
+        count, at = len(rows), np.flatnonzero(rows)
+
+        def spread(values: NDArray[Any], fill: float) -> NDArray[Any]:
+            out = np.full((count, *values.shape[1:]), fill, dtype=values.dtype)
+            out[at] = values
+            return out
+
+        def shared_out(values: tuple[Any, ...], fill: Any) -> tuple[Any, ...]:
+            given = dict(zip(at.tolist(), values, strict=True))
+            return tuple(given.get(i, fill) for i in range(count))
+
+        arrays = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
+        return replace(
+            self,
+            **{name: spread(getattr(self, name), np.nan) for name in arrays},
+            used=spread(self.used, False),
+            types=shared_out(self.types, ""),
+            refusal=shared_out(self.refusal, refusal),
+            flags=shared_out(self.flags, ()),
+        )
 
     @property
     def position(self) -> Array:

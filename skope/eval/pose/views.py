@@ -58,6 +58,8 @@ class View:
     """(N,) the ground-truth vehicle that each is, or that it matches; None where there is none or it is not known."""
     interpolated: NDArray[np.bool_]
     """(N,) whether it was followed from other frames, in place of being found in this one."""
+    tracks: NDArray[np.int64]
+    """(N,) number of the vehicle, which other images of its video share; -1 where that is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +143,8 @@ def _labelled(
     boxes = np.array([a.bbox for a in kept]).reshape(-1, 4)
     cut = _margins(image, boxes).min(axis=1, initial=np.inf) <= 0
     ones, none = np.ones(len(kept)), np.zeros(len(kept), dtype=bool)
-    return View(image, found, spread * ones, ones, boxes, cut, kept, none)
+    tracks = np.array([-1 if a.track_id is None else a.track_id for a in kept], dtype=np.int64)
+    return View(image, found, spread * ones, ones, boxes, cut, kept, none, tracks)
 
 
 def view_of(detections: "Detections") -> View:
@@ -167,7 +170,8 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
     truth = tuple(vehicle for _, vehicle in pairs)
     interpolated = np.array([r.interpolated for r in results], dtype=bool)
-    return View(image, found, spread, scores, boxes, reached.any(axis=1), truth, interpolated)
+    tracks = np.array([-1 if r.track_id is None else r.track_id for r in results], dtype=np.int64)
+    return View(image, found, spread, scores, boxes, reached.any(axis=1), truth, interpolated, tracks)
 
 
 def _margins(image: Image, boxes: Array) -> Array:

@@ -15,6 +15,7 @@ from skope.camera.model import Camera
 from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
+from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import read_scene
 from skope.files.output_folders import write_new
 from skope.files.reading import read_bytes, read_text
@@ -39,7 +40,8 @@ def from_vehicles(
 ) -> Iterator[str]:
     """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found."""
     scene = read_scene(*where, None, None)
-    fit = fit_camera.fit_camera(fit_camera.sample(scene, count, score=score, noise=noise, sigma_px=sigma_px))
+    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
+    fit = fit_camera.fit_camera(drawn.views)
     sigma = {
         "focal": fit.sigma_focal,
         "pitch_deg": math.degrees(fit.sigma_pitch),

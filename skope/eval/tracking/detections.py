@@ -44,10 +44,12 @@ class Detection:
     """The track of the ground-truth vehicle that it is, or matches; None where there is none."""
     pose: PoseMeasurement | None
     """Its pose; None where the pose solver refused one."""
+    link: int | None = None
+    """What the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not known."""
 
 
-def detections_of(image: Located) -> list[Detection]:
-    """The vehicles of an image as a tracker sees them."""
+def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
+    """The vehicles of an image as a tracker sees them; `linked`: under the numbers that they have."""
     view, poses = image.view, image.poses
     out = []
     for i, good in enumerate(image.good):
@@ -62,15 +64,15 @@ def detections_of(image: Located) -> list[Detection]:
         )
         vehicle = view.truth[i]
         truth = vehicle.track_id if vehicle else None
-        # What was interpolated measures nothing anew: the track's own motion says better where the vehicle is.
-        measured = good and not view.interpolated[i]
-        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if measured else None))
+        link = int(view.tracks[i]) if linked and view.tracks[i] >= 0 else None
+        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link))
     return out
 
 
 def detection_to_dict(detection: Detection) -> dict[str, Any]:
     """JSON values of a detection, not rounded."""
-    values = {"bbox": detection.bbox.tolist(), "score": detection.score, "truth_id": detection.truth_id, "pose": None}
+    values = {"bbox": detection.bbox.tolist(), "pose": None}
+    values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link")}
     if (pose := detection.pose) is not None:
         arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
         values["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
@@ -84,4 +86,4 @@ def detection_from_dict(values: Mapping[str, Any]) -> Detection:
         pose = PoseMeasurement(
             **{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}}
         )
-    return Detection(np.array(values["bbox"]), values["score"], values["truth_id"], pose)
+    return Detection(np.array(values["bbox"]), values["score"], values["truth_id"], pose, values["link"])

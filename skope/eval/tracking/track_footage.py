@@ -96,7 +96,7 @@ def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
         if (row := next(earlier, None)) is not None:
             yield [detection_from_dict(entry) for entry in row["sights"]]
             continue
-        found = detections_of(locate_view(view, job.scene))
+        found = detections_of(locate_view(view, job.scene), linked=job.scene.results is not None)
         progress.add({"sights": [detection_to_dict(detection) for detection in found]})
         yield found
 

@@ -4,7 +4,8 @@ Each vehicle is a point that moves with a slowly changing acceleration (`skope.e
 the track from which it more likely comes than from a vehicle that nobody has seen before (Jonker and Volgenant's
 assignment, as scipy has it): what counts is how certain track and pose are and how much time has passed, not how many
 frames. Before that, a detection whose box lies where one track's box was a moment ago, and no other one's, joins that
-track if its pose allows it: along the line of sight poses are uncertain by metres, where boxes are by pixels. For a
+track if its pose allows it: along the line of sight poses are uncertain by metres, where boxes are by pixels. What
+`skope eval predict` has followed from frame to frame (`Detection.link`) goes before both. For a
 vehicle without a pose, or whose pose is elsewhere all of a sudden, the box keeps the track; where poses stay elsewhere,
 it ends and another one begins, as nothing on wheels jumps. By its boxes a track also reaches back before its first pose
 and goes on after its last one, for half a second: vehicles at the image's edge and between key frames have none.
@@ -18,6 +19,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
@@ -141,7 +143,9 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
             for track, place in zip(live, places, strict=True)
         ]
     ).reshape(len(live), len(posed))
-    for t, s in _clear_pairs(live, posed, time_s):
+    same, other = _by_link(live, [detection for detection, _ in posed])
+    cost = np.where(other, np.inf, cost)
+    for t, s in [*np.argwhere(same).tolist(), *_clear_pairs(live, posed, time_s)]:
         if np.isfinite(cost[t, s]):
             live[t].update(*posed[s])
             cost[t], cost[:, s] = np.inf, np.inf
@@ -155,6 +159,14 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
     new = _without_duplicates(live, list(left.values()))
     return new, [detection for detection in unposed if id(detection) not in given_unposed]
+
+
+def _by_link(live: Sequence[OpenTrack], detections: Sequence[Detection]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(T, S) which tracks and detections are one vehicle's by their links, and which are not: another track is it."""
+    of_track = np.array([-1 if track.link is None else track.link for track in live], dtype=np.int64)
+    of_detection = np.array([-1 if one.link is None else one.link for one in detections], dtype=np.int64)
+    same = (of_track[:, None] == of_detection) & (of_detection >= 0)
+    return same, same.any(axis=0) & ~same & (of_track >= 0)[:, None]
 
 
 def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: float) -> list[tuple[int, int]]:
@@ -230,6 +242,8 @@ def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: 
         box_math.xywh_to_xyxy(np.array([box for _, box in free])),
         box_math.xywh_to_xyxy(np.array([detection.bbox for detection in rest])),
     )
+    same, other = _by_link([track for track, _ in free], rest)
+    overlap = np.where(same, 1.0, np.where(other, 0.0, overlap))
     given = []
     for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
         if overlap[t, s] >= least and _can_be(free[t][0], rest[s]):

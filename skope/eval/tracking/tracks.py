@@ -156,6 +156,11 @@ class OpenTrack:
         return self.steps[-1].detection is None
 
     @property
+    def link(self) -> int | None:
+        """What its detections share (`Detection.link`), by the latest one."""
+        return next((step.detection.link for step in reversed(self.steps) if step.detection is not None), None)
+
+    @property
     def poses(self) -> int:
         """How many poses it has."""
         return self.kinds.total()

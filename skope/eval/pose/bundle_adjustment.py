@@ -1,0 +1,527 @@
+"""Bundle adjustment with vehicles in place of points: a camera, and vehicles seen from it, worked out at once.
+
+Unknown are
+
+- the camera over the level road z = 0: focal length, tilt, roll, height and the lens's first radial coefficient;
+- where keypoints are found beside where the shape space has them: offsets that all vehicles share, mirrored left and
+  right. Detectors and people mark a corner elsewhere than a model does, always to the same side;
+- of each vehicle its shape, one in all its views;
+- of each view the vehicle's place on the road and its heading.
+
+Keypoints that the vehicle's own body hides do not count (`skope.eval.pose.self_occlusion`), others as Cauchy's
+distribution has it. Levenberg and Marquardt's method takes views, then vehicles, out of the normal equations (Schur's
+complement, Triggs et al. 2000): what is left to solve is as small as the camera and the offsets, and the sum of a part
+for each vehicle, which says how differently single vehicles pull.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.camera.model import Camera, Distortion
+from skope.eval.pose import initialize
+from skope.eval.pose.ground import Ground
+from skope.eval.pose.observations import LEAST_PROBABILITY, Mask, observe
+from skope.eval.pose.self_occlusion import facing
+from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.starts import Starts
+from skope.types import Array
+
+CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
+"""The camera's unknowns: natural logarithms of pixels and metres, radians."""
+FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(CAMERA))
+_STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
+"""The camera's unknowns change by so much at most in a step."""
+_OFFSET: Final = 0.04
+"""Standard deviation of a keypoint's offset, metres an axis."""
+_BUMPER_OFFSET: Final = 0.12
+"""The same of the corners of bumpers, which people see at the outline, and models have under the lip."""
+_TAIL: Final = 9.0
+"""Squared distance, in variances, at which a keypoint's weight is half (Cauchy's distribution)."""
+_HIDDEN: Final = 6.0
+"""What a keypoint costs that the body hides: else cameras would win that see little."""
+_MIDDLE_OFFSET: Final = 0.001
+"""The same, to the side, of keypoints in the vehicle's middle."""
+_BEHIND: Final = 1e6
+"""Squared distance of a keypoint that would lie behind the camera."""
+_POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
+"""A pose changes by so much at most in a step: heights of the camera, radians."""
+_STEP: Final = 1e-4
+"""Step of the differences that tell derivatives by the camera's unknowns."""
+_NEAR: Final = 0.3
+"""Depth from which a keypoint is taken to lie before the camera, metres."""
+_START_CAP: Final = 300.0
+"""What a view can cost at most where the vehicle's body type is chosen."""
+_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+_DAMPING: Final = 1e-3
+_STUCK: Final = 1e4
+"""Damping from which the search gives up."""
+_STEPS: Final = 20
+"""Steps of a search for everything but body types, at most."""
+_ROUNDS: Final = 3
+"""How often body types are chosen anew, at most."""
+_LITTLE: Final = 0.01
+"""A round that gains less is the last."""
+_FEW_STEPS: Final = 6
+"""Steps of a search for shapes and places alone."""
+_LOOK_AGAIN: Final = 3
+"""Which keypoints bodies hide is worked out anew after so many steps."""
+_SETTLED: Final = 1e-5
+"""The search ends when a step lowers the cost by less than this share of it."""
+_FARTHEST_RADIUS: Final = 2.0
+"""Distortion grows no more beyond this distance from the axis, at a depth of 1."""
+
+_GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
+"""Keypoints with their mirror images; those in the vehicle's middle are their own."""
+_GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
+_SIDE: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
+_UNKNOWNS: Final = len(CAMERA) + 3 * len(_GROUPS)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleViews:
+    """B views of N vehicles in images of one camera."""
+
+    found: Array
+    """(B, 33, 3) keypoints: x, y in pixels, probability."""
+    sigma_px: Array
+    """(B,) standard deviation of a keypoint of probability 1, pixels."""
+    vehicle: NDArray[np.intp]
+    """(B,) which vehicle each view shows, 0 to N - 1."""
+    size: tuple[int, int]
+    """Width and height of the images, pixels."""
+
+    @property
+    def count(self) -> int:
+        """Number of vehicles."""
+        return int(self.vehicle.max(initial=-1)) + 1
+
+    def take(self, rows: NDArray[np.intp]) -> Self:
+        """The views `rows`, each as of a vehicle of its own."""
+        return replace(self, found=self.found[rows], sigma_px=self.sigma_px[rows], vehicle=np.arange(len(rows)))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of a camera before any vehicle is looked at: cameras hang level, lenses distort a little."""
+
+    center: Array = field(default_factory=lambda: np.zeros(len(CAMERA)))
+    """(5,) of the unknowns."""
+    sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
+    """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
+
+    def precision(self) -> Array:
+        """(U,) inverse variances of all shared unknowns about what is known of them."""
+        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(CAMERA)), where=self.sigma > 0)
+        return np.concatenate([camera, 1 / _offset_sigma().ravel() ** 2])
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Values of all unknowns."""
+
+    shared: Array
+    """(5 + 3 G,) the camera's unknowns, then the offsets (G, 3) of groups of keypoints, metres in the vehicle frame."""
+    kind: NDArray[np.intp]
+    """(N,) body types."""
+    shape: Array
+    """(N, M) the shapes' numbers."""
+    pose: Array
+    """(B, 3) place on the road (x, y, over the camera's height) and heading (radians) of each view."""
+
+    @property
+    def camera(self) -> Array:
+        """(5,) as `CAMERA` names them."""
+        return self.shared[: len(CAMERA)]
+
+    def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
+        """A step away."""
+        return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
+
+    def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
+        """The vehicles `better` (N,) as in `other`; the shared unknowns are the same, `vehicle` (B,) is the views'."""
+        return replace(
+            self,
+            kind=np.where(better, other.kind, self.kind),
+            shape=np.where(better[:, None], other.shape, self.shape),
+            pose=np.where(better[vehicle][:, None], other.pose, self.pose),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Where a search has ended."""
+
+    bundle: Bundle
+    precision: Array
+    """(U,) inverse variances of what was known of the shared unknowns beforehand."""
+    cost: float
+    """Twice the negative log of the probability, but for a constant; other shapes that are about as likely are counted
+    in (Laplace's approximation)."""
+    vehicle_cost: Array
+    """(N,) what each vehicle costs of that."""
+    squared: Array
+    """(B, 33) squared distances between keypoints and bodies in the image, in variances."""
+    counted: Mask
+    """(B, 33) which keypoints count."""
+    information: Array
+    """(N, U, U) of the shared unknowns, what each vehicle adds."""
+    pull: Array
+    """(N, U) gradient of half the cost by the shared unknowns, of each vehicle."""
+
+    def covariance(self) -> Array:
+        """(5, 5) of the camera's unknowns.
+
+        How differently single vehicles pull tells it, with what is known of the unknowns beforehand as one more
+        (the sandwich of Huber and White): keypoints of a vehicle are wrong together in all its views.
+        """
+        prior = np.diag(self.precision)
+        inverse = np.linalg.inv(self.information.sum(axis=0) + prior)
+        apart = self.pull - self.pull.mean(axis=0)
+        few = len(apart) / max(1, len(apart) - len(CAMERA))
+        whole = inverse @ (few * apart.T @ apart + prior) @ inverse
+        return np.asarray(whole[: len(CAMERA), : len(CAMERA)])
+
+
+def camera_of(unknowns: Array, size: tuple[int, int]) -> Camera:
+    """The camera with the unknowns (5,), over (0, 0) and looking along x."""
+    bent = Distortion("brown", (float(unknowns[K1]), 0.0, 0.0, 0.0)) if unknowns[K1] else None
+    return Camera.looking(
+        [0, 0, math.exp(unknowns[HEIGHT])],
+        yaw=0,
+        pitch_down=float(unknowns[PITCH]),
+        roll=float(unknowns[ROLL]),
+        size=size,
+        fov=2 * math.atan(size[0] / 2 / math.exp(unknowns[FOCAL])),
+        distortion=bent,
+    )
+
+
+class BundleAdjustment:
+    """The search for the likeliest camera, shapes and places, given views of vehicles."""
+
+    def __init__(self, views: VehicleViews, shapes: Shapes, known: "Known | None" = None) -> None:
+        """`known` says what is known of the camera beforehand; None: what is so of any."""
+        known = known or Known()
+        self._views, self._shapes = views, shapes
+        self._directions = np.moveaxis(shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
+        rest = _UNKNOWNS - len(CAMERA)
+        self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
+        self._center = np.concatenate([known.center, np.zeros(rest)])
+        self._seen = views.found[..., 2] >= LEAST_PROBABILITY
+        self._variance = (views.sigma_px**2)[:, None] / np.clip(views.found[..., 2], LEAST_PROBABILITY, 1.0)
+        self._prior = known.precision()
+
+    def begun(self, camera: Array) -> Bundle:
+        """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
+        starts = self._starts(camera)
+        cost = self._by_vehicle(np.minimum(starts.cost, _START_CAP)) - 2 * np.log(self._shapes.share)
+        shared = np.concatenate([camera, np.zeros(_UNKNOWNS - len(camera))])
+        return self._placed(shared, starts, cost.argmin(axis=1))
+
+    def refined(self, bundle: Bundle) -> Solved:
+        """Search on from a bundle, by turns for the body types and for all else."""
+        best = self.solve(self.with_likeliest_types(bundle), _STEPS)
+        for _ in range(_ROUNDS):
+            again = self.solve(self.with_likeliest_types(best.bundle), _STEPS)
+            if again.cost > best.cost - _LITTLE:
+                break
+            same = (again.bundle.kind == best.bundle.kind).all()
+            best = again
+            if same:
+                break
+        return best
+
+    def solve(self, bundle: Bundle, steps: int) -> Solved:
+        """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, _DAMPING)
+        counted = self._counted(bundle)
+        here = self._linearised(bundle, counted)
+        for step in range(steps):
+            if step and step % _LOOK_AGAIN == 0:
+                counted = self._counted(bundle)
+                here = self._linearised(bundle, counted)
+            parts = here.without_poses(vehicle, bundle.shape, damping)
+            move = self._shared_step(parts, bundle.shared, float(damping[0]))
+            ahead = bundle.moved(move, *parts.back(move, vehicle))
+            there = self._linearised(ahead, counted)
+            gain = self._total(here, bundle) - self._total(there, ahead)
+            if gain > 0:
+                settled = gain < _SETTLED * self._total(here, bundle)
+                bundle, here, damping = ahead, there, damping / 5
+                if settled and step > _LOOK_AGAIN:
+                    break
+            else:
+                damping = damping * 8
+                if damping[0] > _STUCK:
+                    break
+        parts = here.without_poses(vehicle, bundle.shape, np.zeros(self._views.count))
+        each = here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
+        prior = float((self._prior * (bundle.shared - self._center) ** 2).sum())
+        cost = prior + float(each.sum())
+        return Solved(bundle, self._prior, cost, each, here.squared, counted, parts.information, parts.pull)
+
+    def with_likeliest_types(self, bundle: Bundle) -> Bundle:
+        """The same camera and offsets; of each vehicle the body type that is likeliest when its shape is fitted."""
+        starts = self._starts(bundle.camera)
+        best, least = bundle, np.full(self._views.count, np.inf)
+        for kind in range(len(self._shapes.types)):
+            one = self._placed(bundle.shared, starts, np.full(self._views.count, kind))
+            fitted, cost = self._fitted(one)
+            better = cost < least
+            best, least = best.where(better, fitted, self._views.vehicle), np.where(better, cost, least)
+        return best
+
+    def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
+        """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
+        vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
+        damping = np.full(self._views.count, _DAMPING)
+        counted = self._counted(bundle)
+        here = self._linearised(bundle, counted, shared=False)
+        for step in range(_FEW_STEPS):
+            if step == _LOOK_AGAIN:
+                counted = self._counted(bundle)
+                here = self._linearised(bundle, counted, shared=False)
+            parts = here.without_poses(vehicle, bundle.shape, damping)
+            ahead = bundle.moved(still, *parts.back(still, vehicle))
+            there = self._linearised(ahead, counted, shared=False)
+            better = there.vehicle_cost < here.vehicle_cost
+            bundle, here = bundle.where(better, ahead, vehicle), here.where(better, there, vehicle)
+            damping = np.where(better, damping / 5, damping * 10)
+        parts = here.without_poses(vehicle, bundle.shape, np.zeros(self._views.count))
+        return bundle, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
+
+    def _shared_step(self, parts: "_Parts", shared: Array, damping: float) -> Array:
+        """(U,) a damped step of the shared unknowns."""
+        normal = parts.information.sum(axis=0) + np.diag(self._prior)
+        normal += np.diag(damping * np.diag(normal) + 1e-9)
+        pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
+        step = np.zeros(_UNKNOWNS)
+        step[self._free] = -np.linalg.solve(normal[np.ix_(self._free, self._free)], pull[self._free])
+        step[: len(CAMERA)] = np.clip(step[: len(CAMERA)], -_STRIDE, _STRIDE)
+        return step
+
+    def _total(self, here: "_Linearised", bundle: Bundle) -> float:
+        return float(here.vehicle_cost.sum() + (self._prior * (bundle.shared - self._center) ** 2).sum())
+
+    def _starts(self, camera: Array) -> Starts:
+        seen = observe(camera_of(camera, self._views.size), self._views.found, self._views.sigma_px)
+        return initialize.on_ground(seen, self._shapes, _ROAD)
+
+    def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
+        row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]
+        p, R = starts.p[row, column], starts.R[row, column]
+        height = math.exp(shared[HEIGHT])
+        pose = np.column_stack([p[:, :2] / height, np.arctan2(R[:, 1, 0], R[:, 0, 0])])
+        return Bundle(shared, kind, np.zeros((self._views.count, self._directions.shape[-1])), pose)
+
+    def _by_vehicle(self, values: Array) -> Array:
+        return _summed(values, self._views.vehicle, self._views.count)
+
+    def _counted(self, bundle: Bundle) -> Mask:
+        """(B, 33) the keypoints that were found and that the bodies do not hide."""
+        kind, height = bundle.kind[self._views.vehicle], math.exp(bundle.shared[HEIGHT])
+        u, v, heading = bundle.pose.T
+        cos, sin = np.cos(heading), np.sin(heading)
+        eye = height * np.column_stack([-cos * u - sin * v, sin * u - cos * v, np.ones_like(u)])
+        return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
+
+    def _linearised(self, bundle: Bundle, counted: Mask, *, shared: bool = True) -> "_Linearised":
+        """Costs and normal equations; those of the shared unknowns only where they are asked for."""
+        views, camera = self._views, bundle.camera
+        kind, height, focal = bundle.kind[views.vehicle], math.exp(camera[HEIGHT]), math.exp(camera[FOCAL])
+        directions = self._directions[kind]
+        body = self._shapes.mean[kind, :-1] + _offsets(bundle.shared)
+        body = body + np.einsum("bkim,bm->bki", directions, bundle.shape[views.vehicle])
+        # Where the keypoints are on the road, and where in the image.
+        u, v, heading = bundle.pose.T
+        R = np.zeros((len(kind), 3, 3))
+        R[:, 0, 0] = R[:, 1, 1] = np.cos(heading)
+        R[:, 1, 0] = np.sin(heading)
+        R[:, 0, 1], R[:, 2, 2] = -R[:, 1, 0], 1.0
+        foot = np.column_stack([u, v, np.zeros_like(u)])
+        world = body @ np.swapaxes(R, -1, -2) + height * foot[:, None]
+        pixels, depth = _projected(camera, views.size, world)
+        away = pixels - views.found[..., :2]
+        rest = focal * self._shapes.rest[kind] / np.maximum(depth, _NEAR)
+        variance = self._variance + rest**2
+        front = depth > _NEAR
+        squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
+        each = np.where(counted, _TAIL * np.log1p(squared / _TAIL), _HIDDEN * self._seen)
+        vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
+        weight = np.where(counted & front, 1 / (1 + squared / _TAIL) / variance, 0.0)
+        # Derivatives of the image by a shift in the world, by the pose, by the shape.
+        by_world = _by_world(camera, world)
+        by_body = np.einsum("bkij,bjl->bkil", by_world, R)
+        turned = np.stack([-body[..., 1], body[..., 0], np.zeros_like(body[..., 0])], axis=-1)
+        by_heading = np.einsum("bkil,bkl->bki", by_body, turned)
+        by_pose = np.concatenate([by_world[..., :2] * height, by_heading[..., None]], axis=-1)
+        by_shape = np.einsum("bkil,bklm->bkim", by_body, directions, optimize=True)
+        by_shared = np.zeros((*away.shape, 0))
+        if shared:
+            by_shared = np.zeros((*away.shape, _UNKNOWNS))
+            for i, step in enumerate(_STEP * np.eye(len(CAMERA))):
+                # Places are multiples of the height, and grow with it.
+                grown = [(math.exp(camera[HEIGHT] + sign * step[HEIGHT]) - height) * foot[:, None] for sign in (1, -1)]
+                ahead, back = (
+                    _projected(camera + sign * step, views.size, world + more)[0]
+                    for sign, more in zip((1, -1), grown, strict=True)
+                )
+                by_shared[..., i] = (ahead - back) / (2 * _STEP)
+            mirrored = np.stack([np.ones_like(_SIDE), _SIDE, np.ones_like(_SIDE)], axis=-1)
+            column = len(CAMERA) + 3 * _GROUP[:, None] + np.arange(3)
+            for k in range(keypoints.K):
+                by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
+        return _Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Costs, and normal equations of B views in pose (3), shape (M) and shared unknowns (U, or none of them)."""
+
+    squared: Array
+    vehicle_cost: Array
+    normal: Array
+    """(B, 3 + M + U, 3 + M + U)"""
+    gradient: Array
+    """(B, 3 + M + U)"""
+    numbers: int
+    """M."""
+
+    @classmethod
+    def of(
+        cls,
+        squared: Array,
+        vehicle_cost: Array,
+        weight: Array,
+        away: Array,
+        by_pose: Array,
+        by_shape: Array,
+        by_shared: Array,
+    ) -> Self:
+        views = len(away)
+        J = np.concatenate([by_pose, by_shape, by_shared], axis=-1).reshape(views, 2 * keypoints.K, -1)
+        weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
+        gradient = (weighted @ away.reshape(views, -1, 1))[..., 0]
+        return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
+
+    def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
+        """The vehicles `better` (N,) as in `other`."""
+        rows = better[vehicle]
+        return replace(
+            self,
+            squared=np.where(rows[:, None], other.squared, self.squared),
+            vehicle_cost=np.where(better, other.vehicle_cost, self.vehicle_cost),
+            normal=np.where(rows[:, None, None], other.normal, self.normal),
+            gradient=np.where(rows[:, None], other.gradient, self.gradient),
+        )
+
+    def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "_Parts":
+        """What is left when the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
+        count, m = len(shape), self.numbers
+        pose, rest = slice(0, 3), slice(3, None)
+        own = self.normal[:, pose, pose]
+        own = own + np.einsum("b,bii->bi", damping[vehicle], own)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
+        inverse = np.linalg.inv(own)
+        pose_back = inverse @ self.normal[:, pose, rest]
+        pose_alone = (inverse @ self.gradient[:, pose, None])[..., 0]
+        across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
+        normal = _summed(self.normal[:, rest, rest] - across @ pose_back, vehicle, count)
+        gradient = _summed(self.gradient[:, rest] - (across @ pose_alone[..., None])[..., 0], vehicle, count)
+        # Shapes' numbers are of unit variance.
+        held = normal[:, :m, :m] + np.eye(m)
+        spread = np.linalg.slogdet(held)[1]
+        held = held + damping[:, None, None] * np.eye(m)
+        inverse = np.linalg.inv(held)
+        shape_back = inverse @ normal[:, :m, m:]
+        shape_alone = (inverse @ (gradient[:, :m] + shape)[..., None])[..., 0]
+        across = np.swapaxes(normal[:, :m, m:], -1, -2)
+        return _Parts(
+            information=normal[:, m:, m:] - across @ shape_back,
+            pull=gradient[:, m:] - (across @ shape_alone[..., None])[..., 0],
+            spread=spread,
+            shape_back=shape_back,
+            shape_alone=shape_alone,
+            pose_back=pose_back,
+            pose_alone=pose_alone,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Normal equations of the shared unknowns, a part for each vehicle, and the way back to shapes and poses."""
+
+    information: Array
+    pull: Array
+    spread: Array
+    """(N,) log determinants of the shapes' normal matrices."""
+    shape_back: Array
+    shape_alone: Array
+    pose_back: Array
+    pose_alone: Array
+
+    def back(self, shared: Array, vehicle: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Steps of the shapes (N, M) and the poses (B, 3) that belong to a step (U,) of the shared unknowns."""
+        own = shared[: self.shape_back.shape[-1]]
+        shape = -(self.shape_alone + self.shape_back @ own)
+        rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
+        pose = -(self.pose_alone + np.einsum("bpi,bi->bp", self.pose_back, rest))
+        return shape, np.clip(pose, -_POSE_STRIDE, _POSE_STRIDE)
+
+
+def _offset_sigma() -> Array:
+    """(G, 3) standard deviations of the offsets, metres."""
+    names = [keypoints.NAMES[pair[0]] for pair in _GROUPS]
+    sigma = np.array([[_BUMPER_OFFSET if name.startswith("bumper") else _OFFSET] * 3 for name in names])
+    sigma[[one == other for one, other in _GROUPS], 1] = _MIDDLE_OFFSET
+    return sigma
+
+
+def _offsets(shared: Array) -> Array:
+    """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
+    offsets = shared[len(CAMERA) :].reshape(-1, 3)[_GROUP]
+    offsets[:, 1] *= _SIDE
+    return np.asarray(offsets)
+
+
+def _summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
+    """(N, ...) sums over the views (B, ...) of each vehicle."""
+    out = np.zeros((count, *values.shape[1:]))
+    np.add.at(out, vehicle, values)
+    return out
+
+
+def _seen_from(camera: Array, world: Array) -> tuple[Array, Array, Array, Array]:
+    """Rotation (3, 3) to the camera's axes, and x / z, y / z, z (B, 33) before the camera."""
+    pitch, roll = camera[PITCH], camera[ROLL]
+    forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
+    right = np.array([0.0, -1.0, 0.0])
+    turn = np.array([[math.cos(roll), math.sin(roll), 0.0], [-math.sin(roll), math.cos(roll), 0.0], [0.0, 0.0, 1.0]])
+    R = turn @ np.stack([right, np.cross(forward, right), forward])
+    x, y, depth = np.moveaxis((world - [0.0, 0.0, math.exp(camera[HEIGHT])]) @ R.T, -1, 0)
+    near = np.maximum(depth, _NEAR)
+    return R, x / near, y / near, depth
+
+
+def _projected(camera: Array, size: tuple[int, int], world: Array) -> tuple[Array, Array]:
+    """Pixels (B, 33, 2) and depths (B, 33) of points in the world."""
+    _, x, y, depth = _seen_from(camera, world)
+    grown = 1 + camera[K1] * np.minimum(x**2 + y**2, _FARTHEST_RADIUS**2)
+    middle = np.array(size) / 2
+    return math.exp(camera[FOCAL]) * np.stack([x * grown, y * grown], axis=-1) + middle, depth
+
+
+def _by_world(camera: Array, world: Array) -> Array:
+    """(B, 33, 2, 3) derivatives of the pixels of points by a shift in the world."""
+    R, x, y, depth = _seen_from(camera, world)
+    near = np.maximum(depth, _NEAR)[..., None]
+    by_x, by_y = (R[0] - x[..., None] * R[2]) / near, (R[1] - y[..., None] * R[2]) / near
+    k1 = camera[K1]
+    grown = 1 + k1 * np.minimum(x**2 + y**2, _FARTHEST_RADIUS**2)
+    xx, xy, yy = ((grown + 2 * k1 * x * x), (2 * k1 * x * y), (grown + 2 * k1 * y * y))
+    along = [xx[..., None] * by_x + xy[..., None] * by_y, xy[..., None] * by_x + yy[..., None] * by_y]
+    return np.asarray(math.exp(camera[FOCAL]) * np.stack(along, axis=-2))
