@@ -1,7 +1,7 @@
 """Fit a camera's pose, and its focal length where that is unknown, to points that are known in image and world."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -18,6 +18,24 @@ _FOCAL: Final = np.geomspace(0.3, 8.0, 48)
 """Focal lengths that are tried first, as multiples of the image's width: fields of view from 118 to 7 degrees."""
 
 
+_MARKED_PX: Final = 1.0
+"""Standard deviation with which people mark a point, pixels an axis, at least."""
+
+
+@dataclass(frozen=True)
+class CameraSigma:
+    """Standard deviations of a camera that was fitted to points."""
+
+    focal: float
+    """Pixels."""
+    pitch: float
+    """Radians."""
+    roll: float
+    """Radians."""
+    height: float
+    """Of the camera's z in the world, metres."""
+
+
 @dataclass(frozen=True, eq=False)
 class CameraFit:
     """A camera fitted to control points."""
@@ -25,11 +43,34 @@ class CameraFit:
     camera: Camera
     errors_px: Array
     """(N,) distance of each point in the image from where the camera projects it, pixels."""
+    points_world: Array
+    """(N, 3) the points, metres."""
+    fitted_focal: bool = False
+    """Whether the focal length was fitted too."""
 
     @property
     def rms_px(self) -> float:
         """Root mean square of the errors, pixels."""
         return float(np.sqrt((self.errors_px**2).mean()))
+
+    def sigma(self) -> CameraSigma:
+        """Standard deviations of what was fitted, as points that are marked a pixel off leave it, or worse ones."""
+        middle = self.points_world.mean(axis=0)
+        pixels, _, _ = self.camera.project(self.points_world)
+        _, jacobian = _linearised(self.camera, pixels, self.points_world, middle, self.fitted_focal)
+        spare = max(1, 2 * len(pixels) - jacobian.shape[1])
+        variance = max(_MARKED_PX**2, float((self.errors_px**2).sum()) / spare)
+        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+        scale = np.array([1.0, 1, 1, *[float(np.linalg.norm(self.camera.to_camera(middle)))] * 3, 1.0])
+        steps = 1e-5 * np.diag(scale)[: len(covariance), : len(covariance)]
+        slopes = [
+            (_figures(_moved(self.camera, step, middle)) - _figures(_moved(self.camera, -step, middle)))
+            / (2 * step.max())
+            for step in steps
+        ]
+        J = np.stack(slopes, axis=1)
+        focal, pitch, roll, height = np.sqrt(np.einsum("ij,jk,ik->i", J, covariance, J)).tolist()
+        return CameraSigma(focal, pitch, roll, height)
 
 
 def fit_camera(
@@ -66,7 +107,7 @@ def fit_camera(
     if not fits:
         raise UserError("control points: no camera sees them so; are some swapped?")
     best = min(fits, key=lambda fit: fit.rms_px)
-    return _refined(best, uv, xyz, focal=K is None)
+    return replace(_refined(best, uv, xyz, focal=K is None), fitted_focal=K is None)
 
 
 def _centred(size: tuple[int, int], focal: float) -> Array:
@@ -98,7 +139,13 @@ def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: D
 
 def _measured(camera: Camera, uv: Array, xyz: Array) -> CameraFit | None:
     pixels, _, valid = camera.project(xyz)
-    return CameraFit(camera, np.linalg.norm(pixels - uv, axis=1)) if valid.all() else None
+    return CameraFit(camera, np.linalg.norm(pixels - uv, axis=1), xyz) if valid.all() else None
+
+
+def _figures(camera: Camera) -> Array:
+    """(4,) focal length (pixels), tilt and roll (radians), and z (metres)."""
+    _, pitch, roll = camera.angles
+    return np.array([camera.K[0, 0], pitch, roll, camera.position[2]])
 
 
 def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit:

@@ -25,6 +25,10 @@ def camera(
         str | None, data_option(metavar=SIZE, help="Size of the image that --points were marked in.")
     ] = None,
     max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles."), Formerly("--vehicles")] = 40,
+    height: Annotated[
+        float | None, data_option(help="The camera's height over the road, metres, if that is known.")
+    ] = None,
+    fov: Annotated[float | None, data_option(help="The horizontal field of view, degrees, if that is known.")] = None,
     noise: NoiseOption = 0.0,
     score: ScoreOption = 0.9,
     sigma: SigmaOption = None,
@@ -39,12 +43,26 @@ def camera(
     check_probability("--score", score)
     check_pixels("--noise", noise)
     check_pixels("--sigma", sigma)
+    for name, value, most in (("--height", height, 200.0), ("--fov", fov, 170.0)):
+        if value is not None and not 0.5 <= value <= most:
+            raise UserError(f"{name}: expected a number from 0.5 to {most:g}, got {value:g}")
     if points is not None:
+        if height is not None or fov is not None:
+            raise UserError("--height and --fov: help vehicles; with --points the points tell both")
         if keypoints.folder or keypoints.annotations or keypoints.predictions:
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
         lines = from_points(points, size, out)
     else:
         where = (keypoints.folder, keypoints.annotations, keypoints.predictions)
-        lines = from_vehicles(where, max_vehicles, score=score, noise=noise, sigma_px=sigma, out=out)
+        lines = from_vehicles(
+            where,
+            max_vehicles,
+            score=score,
+            noise=noise,
+            sigma_px=sigma,
+            height=height,
+            fov_deg=fov,
+            out=out,
+        )
     for line in lines:
         console.result(line)

@@ -19,6 +19,7 @@ from skope.eval.pose import initialize
 from skope.eval.pose.bundle_adjustment import (
     FOCAL,
     HEIGHT,
+    K1,
     PITCH,
     ROLL,
     BundleAdjustment,
@@ -39,8 +40,10 @@ _PITCH: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
 """Tilts of the grid, downwards."""
 _HEIGHT: Final = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
 """Heights of the grid over the road, metres."""
-_JUDGED: Final = 60
-"""Views by which the grid is judged, at most."""
+_JUDGED: Final = (20, 60)
+"""Views by which the grid is judged, and then the best of it, at most."""
+_LEFT: Final = 100
+"""How many cameras of the grid are judged by more views."""
 _CAP: Final = 150.0
 """What a view can cost at most there."""
 _APART: Final = 0.45
@@ -51,8 +54,25 @@ _REFINED: Final = 4
 """How many of those have the body types of their vehicles chosen by full fits."""
 _SAME: Final = 0.02
 """Cameras whose unknowns differ by less than this are one."""
+_INFLATION: Final = 1.5
+"""Standard deviations are this much larger than what differences between vehicles tell: with this and the two below,
+95% intervals hold the truth of generated cameras as often (docs/from-camera-to-tracks.md)."""
+_FOCAL_FLOOR: Final = 0.03
+"""Standard deviation of the focal length, and of what goes with it, that stays with many vehicles, as a share."""
+_FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.02, 0.01])
+"""The same of the other unknowns: fleets differ from the shape space, lenses from one coefficient."""
 _STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another camera that the search has come to."""
+
+    unknowns: Array
+    """(5,) as `skope.eval.pose.bundle_adjustment.CAMERA` names them."""
+    behind: float
+    """How much less likely it is, twice the log likelihood."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +84,8 @@ class CameraEstimate:
     views: VehicleViews
     covariance: Array
     """(5, 5) of the unknowns that `skope.eval.pose.bundle_adjustment.CAMERA` names."""
-    rival: float
-    """How much less likely the next camera is, twice the log likelihood; infinite where there is none."""
+    rival: "Rival | None"
+    """The likeliest of other cameras."""
 
     @property
     def vehicles(self) -> int:
@@ -118,27 +138,39 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
         camera=camera_of(best.bundle.camera, views.size),
         solved=best,
         views=views,
-        covariance=best.covariance(),
-        rival=others[0].cost - best.cost if others else math.inf,
+        covariance=_widened(best.covariance()),
+        rival=Rival(others[0].bundle.camera, others[0].cost - best.cost) if others else None,
     )
+
+
+def _widened(covariance: Array) -> Array:
+    """A covariance of the unknowns with what all vehicles have wrong together."""
+    with_focal = covariance[:, FOCAL] / covariance[FOCAL, FOCAL] if covariance[FOCAL, FOCAL] > 0 else np.zeros(5)
+    with_focal = np.where(np.arange(len(with_focal)) == K1, 0.0, with_focal)
+    common = _FOCAL_FLOOR**2 * np.outer(with_focal, with_focal) + np.diag(_FLOOR**2)
+    return np.asarray(_INFLATION**2 * covariance + common)
 
 
 def _starts(views: VehicleViews, known: Known) -> list[Array]:
     """The best cameras of the grid that are apart from one another, as unknowns (5,)."""
-    few = views.take(np.random.default_rng(0).permutation(len(views.found))[:_JUDGED])
-    shapes = fleet_shapes()
+    shapes, order = fleet_shapes(), np.random.default_rng(0).permutation(len(views.found))
 
-    def cost(at: Array) -> float:
-        seen = observe(camera_of(at, views.size), few.found, few.sigma_px)
-        least = initialize.on_ground(seen, shapes, _GROUND).cost.min(axis=1)
-        return float((_CAP * np.tanh(np.minimum(least, 1e6) / _CAP)).sum())
+    def best(cameras: list[Array], judged: int) -> list[Array]:
+        few = views.take(order[:judged])
+
+        def cost(at: Array) -> float:
+            seen = observe(camera_of(at, views.size), few.found, few.sigma_px)
+            least = initialize.on_ground(seen, shapes, _GROUND).cost.min(axis=1)
+            return float((_CAP * np.tanh(np.minimum(least, 1e6) / _CAP)).sum())
+
+        return sorted(cameras, key=cost)
 
     grid = [
         np.where(known.sigma < np.inf, known.center, [math.log(f * views.size[0]), pitch, 0.0, math.log(height), 0.0])
         for f, pitch, height in itertools.product(_FOCAL, _PITCH, _HEIGHT)
     ]
     out: list[Array] = []
-    for at in sorted(grid, key=cost):
+    for at in best(best(grid, _JUDGED[0])[:_LEFT], _JUDGED[1]):
         if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > _APART for other in out):
             out.append(at)
         if len(out) == _STARTS:

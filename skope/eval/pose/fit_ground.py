@@ -34,6 +34,8 @@ _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""
 _LOWEST: Final = 0.5
 """Height of a camera over the road, metres, from which the search begins at least."""
+_FEWEST: Final = 3
+"""Vehicles that a road needs; a known camera tells more of each than an unknown one."""
 _FEWEST_PLACES: Final = 3
 """Places that a plane goes through."""
 _CAP: Final = 150.0
@@ -77,7 +79,7 @@ def with_fitted_ground(
             )
         return scene, None
     try:
-        views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px).views
+        views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST).views
     except UserError as error:
         if asked == "fit":
             raise UserError(f"--ground fit: {error}") from None

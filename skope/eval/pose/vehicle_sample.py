@@ -16,7 +16,7 @@ from skope.eval.pose.views import Scene, View
 from skope.types import Array
 
 FEWEST: Final = 5
-"""Vehicles that a camera or a road needs."""
+"""Vehicles that a camera needs."""
 _POINTS: Final = 8
 """Keypoints that a view must show."""
 _EDGE: Final = 48.0
@@ -25,6 +25,8 @@ _APART: Final = 0.1
 """Overlap (IoU) with another box from which one vehicle may hide the other."""
 _VIEWS: Final = 6
 """Views of a vehicle at most."""
+_IMAGES: Final = 500
+"""So many images tell where vehicles stand in the image, at most."""
 _STRIDE: Final = 0.3
 """Views of a vehicle are so far apart at least, in lengths of its box's longer edge."""
 
@@ -36,6 +38,10 @@ class Sample:
     views: VehicleViews
     numbered: bool
     """Whether vehicles are known from image to image; else each view counts as a vehicle."""
+    image: NDArray[np.intp]
+    """(B,) which of the scene's images each view is in."""
+    lower_edges: Array
+    """(P, 2) pixels of the middles of the lower edges of boxes, of all vehicles in images spread over the scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +56,9 @@ class _Candidate:
     """Longer edge of its box, pixels."""
 
 
-def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None) -> Sample:
+def sample(
+    scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST
+) -> Sample:
     """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.
 
     Args:
@@ -59,6 +67,7 @@ def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: fl
         score: Detections above this are taken.
         noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
         sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+        fewest: At least so many vehicles.
 
     Raises:
         UserError: The images differ in size, or too few vehicles show enough.
@@ -71,34 +80,38 @@ def sample(scene: Scene, count: int, *, score: float, noise: float, sigma_px: fl
         return _numbered(scene.views(score=score, noise=noise, sigma_px=sigma_px))
 
     of_vehicle: dict[int, list[_Candidate]] = {}
-    known = True
+    known, lower = True, list[Array]()
+    every = 1 + len(scene.file.images) // _IMAGES
     for i, (view, numbers) in enumerate(numbered_views()):
         if (view.image.width, view.image.height) != size:
             raise UserError(f"{scene.file.name}: {view.image.file_name}: images of one camera have one size")
         known = known and not (numbers < 0).any()
+        if i % every == 0:
+            lower.append((view.boxes[:, :2] + view.boxes[:, 2:] * [0.5, 1.0])[~view.interpolated])
         for row in np.flatnonzero(_shows_enough(view)).tolist():
             x, y, w, h = view.boxes[row].tolist()
             # What has no number is a vehicle by itself, under one of its own.
             number = int(numbers[row]) if numbers[row] >= 0 else -1 - len(of_vehicle)
             candidate = _Candidate(i, row, np.array([x + w / 2, y + h / 2]), max(w, h))
             of_vehicle.setdefault(number, []).append(candidate)
-    if len(of_vehicle) < FEWEST:
+    if len(of_vehicle) < fewest:
         raise UserError(
             f"{scene.file.name}: {len(of_vehicle)} vehicles show {_POINTS} keypoints on {_EDGE:g} px or more, clear of "
-            f"others and of the image's edge; a camera needs {FEWEST}"
+            f"others and of the image's edge; {fewest} are needed"
         )
     spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
     order = np.random.default_rng(0).permutation(list(spread)).tolist()
     chosen = sorted(order, key=lambda number: len(spread[number]) == 1)[:count]
     place = {(one.image, one.row): k for k, number in enumerate(chosen) for one in spread[number]}
     taken = [
-        (view.found[row], float(view.sigma_px[row]), place[i, row])
+        (view.found[row], float(view.sigma_px[row]), place[i, row], i)
         for i, (view, _) in enumerate(numbered_views())
         for row in range(len(view.found))
         if (i, row) in place
     ]
-    found, sigma, vehicle = zip(*taken, strict=True)
-    return Sample(VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size), known)
+    found, sigma, vehicle, image = zip(*taken, strict=True)
+    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size)
+    return Sample(views, known, np.array(image, dtype=np.intp), np.concatenate(lower))
 
 
 def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]:

@@ -15,16 +15,19 @@ from skope.camera.model import Camera
 from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
+from skope.eval.pose.bundle_adjustment import CAMERA, FOCAL, HEIGHT, Known
+from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import read_scene
 from skope.files.output_folders import write_new
 from skope.files.reading import read_bytes, read_text
+from skope.terminal.console import counted
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
-_UNKNOWN: Final = 0.3
-"""Standard deviation of focal length and height, as shares of them, from which a camera is worth nothing."""
-_UNKNOWN_TILT: Final = math.radians(10)
-"""Angle, radians, of which the standard deviation of the tilt is taken as a share like that of the focal length."""
+_SURE: Final = 0.02
+"""Standard deviation of a height or a field of view that somebody gives, as a share of it."""
+_FEW: Final = 6
+"""Points under which few of the errors that a point can have show."""
 _WRONG_PX: Final = 3.0
 """Distance of a marked point from where the camera sees it, from which it is to be looked at again."""
 
@@ -36,37 +39,70 @@ def from_vehicles(
     score: float,
     noise: float,
     sigma_px: float | None,
+    height: float | None,
+    fov_deg: float | None,
     out: Path,
 ) -> Iterator[str]:
-    """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found."""
+    """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found.
+
+    Raises:
+        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+    """
     scene = read_scene(*where, None, None)
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
-    fit = fit_camera.fit_camera(drawn.views)
+    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    _, pitch, _ = fit.camera.angles
+    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.image), 'view')}"
+    if reason := why_not(fit, drawn.lower_edges):
+        raise UserError(f"{told} do not tell the camera: {reason}. Marked points on the road tell it (--points)")
+    ways = sigma_of_ways(fit)
     sigma = {
         "focal": fit.sigma_focal,
         "pitch_deg": math.degrees(fit.sigma_pitch),
         "roll_deg": math.degrees(fit.sigma_roll),
         "height": fit.sigma_height,
+        "distance": ways,
     }
-    focal, height = fit.camera.K[0, 0], fit.camera.position[2]
-    if max(fit.sigma_focal / focal, fit.sigma_height / height, fit.sigma_pitch / _UNKNOWN_TILT) > _UNKNOWN:
-        raise UserError(
-            f"{scene.file.name}: {fit.vehicles} vehicles do not tell the camera: focal length {focal:.0f} px with a "
-            f"standard deviation of {fit.sigma_focal:.0f}, height {height:.1f} m of {fit.sigma_height:.1f}, tilt "
-            f"{math.degrees(fit.camera.angles[1]):.1f} degrees of {sigma['pitch_deg']:.1f}; other directions "
-            f"and distances may tell it, or marked points (--points)"
-        )
-    yield from _written(out, fit.camera, {"vehicles": fit.vehicles, "sigma": sigma})
-    _, pitch, roll = (math.degrees(angle) for angle in fit.camera.angles)
-    yield f"focal length {fit.camera.K[0, 0]:.0f} px, one standard deviation {fit.sigma_focal:.0f}"
-    yield f"tilt down {pitch:.2f} deg, {sigma['pitch_deg']:.2f}; roll {roll:.2f} deg, {sigma['roll_deg']:.2f}"
-    yield f"height {fit.camera.position[2]:.2f} m, {fit.sigma_height:.2f}; from {fit.vehicles} vehicles"
+    besides = {
+        "vehicles": fit.vehicles,
+        "sigma": sigma,
+        "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
+    }
+    yield from _written(out, fit.camera, besides)
+    yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
+    yield from _figures(
+        focal=(fit.camera.K[0, 0], fit.sigma_focal),
+        pitch=(pitch, fit.sigma_pitch),
+        roll=(fit.camera.angles[2], fit.sigma_roll),
+        height=(fit.camera.position[2], fit.sigma_height),
+    )
+    yield f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%)"
     if where[0] is not None:
         yield f"next: skope eval track {shlex.quote(str(where[0]))} --camera {shlex.quote(str(out))}"
 
 
+def _figures(**values: tuple[float, float]) -> Iterator[str]:
+    """Lines with the camera's figures and their 95% intervals; angles are radians, each with its standard deviation."""
+    (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
+    yield f"focal length {focal:.0f} px (95%: {_logarithmic(focal, focal_sigma, 0)})"
+    angles = {
+        name: f"{math.degrees(value):.2f} deg (95%: {math.degrees(value - 2 * sigma):.2f} to "
+        f"{math.degrees(value + 2 * sigma):.2f})"
+        for name, (value, sigma) in values.items()
+        if name in ("pitch", "roll")
+    }
+    yield f"tilt down {angles['pitch']}; roll {angles['roll']}"
+    yield f"height {height:.2f} m (95%: {_logarithmic(height, height_sigma, 2)})"
+
+
+def _logarithmic(value: float, sigma: float, digits: int) -> str:
+    """The 95% interval of a value whose logarithm is uncertain."""
+    factor = math.exp(2 * sigma / value)
+    return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
+
+
 def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
-    """Fit to marked points of the world and write `out`; yields what was found."""
+    """Fit to marked points of the world and write `out`; yields what was found, heights over the world's z = 0."""
     if size is None:
         raise UserError("--size: needed with --points")
     pixels, world = _read_points(path)
@@ -75,22 +111,47 @@ def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     yield from _written(out, fit.camera, {"points": len(pixels), "rms_px": fit.rms_px})
-    yield f"focal length {fit.camera.K[0, 0]:.0f} px; {len(pixels)} points {fit.rms_px:.2f} px off (root mean square)"
+    yield f"{len(pixels)} points {fit.rms_px:.2f} px off (root mean square)"
+    sigma = fit.sigma()
+    _, pitch, roll = fit.camera.angles
+    yield from _figures(
+        focal=(fit.camera.K[0, 0], sigma.focal),
+        pitch=(pitch, sigma.pitch),
+        roll=(roll, sigma.roll),
+        height=(fit.camera.position[2], sigma.height),
+    )
+    if len(pixels) < _FEW:
+        yield f"{len(pixels)} points check little: one that is wrong by metres may show in none of these figures"
     off = np.linalg.norm(fit.camera.project(world)[0] - pixels, axis=1)
     for number, (pixel, place, distance) in enumerate(zip(pixels, world, off, strict=True), start=1):
-        where = f"point {number}: pixel ({pixel[0]:g}, {pixel[1]:g}), world ({', '.join(f'{v:g}' for v in place)})"
+        where = f"point {number}: pixel ({pixel[0]:g}, {pixel[1]:g}), world ({', '.join(map(str, place.tolist()))})"
         yield f"{where}: {distance:.2f} px off{'; wrong?' if distance > _WRONG_PX else ''}"
+
+
+def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
+    """What is known of a camera whose height over the road (metres) or horizontal field of view somebody gives."""
+    known = Known()
+    center, sigma = known.center.copy(), known.sigma.copy()
+    if height is not None:
+        center[HEIGHT], sigma[HEIGHT] = math.log(height), _SURE
+    if fov_deg is not None:
+        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _SURE
+    return Known(center, sigma)
 
 
 def doubt(path: Path) -> str | None:
     """How uncertain the camera of a file is that `from_vehicles` wrote, in words; None for other files."""
+    share = sigma_of_distances(path)
+    return None if share is None else f"{path}: distances and speeds may all be off by {2 * share:.0%} (95%)"
+
+
+def sigma_of_distances(path: Path) -> float | None:
+    """Relative standard deviation of distances under the camera of a file; None where the file does not say it."""
     try:
-        document = json.loads(read_bytes(path))
-        sigma = document["sigma"]
-        focal, height = sigma["focal"] / document["K"][0][0], sigma["height"]
-        return f"{path}: focal length within {focal:.0%}, height within {height:.2f} m (one standard deviation each)"
-    except (ValueError, KeyError, TypeError, IndexError, ZeroDivisionError):
+        share = json.loads(read_bytes(path))["sigma"]["distance"]
+    except (ValueError, KeyError, TypeError, IndexError):
         return None
+    return float(share) if isinstance(share, int | float) and 0 <= share < 1 else None
 
 
 def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str]:

@@ -26,7 +26,7 @@ def confirmed(frames: Sequence[Sequence[Result]], fps: float = 10.0, score: floa
     confirmation = Confirmation(score)
     for i, found in enumerate(frames):
         confirmation.add(i / fps, found)
-    return confirmation.confirmed()
+    return [[number >= 0 for number in numbers.tolist()] for numbers in confirmation.confirmed()]
 
 
 def driving(lane: int, frame: int, *, begin: int = 0, pace: float = 12.0) -> Box:
@@ -64,7 +64,7 @@ def test_frames_that_the_detector_has_not_seen_confirm_nothing() -> None:
         for i in range(11):
             here = replace(result(driving(2, i)), interpolated=i not in key_frames)
             confirmation.add(i / 10, [here])
-        return [frame[0] for frame in confirmation.confirmed()]
+        return [frame[0] >= 0 for frame in confirmation.confirmed()]
 
     assert kept([0, 5, 10]) == [True] * 11
     assert kept([0, 5]) == [True] * 11
