@@ -615,3 +615,33 @@ def test_damaged_progress_is_begun_anew(left: bytes, skope: Any, random_run: Pat
     assert skope(*call)[0] == 0
     assert Path("out/predictions.json").read_bytes() == before
     assert not Path("out/.predict.jsonl").exists()
+
+
+@pytest.mark.parametrize("away", [(500_000.0, 5_000_000.0, 0.0), (-33_000_000.0, 120.0, 800.0)])
+def test_coordinates_may_be_of_any_size(skope: Any, away: tuple[float, float, float]) -> None:
+    """UTM's eastings and northings, say: the same scene far from the origin gives the same, moved."""
+    T = np.eye(4)
+    T[:3, 3] = away
+    near = drive(2, 5, speeds=(9.0, 3.0, -6.0))
+    found = {}
+    for name, file in (("near", near), ("far", tilted(near, T))):
+        coco.write(Path(f"{name}.json"), file)
+        ground = "0" if name == "near" else str(away[2])
+        call = ("--annotations", f"{name}.json", "--noise", 1, "--ground", ground, "-q")
+        for command in ("pose", "track"):
+            code, _, error = skope("eval", command, *call, "--out", f"{name}_{command}")
+            assert code == 0, error
+        poses = [json.loads(line) for line in Path(f"{name}_pose/poses.jsonl").read_text().splitlines()]
+        tracks = list(csv.DictReader(Path(f"{name}_track/tracks.csv").read_text().splitlines()))
+        found[name] = (poses, tracks)
+    for one, other in zip(found["near"][0], found["far"][0], strict=True):
+        assert other["refused"] == one["refused"]
+        assert other["position"] == pytest.approx(np.add(one["position"], away), abs=2e-3)
+        assert other["position_camera"] == pytest.approx(one["position_camera"], abs=2e-3)
+        assert other["heading_deg"] == pytest.approx(one["heading_deg"], abs=0.02)
+        assert other["sigma_position"] == pytest.approx(one["sigma_position"], rel=1e-2)
+    assert len(found["near"][1]) == len(found["far"][1]) > 20
+    for one, other in zip(found["near"][1], found["far"][1], strict=True):
+        for axis, shift in zip("xyz", away, strict=True):
+            assert float(other[axis]) == pytest.approx(float(one[axis]) + shift, abs=3e-3)
+        assert float(other["speed"]) == pytest.approx(float(one["speed"]), abs=3e-3)
