@@ -66,3 +66,27 @@ def camera(
         )
     for line in lines:
         console.result(line)
+    if keypoints.folder:
+        picture = _picture(keypoints.folder, out, console)
+        if picture is not None:
+            console.result(f"wrote {picture}: look whether the grid lies on the road, and the boxes on the vehicles")
+
+
+def _picture(folder: Path, camera: Path, console: Console) -> Path | None:
+    """A picture of what the camera says, beside its file; None where the footage is not at hand."""
+    import cv2
+
+    from skope.eval.pose.views import read_scene
+    from skope.eval.tracking.camera_picture import draw
+    from skope.files.output_folders import write_new
+
+    path = camera.with_suffix(".jpg")
+    try:
+        pixels = draw(read_scene(folder, None, None, camera, 0.0), folder)
+        if pixels is not None:
+            _, encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+            write_new(path, encoded.tobytes())
+    except UserError as error:
+        console.say(f"{path} is not drawn: {error}")
+        return None
+    return path if pixels is not None else None

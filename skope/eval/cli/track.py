@@ -17,6 +17,9 @@ def track(
     ] = None,
     noise: NoiseOption = 0.0,
     video: Annotated[bool, output("--video", help="Also a bird's-eye video.")] = False,
+    overlay: Annotated[
+        bool, output("--overlay", help="Also the footage, with number, body type and speed of each vehicle.")
+    ] = False,
     out: OutOption = TRACKS,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
@@ -33,7 +36,9 @@ def track(
         noise=noise,
         score=options.score,
         sigma_px=options.sigma,
+        distance_sigma=options.distance_sigma(scene),
         video=video,
+        overlay=overlay,
         out=out,
     )
     for line in run(job, console):

@@ -4,7 +4,7 @@ import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
@@ -33,7 +33,7 @@ from skope.keypoints import Scheme
 from skope.pictures import draw
 from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image, Result
-from skope.terminal.console import Console
+from skope.terminal.console import Console, counted
 
 _PROGRESS: Final = ".predict.jsonl"
 OVERLAY: Final = "overlay.mp4"
@@ -54,6 +54,8 @@ class PredictJob:
     score: float = 0.5
     """Least score of a detection that is kept."""
     camera: Camera | None = None
+    camera_info: Mapping[str, float] = field(default_factory=dict)
+    """What is known of the camera besides, for the `info` of the frames."""
     overlay: bool = False
     blur: bool = False
     unconfirmed: bool = False
@@ -133,8 +135,9 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
     kept = _kept(job, progress, images)
     written = [job.out / PREDICTIONS, job.out / FRAMES]
-    coco.write_result_rows(written[0], (result for row in progress.rows() for result in kept(row)))
-    info = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job)}
+    seen = _Seen()
+    coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
+    info = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
     frames_file = AnnotationFile(
         images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
@@ -142,7 +145,27 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     if job.overlay:
         written.append(_overlay(job, progress, kept, len(images), predictor.scheme, console))
     progress.end()
+    console.result(f"{seen} in {counted(len(images), 'image')}")
     return written
+
+
+@dataclass
+class _Seen:
+    """How much was found."""
+
+    results: int = 0
+    vehicles: set[int] = field(default_factory=set)
+    """Their numbers, where they were followed from image to image."""
+
+    def noted(self, result: dict[str, Any]) -> dict[str, Any]:
+        self.results += 1
+        self.vehicles |= {result["track_id"]} if "track_id" in result else set()
+        return result
+
+    def __str__(self) -> str:
+        if self.vehicles:
+            return f"{counted(len(self.vehicles), 'vehicle')} ({counted(self.results, 'detection')})"
+        return counted(self.results, "vehicle")
 
 
 def _found_at(job: PredictJob) -> dict[str, str]:

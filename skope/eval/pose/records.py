@@ -47,6 +47,11 @@ def locate_view(view: View, scene: Scene) -> Located:
     return Located(view, camera, poses if found.all() else poses.among(found, INTERPOLATED))
 
 
+def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:
+    """(8, 3) corners of a vehicle's box, world: front before rear, left before right, low before high."""
+    return np.asarray((_CORNERS * size_lwh) @ T_world_vehicle[:3, :3].T + T_world_vehicle[:3, 3])
+
+
 def records(located: Located) -> Iterator[dict[str, Any]]:
     """The row of each vehicle in `poses.jsonl`: metres, degrees (counter-clockwise from world x), pixels."""
     view, poses = located.view, located.poses
@@ -64,7 +69,7 @@ def records(located: Located) -> Iterator[dict[str, Any]]:
         }
         if reason is None:
             T, size = poses.T_world_vehicle[i], poses.size_lwh[i]
-            corners = (_CORNERS * size) @ T[:3, :3].T + T[:3, 3]
+            corners = corners_of(T, size)
             wheels = (poses.points[i, list(WHEELS)] * [1, 1, 0]) @ T[:3, :3].T + T[:3, 3]
             row |= {
                 "type": poses.types[i],

@@ -24,6 +24,8 @@ from skope.files.reading import read_bytes, read_text
 from skope.terminal.console import counted
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
+DISTANCE_SIGMA: Final = "camera_distance_sigma"
+"""Under this name `skope eval predict` hands on, in the `info` of its frames, how certain their camera is."""
 _SURE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
 _FEW: Final = 6
@@ -139,10 +141,11 @@ def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
     return Known(center, sigma)
 
 
-def doubt(path: Path) -> str | None:
-    """How uncertain the camera of a file is that `from_vehicles` wrote, in words; None for other files."""
-    share = sigma_of_distances(path)
-    return None if share is None else f"{path}: distances and speeds may all be off by {2 * share:.0%} (95%)"
+def doubt(name: Path | str, distance_sigma: float | None) -> str | None:
+    """How far off all distances may be under a camera, in words; None where nothing says how certain it is."""
+    if distance_sigma is None:
+        return None
+    return f"{name}: all distances and speeds may be off by {2 * distance_sigma:.0%}, in one direction (95%)"
 
 
 def sigma_of_distances(path: Path) -> float | None:

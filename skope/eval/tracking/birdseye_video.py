@@ -66,7 +66,7 @@ class _Map:
 def frames(
     tracks: Sequence[Track], times_s: Sequence[float], camera: Camera, ground: Ground | None, road: Pixels | None
 ) -> Iterator[Pixels]:
-    """A picture (H, W, 3) from above for each time, north up: outlines with a line to their front, number and km/h.
+    """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
 
     Camera, ground and the picture of the empty road are as `birdseye.draw` takes them.
     """
@@ -99,6 +99,7 @@ def write(
     picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
 ) -> None:
     """Write a text with a white edge, its lower left corner at a place, moved where it would leave the picture."""
+    text = text.replace("±", "+-")  # OpenCV's letters are ASCII's
     (width, height), _ = cv2.getTextSize(text, _FONT, size, 1)
     x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
     y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))

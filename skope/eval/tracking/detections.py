@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.eval.pose.records import Located
+from skope.eval.pose.records import INTERPOLATED, Located
 from skope.types import Array
 
 _FLOOR: Final = 0.05
@@ -46,6 +46,8 @@ class Detection:
     """Its pose; None where the pose solver refused one."""
     link: int | None = None
     """What the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not known."""
+    refused: str | None = None
+    """Why the pose solver refused one; None also where none was asked for, as between key frames."""
 
 
 def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
@@ -65,14 +67,15 @@ def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
         vehicle = view.truth[i]
         truth = vehicle.track_id if vehicle else None
         link = int(view.tracks[i]) if linked and view.tracks[i] >= 0 else None
-        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link))
+        refused = poses.refusal[i] if poses.refusal[i] != INTERPOLATED else None
+        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link, refused))
     return out
 
 
 def detection_to_dict(detection: Detection) -> dict[str, Any]:
     """JSON values of a detection, not rounded."""
     values = {"bbox": detection.bbox.tolist(), "pose": None}
-    values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link")}
+    values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link", "refused")}
     if (pose := detection.pose) is not None:
         arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
         values["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
@@ -86,4 +89,5 @@ def detection_from_dict(values: Mapping[str, Any]) -> Detection:
         pose = PoseMeasurement(
             **{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}}
         )
-    return Detection(np.array(values["bbox"]), values["score"], values["truth_id"], pose, values["link"])
+    plain = {name: values[name] for name in ("score", "truth_id", "link", "refused")}
+    return Detection(bbox=np.array(values["bbox"]), pose=pose, **plain)

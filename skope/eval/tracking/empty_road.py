@@ -34,7 +34,7 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     Raises:
         UserError: The footage is not there any more, or cannot be read.
     """
-    source = _source(folder, file.info)
+    source = footage_of(folder, file.info)
     if source is None:
         return None
     times = [image.time_s for image in file.images if image.time_s is not None] or [0.0, math.inf]
@@ -45,7 +45,7 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     return np.sort(np.stack(frames), axis=0)[len(frames) // 2] if frames else None  # np.median is slower, of floats
 
 
-def _source(folder: Path, info: Mapping[str, Any]) -> Path | None:
+def footage_of(folder: Path, info: Mapping[str, Any]) -> Path | None:
     """The video or the images as `skope eval predict` names them in its file of frames, or `skope gen video` in its."""
     if isinstance(found_at := info.get(FOUND_AT), str):
         return folder / found_at

@@ -15,7 +15,7 @@ from skope.files.atomic import replacing
 
 _COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
-    "length", "width", "height", "measured", "sigma_position", "sigma_speed",
+    "length", "width", "height", "measured", "sigma_position", "sigma_speed", "flags",
 )  # fmt: skip
 _SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "van": "delivery"}
 
@@ -52,6 +52,7 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
                         int(track.measured[i]),
                         f"{track.position_sigma[i]:.3f}",
                         f"{track.speed_sigma[i]:.3f}",
+                        " ".join(track.flags),
                     ]
                 )
 

@@ -1,4 +1,4 @@
-"""Signs on a map of tracks: the camera, labels that lie on nothing, a scale bar, north, the colours' meaning."""
+"""Signs on a map of tracks: the camera, labels that lie on nothing, a scale bar, the colours' meaning."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -117,9 +117,10 @@ def draw_labels(
 
 
 def label(track: Track, i: int) -> str:
-    """A track's number, with the speed that a driving vehicle has in its i-th frame."""
-    drives = track.speed[i] > _DRIVES
-    return f"#{track.number}  {track.speed[i] * 3.6:.0f} km/h" if drives else f"#{track.number}"
+    """A track's number, with the speed that a driving vehicle has in its i-th frame, and its 95% interval."""
+    if track.speed[i] <= _DRIVES:
+        return f"#{track.number}"
+    return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"
 
 
 def _around(anchor: Array, half: Array) -> Iterator[Array]:
@@ -140,13 +141,13 @@ def draw_frame(axes: "Axes") -> None:
 
 
 def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
-    """A scale bar, and the way north where the world is a map's, in the emptiest corner; returns where, in pixels."""
+    """A scale bar in the emptiest corner; returns where, in pixels."""
     from matplotlib.patches import FancyBboxPatch
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     unit = unit_m(axes)
     length = max(bar for bar in BARS_M if bar <= max(1, (x1 - x0) / 5))
-    size = np.array([length + 11 * unit, 10 * unit])
+    size = np.array([length + 4 * unit, 7 * unit])
     places = np.concatenate([camera.position[None, :2], *(t.position[:, :2] for t in tracks)])
     inset = 1.5 * unit
     free = [(x, y) for y in (y0 + inset, y1 - inset - size[1]) for x in (x1 - inset - size[0], x0 + inset)]
@@ -175,11 +176,6 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
     )
     label: dict[str, Any] = {"fontsize": 9, "color": INK, "ha": "center", "zorder": 11}
     axes.text(x + 2 * unit + length / 2, y + 3.6 * unit, f"{length} m", va="bottom", **label)
-    if not np.allclose(camera.position[:2], 0):  # a camera that knows no map is the origin of its own world
-        arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 2, "mutation_scale": 14, "shrinkA": 0}
-        foot = x + size[0] - 4 * unit
-        axes.annotate("", (foot, y + 9.3 * unit), (foot, y + 4 * unit), arrowprops=arrow, zorder=11)
-        axes.text(foot, y + 3.7 * unit, "N", va="top", weight="bold", **label)
     return _box_around(axes.transData.transform([(x, y), (x, y) + size]))
 
 

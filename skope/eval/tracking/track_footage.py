@@ -1,6 +1,7 @@
 """`skope eval track`: poses of every frame, tracks through them, and their files."""
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,14 +15,15 @@ from skope.errors import UserError
 from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
-from skope.eval.tracking import birdseye, birdseye_video, export
+from skope.eval.tracking import birdseye, birdseye_video, export, overlay
 from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.empty_road import empty_road
+from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing, write_text
 from skope.pictures.video import write_video
-from skope.terminal.console import Console
+from skope.terminal.console import Console, counted
 
 _PROGRESS: Final = ".poses.jsonl"
 
@@ -42,8 +44,12 @@ class TrackJob:
     """Detections above this are followed."""
     sigma_px: float | None
     """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
+    distance_sigma: float | None
+    """Relative standard deviation of distances under the camera; None where nothing says how certain it is."""
     video: bool
     """Whether a bird's-eye video is written too."""
+    overlay: bool
+    """Whether the footage is written too, with the tracks in it."""
 
 
 def run(job: TrackJob, console: Console) -> Iterator[str]:
@@ -53,13 +59,17 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     progress = Progress(job.out / _PROGRESS, ("sights",))
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
-    tracks = follow(console.bar(_seen(job, progress), total=len(times), unit="image", label="poses"), times)
+    refused = Counter[str]()
+    tracks = follow(console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses"), times)
+    tracks = flagged(tracks)
+    camera = scene.camera_of(scene.file.images[0])
+    if job.distance_sigma is not None:
+        tracks = [track.under(job.distance_sigma, camera.position[:2]) for track in tracks]
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)
     export.write_fcd(job.out / "fcd.xml", tracks, times)
     written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
-    camera = scene.camera_of(scene.file.images[0])
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road)
     if scene.file.annotations:
@@ -70,11 +80,24 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
             above = birdseye_video.frames(tracks, times, camera, scene.ground, road)
             write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
+    if job.overlay:
+        with replacing(job.out / "overlay.mp4") as temporary:
+            drawn = console.bar(
+                overlay.frames(tracks, job.place, scene.file), total=len(times), unit="image", label="overlay"
+            )
+            write_video(temporary, drawn, 1 / float(np.median(np.diff(times))))
+        written.append("overlay.mp4")
     progress.end()
     for name in written:
         yield f"wrote {job.out / name}"
     seconds = times[-1] - times[0]
-    yield f"{len(tracks)} tracks over {seconds:.1f} s"
+    yield f"{counted(len(tracks), 'track')} over {seconds:.1f} s"
+    doubtful = Counter(flag for track in tracks for flag in track.flags)
+    if doubtful:
+        yield f"of these: {', '.join(f'{number} {flag}' for flag, number in sorted(doubtful.items()))}"
+    if refused.total():
+        why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
+        yield f"{counted(refused.total(), 'detection')} without a pose: {why}"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
 
@@ -89,15 +112,19 @@ def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] 
     return road if road is not None and road.shape[1::-1] == (camera.width, camera.height) else None
 
 
-def _seen(job: TrackJob, progress: Progress) -> Iterator[list[Detection]]:
-    """The vehicles of each image: as an earlier, stopped run has written them down, or located now."""
+def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[list[Detection]]:
+    """The vehicles of each image: as an earlier, stopped run has written them down, or located now.
+
+    `refused` counts why there are none of their poses.
+    """
     earlier = itertools.islice(progress.rows(), progress.count)
     for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
         if (row := next(earlier, None)) is not None:
-            yield [detection_from_dict(entry) for entry in row["sights"]]
-            continue
-        found = detections_of(locate_view(view, job.scene), linked=job.scene.results is not None)
-        progress.add({"sights": [detection_to_dict(detection) for detection in found]})
+            found = [detection_from_dict(entry) for entry in row["sights"]]
+        else:
+            found = detections_of(locate_view(view, job.scene), linked=job.scene.results is not None)
+            progress.add({"sights": [detection_to_dict(detection) for detection in found]})
+        refused.update(one.refused for one in found if one.refused)
         yield found
 
 

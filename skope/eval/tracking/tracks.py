@@ -3,7 +3,7 @@
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Final, TypeAlias
 
@@ -18,7 +18,7 @@ from skope.types import Array
 
 _BOX_S: Final = 0.5
 """For how long an unseen vehicle's last box says where it is in the image, and boxes without a pose what it does."""
-_CONFIRMED: Final = 3
+_CONFIRMED: Final = 2
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
 """A track lasts at least this long, seconds."""
@@ -43,9 +43,10 @@ class Track:
     heading: Array
     """(M,) radians, counter-clockwise from world x."""
     position_sigma: Array
-    """(M,) standard deviation of the place in its worst direction, metres, given the camera and the ground."""
+    """(M,) standard deviation of the place in its worst direction, metres, given the ground; and given the camera,
+    unless `under` was called."""
     speed_sigma: Array
-    """(M,) standard deviation of the speed, m/s, given these."""
+    """(M,) standard deviation of the speed, m/s, given the same."""
     measured: NDArray[np.bool_]
     """(M,) in which frames a pose was taken; in the others position and speed follow from the frames around."""
     boxes: Array
@@ -54,6 +55,17 @@ class Track:
     """(M,) scores of the detections; NaN where the vehicle was missed."""
     truth_ids: NDArray[np.int64]
     """(M,) the ground-truth track that the detection is, or matches; -1 where there is none."""
+    flags: tuple[str, ...] = ()
+    """Of `skope.eval.tracking.track_flags`."""
+
+    def under(self, distance_sigma: float, foot: Array) -> "Track":
+        """The track where the camera, over `foot` (2,), makes distances wrong by a share of that standard deviation."""
+        away = np.linalg.norm(self.position[:, :2] - foot, axis=1)
+        return replace(
+            self,
+            position_sigma=np.hypot(self.position_sigma, distance_sigma * away),
+            speed_sigma=np.hypot(self.speed_sigma, distance_sigma * self.speed),
+        )
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:

@@ -1,0 +1,60 @@
+"""Tracks drawn into their footage: box, number, body type and speed of each vehicle."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.errors import UserError
+from skope.eval.inference.footage import open_footage
+from skope.eval.tracking import map_signs
+from skope.eval.tracking.birdseye_video import write
+from skope.eval.tracking.empty_road import footage_of
+from skope.eval.tracking.tracks import Track
+from skope.pictures.draw import PALETTE
+from skope.schema import AnnotationFile
+
+Pixels = NDArray[np.uint8]
+
+_THICK: Final = 2
+"""Lines of boxes, pixels."""
+
+
+def frames(tracks: Sequence[Track], folder: Path, file: AnnotationFile) -> Iterator[Pixels]:
+    """The frames (H, W, 3) that were tracked, with the vehicles that are seen in them.
+
+    Args:
+        tracks: The tracks.
+        folder: Where the file of frames lies.
+        file: The frames; `info` says where their footage is.
+
+    Raises:
+        UserError: The footage is not said, not there any more, or cannot be read.
+    """
+    source = footage_of(folder, file.info)
+    if source is None:
+        raise UserError(f"{file.name}: does not say where its footage is, which --overlay draws into")
+    place = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
+    present: dict[int, list[tuple[Track, int]]] = {}
+    for track in tracks:
+        for i in np.flatnonzero(track.seen).tolist():
+            present.setdefault(int(track.frames[i]), []).append((track, i))
+    for image, pixels in open_footage(str(source)).frames():
+        frame = place.get(-1 if image.frame_index is None else image.frame_index)
+        if frame is not None:
+            yield _drawn(pixels, present.get(frame, []))
+
+
+def _drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
+    picture = pixels.copy()
+    for track, i in present:
+        x, y, w, h = track.boxes[i].tolist()
+        color = PALETTE[track.number % len(PALETTE)]
+        corners = np.rint([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]).astype(np.int32)
+        cv2.polylines(picture, [corners], True, color, _THICK, cv2.LINE_AA)
+        number, _, speed = map_signs.label(track, i).partition("  ")
+        write(picture, "  ".join(filter(None, (f"{number} {track.kind}", speed))), (round(x), round(y) - 5))
+    return picture

@@ -1,0 +1,97 @@
+"""What a track should be distrusted for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.eval.tracking.tracks import Track
+from skope.types import Array
+
+FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
+"""Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it moves as nothing on wheels
+does, as where two vehicles have one track; it drives where all others drive the other way."""
+
+_FEW: Final = 2
+"""Poses of a track that tell little."""
+_STANDS_M: Final = 1.5
+"""What never gets farther than this from where it is mostly never moved, metres."""
+_STANDS_S: Final = 5.0
+"""And was seen for so long, seconds."""
+_FORCE: Final = 9.0
+"""Acceleration, along or across, that no vehicle reaches, m/s^2."""
+_FORCE_S: Final = 0.5
+"""It has to last so long, seconds."""
+_DRIVES: Final = 3.0
+"""Speed from which directions count, m/s."""
+_BESIDE_M: Final = 1.5
+"""Who passes so near to where a vehicle was drives where it does, metres."""
+_OTHERS: Final = 5
+"""So many others drive the other way."""
+_OPPOSITE: Final = math.radians(150)
+
+
+def flagged(tracks: Sequence[Track]) -> list[Track]:
+    """The tracks, each with those of `FLAGS` that hold."""
+    against = _against_traffic(tracks)
+    out = []
+    for track in tracks:
+        holds = {
+            "two_poses": int(track.measured.sum()) <= _FEW,
+            "never_moved": _never_moved(track),
+            "impossible_motion": _impossible(track),
+            "against_traffic": track.number in against,
+        }
+        out.append(replace(track, flags=tuple(name for name in FLAGS if holds[name])))
+    return out
+
+
+def _never_moved(track: Track) -> bool:
+    middle = np.median(track.position[:, :2], axis=0)
+    farthest = np.percentile(np.linalg.norm(track.position[:, :2] - middle, axis=1), 95)
+    return bool(track.times_s[-1] - track.times_s[0] >= _STANDS_S and farthest < _STANDS_M)
+
+
+def _impossible(track: Track) -> bool:
+    """Whether it accelerates, brakes or turns for some time harder than tyres can, beyond what is uncertain of it."""
+    if len(track.times_s) < 2:
+        return False
+    force = np.linalg.norm(track.acceleration, axis=1)
+    steps = np.diff(track.times_s, prepend=track.times_s[0])
+    lasting = 0.0
+    for hard, dt in zip((force > _FORCE).tolist(), steps.tolist(), strict=True):
+        lasting = lasting + dt if hard else 0.0
+        if lasting >= _FORCE_S:
+            return True
+    return False
+
+
+def _against_traffic(tracks: Sequence[Track]) -> set[int]:
+    """Numbers of tracks of which most of the way lies where several others drive the other way, and none along."""
+    moving = [(track, np.flatnonzero(track.speed > _DRIVES)) for track in tracks]
+    moving = [(track, rows) for track, rows in moving if rows.size]
+    if len(moving) <= _OTHERS:
+        return set()
+    places = np.concatenate([track.position[rows, :2] for track, rows in moving])
+    turns = np.concatenate([_directions(track, rows) for track, rows in moving])
+    owner = np.concatenate([np.full(len(rows), k) for k, (_, rows) in enumerate(moving)])
+    cells = np.floor(places / _BESIDE_M).astype(np.int64)
+    by_cell: dict[tuple[int, int], list[int]] = {}
+    for i, (x, y) in enumerate(cells.tolist()):
+        by_cell.setdefault((x, y), []).append(i)
+    alone = np.zeros(len(places), dtype=bool)
+    for i, (x, y) in enumerate(cells.tolist()):
+        near = [j for dx in (-1, 0, 1) for dy in (-1, 0, 1) for j in by_cell.get((x + dx, y + dy), ())]
+        near = [j for j in near if owner[j] != owner[i]]
+        opposite = np.cos(turns[near] - turns[i]) < math.cos(_OPPOSITE)
+        along = np.cos(turns[near] - turns[i]) > 0
+        alone[i] = len(set(owner[near][opposite].tolist())) >= _OTHERS and not along.any()
+    return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
+
+
+def _directions(track: Track, rows: NDArray[np.intp]) -> Array:
+    """(R,) which way a vehicle drives in the frames `rows`, radians."""
+    return np.asarray(np.arctan2(track.velocity[rows, 1], track.velocity[rows, 0]))
