@@ -25,6 +25,10 @@ MANIFEST: Final = "manifest.json"
 FRAMES: Final = "frames.json"
 PREDICTIONS: Final = "predictions.json"
 """What `skope eval predict` writes: the images, and what was found in them."""
+FOLLOWED: Final = "followed"
+"""Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
+CHANGES: Final = "view_changes"
+"""Under this name the `info` of frames says when a video shows another view: objects with `time_s`, `cut`, `shift`."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),

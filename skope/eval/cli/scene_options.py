@@ -86,6 +86,8 @@ class SceneOptions(KeypointOptions):
         check_pixels("--noise", *noise)
         check_pixels("--sigma", self.sigma)
         scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
+        if scene.left_out:
+            console.result(scene.left_out)
         if words := doubt(self.camera or scene.file.name, self.distance_sigma(scene)):
             console.result(words)
         if self.ground in _FITTED:

@@ -18,7 +18,7 @@ def track(
     noise: NoiseOption = 0.0,
     video: Annotated[bool, output("--video", help="Also a bird's-eye video.")] = False,
     overlay: Annotated[
-        bool, output("--overlay", help="Also the footage, with number, body type and speed of each vehicle.")
+        bool, output("--overlay", help="Also the footage, with number, class and speed of each vehicle.")
     ] = False,
     out: OutOption = TRACKS,
 ) -> None:

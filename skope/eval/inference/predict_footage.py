@@ -5,7 +5,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -15,7 +15,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS
 from skope.detector.device import choose_device
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S, BoxLinks
@@ -26,6 +26,7 @@ from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
+from skope.eval.inference.view_changes import Looks, ViewChange, changes
 from skope.files.atomic import replacing
 from skope.files.output_folders import claim_output
 from skope.files.reading import sha256_of
@@ -105,7 +106,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
     predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least, batch_size=batch_size), console)
     _claim(job, predictor.files)
-    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key"))
+    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look"))
     images: list[Image] = []
     last_key, names = 1, list[int]()
     for row in progress.rows():
@@ -119,10 +120,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key, names=names):
+            looks = Looks()
+            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key, names=names, looks=looks):
                 image = with_camera(bare, job.camera)
                 entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
-                progress.add({**entry, "skipped": list(job.footage.skipped), "key": key})
+                look = looks.taken.pop(image.id, None)
+                progress.add({**entry, "skipped": list(job.footage.skipped), "key": key, "look": look})
                 images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
@@ -137,7 +140,14 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     seen = _Seen()
     coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
-    info = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
+    changed = _changes(job, progress)
+    for change in changed:
+        console.result(f"{job.footage.name}: {change}; its parts count apart")
+    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
+    if job.key_every > 1:
+        info[FOLLOWED] = True
+    if changed:
+        info[CHANGES] = [asdict(change) for change in changed]
     frames_file = AnnotationFile(
         images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
     )
@@ -147,6 +157,14 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     progress.end()
     console.result(f"{seen} in {counted(len(images), 'image')}")
     return written
+
+
+def _changes(job: PredictJob, progress: Progress) -> list[ViewChange]:
+    """When a video shows another view."""
+    if job.footage.clip is None:
+        return []
+    looks = [(row["image"].get("time_s"), row["look"]) for row in progress.rows() if row["look"] is not None]
+    return changes([(float(time_s), look) for time_s, look in looks if time_s is not None])
 
 
 @dataclass
@@ -175,16 +193,24 @@ def _found_at(job: PredictJob) -> dict[str, str]:
 
 
 def found_in(
-    job: PredictJob, predictor: Predictor, *, last: int = 0, last_key: int = 1, names: Sequence[int] = ()
+    job: PredictJob,
+    predictor: Predictor,
+    *,
+    last: int = 0,
+    last_key: int = 1,
+    names: Sequence[int] = (),
+    looks: Looks | None = None,
 ) -> Iterator[tuple[Image, list[Result], bool]]:
     """The frames after number `last`, with what is found in them, and whether the detector has seen them.
 
     `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of its vehicles there.
+    `looks` takes small pictures on the way.
     """
+    watch = looks.watch if looks else iter
     every = job.key_every
     if every == 1:
         each = predictor.each if job.footage.live else predictor.each_ahead
-        yield from ((image, found, True) for image, found in each(job.footage.frames(last)))
+        yield from ((image, found, True) for image, found in each(watch(job.footage.frames(last))))
         return
 
     def find(frame: tuple[Image, Pixels]) -> list[Result]:
@@ -192,7 +218,7 @@ def found_in(
         return found
 
     # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.
-    for image, found, key in with_frames_between(job.footage.frames(last_key - 1), find, every, names):
+    for image, found, key in with_frames_between(watch(job.footage.frames(last_key - 1)), find, every, names):
         if image.id > last:
             yield image, found, key
 

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,7 +13,7 @@ from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.eval.pose.ground import Ground
 from skope.metrics import read_inputs
@@ -73,6 +73,8 @@ class Scene:
     """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
     """Where the road is; None: unknown."""
+    left_out: str | None = None
+    """Which images of the file are not here, as they show another view; None: all are here."""
 
     @property
     def has_truth(self) -> bool:
@@ -108,7 +110,9 @@ class Scene:
             for image in self.file.images:
                 yield _predicted(image, results.get(image.id, []), sigma_px)
         else:
-            by_image = itertools.groupby(self.results, lambda result: result.image_id)
+            here = {image.id for image in self.file.images}
+            wanted = (result for result in self.results if result.image_id in here)
+            by_image = itertools.groupby(wanted, lambda result: result.image_id)
             image_id, found = next(by_image, (None, ()))
             for image in self.file.images:
                 if image.id == image_id:
@@ -119,7 +123,8 @@ class Scene:
 
     def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
         """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
-        kept = [result for result in self.results or () if result.score > score]
+        here = {image.id for image in self.file.images}
+        kept = [result for result in self.results or () if result.score > score and result.image_id in here]
         matches = match(self.file, kept, score=score, thresholds=(MATCH_IOU,))
         partner: list[Annotation | None] = [None] * len(kept)
         for result, vehicle in zip(matches.det_result, matches.taken[MATCH_IOU], strict=True):
@@ -207,10 +212,31 @@ def read_scene(
     if file.scheme is not keypoints.SKOPE33:
         raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
     results = read_inputs.stream_results(predictions, file) if predictions else None
+    file, left_out = _of_one_view(file)
     if camera is None:
-        return Scene(file, results, None, None if ground is None else Ground(height=ground))
+        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out)
     read, posed = read_camera(camera, _size(file))
-    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None)
+    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None, left_out)
+
+
+def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
+    """The images of the longest part of a video that shows one view, and what was left out, in words."""
+    changes = file.info.get(CHANGES)
+    times = [image.time_s for image in file.images]
+    if not isinstance(changes, list) or not changes or None in times:
+        return file, None
+    seconds = np.array(times, dtype=np.float64)
+    try:
+        part = np.searchsorted([float(change["time_s"]) for change in changes], seconds, side="right")
+    except (KeyError, TypeError, ValueError):
+        raise UserError(f"{file.name}: info.{CHANGES}: expected objects with time_s") from None
+    longest = int(np.bincount(part).argmax())
+    kept = np.flatnonzero(part == longest)
+    words = (
+        f"{file.name}: the view changes {len(changes)} times; taken is the longest part, from {seconds[kept[0]]:.1f} "
+        f"to {seconds[kept[-1]]:.1f} s"
+    )
+    return replace(file, images=tuple(file.images[i] for i in kept)), words
 
 
 def _size(file: AnnotationFile) -> tuple[int, int] | None:

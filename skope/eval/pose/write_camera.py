@@ -51,6 +51,8 @@ def from_vehicles(
         UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
     """
     scene = read_scene(*where, None, None)
+    if scene.left_out:
+        yield scene.left_out
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
     _, pitch, _ = fit.camera.angles

@@ -27,7 +27,11 @@ _GRID_M: Final = (1, 2, 5, 10, 20, 50)
 """Distances of the grid's lines."""
 _LINES: Final = 12
 """The grid has about so many lines away from the camera."""
+_ACROSS_M: Final = 5.0
+"""Lines along the way are so far apart at most: a lane and a half."""
 _FARTHEST_M: Final = 150.0
+_LETTERS_PX: Final = 18
+"""Distances are written so far apart at least, pixels."""
 _SCORE: Final = 0.5
 _GRID: Final = (255, 255, 255)
 _HORIZON: Final = (255, 120, 40)
@@ -81,12 +85,14 @@ def _draw_grid(picture: Pixels, camera: Camera) -> None:
     step = next((m for m in _GRID_M if reach / m <= _LINES), _GRID_M[-1])
     away = np.arange(0.0, reach + 0.1, 0.5)
     side = np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
-    for k in range(-_LINES // 2, _LINES // 2 + 1):
-        _draw_line(picture, camera, foot + left * k * step + ahead * away[:, None], _GRID, 1)
+    for k in np.arange(-reach / 2, reach / 2 + 0.1, min(step, _ACROSS_M)).tolist():
+        _draw_line(picture, camera, foot + left * k + ahead * away[:, None], _GRID, 1)
+    below = picture.shape[0]
     for k in range(1, _LINES + 1):
         _draw_line(picture, camera, foot + ahead * k * step + left * side[:, None], _GRID, 1)
         pixel, _, valid = camera.project((foot + ahead * k * step)[None])
-        if valid[0] and camera.inside(pixel)[0]:
+        if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - _LETTERS_PX:
+            below = float(pixel[0, 1])
             write(picture, f"{k * step} m", (round(float(pixel[0, 0])) + 4, round(float(pixel[0, 1])) - 3))
     turn = np.linspace(-math.pi / 2, math.pi / 2, 181)[:, None]
     far = foot + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left) + [0.0, 0.0, float(camera.position[2])]

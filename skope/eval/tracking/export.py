@@ -15,9 +15,9 @@ from skope.files.atomic import replacing
 
 _COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
-    "length", "width", "height", "measured", "sigma_position", "sigma_speed", "flags",
+    "length", "width", "height", "measured", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
 )  # fmt: skip
-_SUMO_CLASS: Final = {"bus": "bus", "truck": "truck", "box_truck": "delivery", "van": "delivery"}
+_SUMO_CLASS: Final = {"bus": "bus", "lorry": "truck", "van": "delivery"}
 
 
 def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -> None:
@@ -52,6 +52,8 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
                         int(track.measured[i]),
                         f"{track.position_sigma[i]:.3f}",
                         f"{track.speed_sigma[i]:.3f}",
+                        track.vehicle_class,
+                        f"{track.class_confidence:.2f}",
                         " ".join(track.flags),
                     ]
                 )
@@ -99,7 +101,7 @@ def _fcd_vehicle(track: Track, i: int) -> str:
         "y": f"{y:.3f}",
         "z": f"{track.position[i, 2]:.3f}",
         "angle": f"{(90 - math.degrees(heading)) % 360:.2f}",
-        "type": _SUMO_CLASS.get(track.kind, "passenger"),
+        "type": _SUMO_CLASS.get(track.vehicle_class, "passenger"),
         "speed": f"{track.speed[i]:.3f}",
         "acceleration": f"{track.along[i]:.3f}",
     }

@@ -1,4 +1,4 @@
-"""Tracks drawn into their footage: box, number, body type and speed of each vehicle."""
+"""Tracks drawn into their footage: box, number, class and speed of each vehicle."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -56,5 +56,5 @@ def _drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
         corners = np.rint([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]).astype(np.int32)
         cv2.polylines(picture, [corners], True, color, _THICK, cv2.LINE_AA)
         number, _, speed = map_signs.label(track, i).partition("  ")
-        write(picture, "  ".join(filter(None, (f"{number} {track.kind}", speed))), (round(x), round(y) - 5))
+        write(picture, "  ".join(filter(None, (f"{number} {track.vehicle_class}", speed))), (round(x), round(y) - 5))
     return picture

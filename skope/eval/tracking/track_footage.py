@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
+from skope.dataset.folder import FOLLOWED
 from skope.errors import UserError
 from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
@@ -122,7 +123,7 @@ def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[
         if (row := next(earlier, None)) is not None:
             found = [detection_from_dict(entry) for entry in row["sights"]]
         else:
-            found = detections_of(locate_view(view, job.scene), linked=job.scene.results is not None)
+            found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED) is True)
             progress.add({"sights": [detection_to_dict(detection) for detection in found]})
         refused.update(one.refused for one in found if one.refused)
         yield found

@@ -14,6 +14,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.kalman import State
+from skope.eval.tracking.vehicle_classes import vehicle_class
 from skope.types import Array
 
 _BOX_S: Final = 0.5
@@ -30,6 +31,11 @@ class Track:
 
     number: int
     kind: str
+    """The body type that most poses have."""
+    vehicle_class: str
+    """Of `skope.eval.tracking.vehicle_classes`."""
+    class_confidence: float
+    """Probability that the class is right, 0 to 1."""
     size_lwh: Array
     """(3,) median, metres."""
     frames: NDArray[np.intp]
@@ -246,10 +252,13 @@ def finished(track: OpenTrack, number: int) -> Track:
     track.parts = []  # twice the memory otherwise
     states, measured = columns["states"], np.isfinite(columns["headings"])
     times = columns["times_s"]
+    vehicle, confidence = vehicle_class(track.kinds)
     z = np.interp(times, times[measured], columns["heights"][measured])
     return Track(
         number=number,
         kind=track.kinds.most_common(1)[0][0],
+        vehicle_class=vehicle,
+        class_confidence=confidence,
         size_lwh=np.median(columns["sizes"][measured], axis=0),
         frames=columns["frames"],
         times_s=times,

@@ -36,6 +36,8 @@ def track(number: int, places: Any, *, size: tuple[float, float, float] = (4.5, 
     return Track(
         number=number,
         kind="car",
+        vehicle_class="car",
+        class_confidence=0.9,
         size_lwh=np.array(size),
         frames=np.arange(count),
         times_s=np.arange(count) / 10,

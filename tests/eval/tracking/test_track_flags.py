@@ -1,0 +1,101 @@
+"""What tracks are distrusted for, and their classes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skope.eval.tracking.track_flags import flagged
+from skope.eval.tracking.tracks import Track
+from skope.eval.tracking.vehicle_classes import CLASSES, vehicle_class
+
+
+def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = None) -> Track:
+    """A track along points (M, 2), evenly in time."""
+    places = np.asarray(xy, dtype=float)
+    count = len(places)
+    times = np.linspace(0, seconds, count)
+    velocity = np.gradient(places, times, axis=0)
+    measured = np.ones(count, dtype=bool)
+    if poses is not None:
+        measured[:] = False
+        measured[np.linspace(0, count - 1, poses).astype(int)] = True
+    return Track(
+        number=number,
+        kind="suv",
+        vehicle_class="car",
+        class_confidence=0.9,
+        size_lwh=np.array([4.5, 1.8, 1.6]),
+        frames=np.arange(count),
+        times_s=times,
+        position=np.column_stack([places, np.zeros(count)]),
+        velocity=velocity,
+        acceleration=np.gradient(velocity, times, axis=0),
+        heading=np.arctan2(velocity[:, 1], velocity[:, 0]),
+        position_sigma=np.full(count, 0.1),
+        speed_sigma=np.full(count, 0.2),
+        measured=measured,
+        boxes=np.zeros((count, 4)),
+        scores=np.ones(count),
+        truth_ids=np.full(count, -1, dtype=np.int64),
+    )
+
+
+def along(y: float, speed: float, count: int = 60) -> np.ndarray:
+    return np.column_stack([np.linspace(0, 6 * speed, count), np.full(count, y)])
+
+
+def flags(*tracks: Track) -> list[tuple[str, ...]]:
+    return [one.flags for one in flagged(tracks)]
+
+
+def test_plain_tracks_have_no_flags() -> None:
+    turn = np.linspace(0, np.pi / 2, 60)
+    corner = np.column_stack([20 * np.sin(turn), 20 - 20 * np.cos(turn)])
+    assert flags(track(1, along(0, 12)), track(2, along(3.5, -12)), track(3, corner)) == [(), (), ()]
+
+
+def test_two_poses_and_standing_still_are_told() -> None:
+    rng = np.random.default_rng(0)
+    sign = [5.0, 3.0] + rng.normal(0, 0.1, (60, 2))
+    queue = np.concatenate([np.zeros((50, 2)), along(0, 5, 10) * 0.3])
+    assert flags(track(1, along(0, 12), poses=2), track(2, sign), track(3, queue)) == [
+        ("two_poses",),
+        ("never_moved",),
+        (),
+    ]
+
+
+def test_who_turns_round_on_the_spot_is_two_vehicles() -> None:
+    times = np.linspace(0, 6, 60)
+    x = np.cumsum(np.clip(24 * (3 - times), -20, 20)) * 0.1
+    assert flags(track(1, np.column_stack([x, np.zeros(60)]))) == [("impossible_motion",)]
+
+
+@pytest.mark.parametrize(("others", "told"), [(6, True), (3, False)])
+def test_one_against_all_others_is_told(others: int, told: bool) -> None:
+    lane = [track(k + 2, along(0.2 * k, 14)[::-1]) for k in range(others)]
+    assert ("against_traffic" in flags(track(1, along(0.3, 12)), *lane)[0]) == told
+
+
+def test_where_others_drive_along_too_nobody_is_against_traffic() -> None:
+    lane = [track(k + 2, along(0.2 * k, 14)[::-1]) for k in range(6)]
+    assert flags(track(1, along(0.3, 12)), track(20, along(0.5, 9)), *lane)[0] == ()
+
+
+def test_the_cameras_error_widens_what_a_track_says() -> None:
+    one = track(1, along(0, 12))
+    wide = one.under(0.05, np.array([-10.0, 0.0]))
+    assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))
+    away = np.linalg.norm(one.position[:, :2] - [-10, 0], axis=1)
+    assert wide.position_sigma == pytest.approx(np.hypot(0.1, 0.05 * away))
+
+
+def test_classes_are_coarse_and_say_how_sure_they_are() -> None:
+    assert vehicle_class({"hatchback": 20, "city_car": 15, "suv": 3}) == ("car", pytest.approx(5.5 / 6))
+    assert vehicle_class({"truck": 8, "box_truck": 7, "bus": 1})[0] == "lorry"
+    assert vehicle_class({"van": 30, "suv": 28})[0] == "unknown"
+    few, many = vehicle_class({"bus": 2}), vehicle_class({"bus": 40})
+    assert few[0] == many[0] == "bus"
+    assert few[1] < many[1] < 1
+    assert {name for name, _ in (few, many)} < set(CLASSES)
