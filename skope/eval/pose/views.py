@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,11 +14,13 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
+from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
 from skope.eval.pose.ground import Ground
 from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.terminal.console import counted
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -233,10 +235,10 @@ def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
     longest = int(np.bincount(part).argmax())
     kept = np.flatnonzero(part == longest)
     words = (
-        f"{file.name}: the view changes {len(changes)} times; taken is the longest part, from {seconds[kept[0]]:.1f} "
-        f"to {seconds[kept[-1]]:.1f} s"
+        f"{file.name}: the view changes ({counted(len(changes), 'time')}); taken is the longest part, "
+        f"from {seconds[kept[0]]:.1f} to {seconds[kept[-1]]:.1f} s"
     )
-    return replace(file, images=tuple(file.images[i] for i in kept)), words
+    return part_of(file, (file.images[i] for i in kept)), words
 
 
 def _size(file: AnnotationFile) -> tuple[int, int] | None:

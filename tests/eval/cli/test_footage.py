@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import threading
 import time
 import xml.etree.ElementTree as ET
@@ -19,6 +20,7 @@ import sumolib
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera
+from skope.dataset.folder import CHANGES
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
@@ -645,3 +647,61 @@ def test_coordinates_may_be_of_any_size(skope: Any, away: tuple[float, float, fl
         for axis, shift in zip("xyz", away, strict=True):
             assert float(other[axis]) == pytest.approx(float(one[axis]) + shift, abs=3e-3)
         assert float(other["speed"]) == pytest.approx(float(one["speed"]), abs=3e-3)
+
+
+def test_only_one_view_of_a_video_is_tracked(skope: Any) -> None:
+    """The longest: another one's camera is not known."""
+    file = drive(4, 5, speeds=(8.0, 3.0))
+    changes = [{"time_s": 2.5, "cut": True, "shift": 0.0}]
+    coco.write(Path("road.json"), replace(file, info={**file.info, CHANGES: changes}))
+    code, out, error = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t")
+    assert code == 0, error
+    assert "road: the view changes (1 time); taken is the longest part, from 0.0 to 2.4 s" in out
+    rows = list(csv.DictReader(Path("t/tracks.csv").read_text().splitlines()))
+    assert max(float(row["time_s"]) for row in rows) == pytest.approx(2.4)
+    coco.write(Path("bad.json"), replace(file, info={**file.info, CHANGES: [{"cut": True}]}))
+    code, _, error = skope("eval", "track", "--annotations", "bad.json", "--out", "u")
+    assert (code, error) == (2, "skope: bad: info.view_changes: expected objects with time_s\n")
+
+
+def test_the_cameras_uncertainty_goes_on_to_tracks(skope: Any) -> None:
+    coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
+    camera = {"width": CAMERA.width, "height": CAMERA.height, **CAMERA.to_dict()}
+    told = {}
+    for name, sigma in (("sure", {}), ("unsure", {"sigma": {"distance": 0.05}})):
+        Path(f"{name}.json").write_text(json.dumps({**camera, **sigma}))
+        call = ("--annotations", "road.json", "--noise", 1, "--camera", f"{name}.json", "--out", name)
+        code, out, error = skope("eval", "track", *call)
+        assert code == 0, error
+        assert ("may be off by 10%" in out) == (name == "unsure")
+        told[name] = list(csv.DictReader(Path(f"{name}/tracks.csv").read_text().splitlines()))
+    for one, other in zip(told["sure"], told["unsure"], strict=True):
+        wider = math.hypot(float(one["sigma_speed"]), 0.05 * float(one["speed"]))
+        assert float(other["sigma_speed"]) == pytest.approx(wider, abs=2e-3)
+        assert float(other["sigma_position"]) > float(one["sigma_position"])
+
+
+def test_tracks_are_drawn_into_their_footage(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    video = numbered_video(tmp_path / "site.mp4", 6)
+    camera = Camera.looking([0, 0, 6], yaw=0, pitch_down=0.4, size=(96, 64))
+    Path("k.json").write_text(json.dumps({"width": 96, "height": 64, **camera.to_dict()}))
+    code, out, error = skope(
+        "eval", "predict", video, "--checkpoint", random_run, "--camera", "k.json", "--out", "seen"
+    )
+    assert code == 0, error
+    assert re.search(r"^\d+ vehicles?.* in 6 images$", out, re.MULTILINE)
+    code, _, error = skope("eval", "track", "seen", "--overlay", "--out", "t")
+    assert code == 0, error
+    capture = cv2.VideoCapture("t/overlay.mp4")
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 6
+    coco.write(Path("road.json"), drive(1, 5, speeds=(8.0,)))
+    code, _, error = skope("eval", "track", "--annotations", "road.json", "--overlay", "--out", "u")
+    assert code == 2
+    assert "does not say where its footage is" in error
+
+
+@pytest.mark.parametrize(("flag", "value"), [("--height", "0.1"), ("--fov", "190")])
+def test_what_cannot_be_of_a_camera_is_refused(skope: Any, flag: str, value: str) -> None:
+    code, _, error = skope("eval", "camera", "--annotations", "road.json", flag, value)
+    assert (code, error.count("\n")) == (2, 1)
+    assert f"{flag}: expected a number from" in error

@@ -117,3 +117,26 @@ def test_videos_without_vehicles_or_of_one_frame() -> None:
     assert between([], 7, 3) == [[]] * 7
     assert list(with_frames_between(iter([]), lambda _: [], 4)) == []
     assert len(between([lambda k: (50.0, 50.0)], 1, 4)[0]) == 1
+
+
+def test_a_vehicle_keeps_its_name_and_gives_it_to_nobody_else() -> None:
+    """Also where a key frame misses one that both others show: it is another one then, which tracks mend."""
+    found = between([speeding_up, lambda k: (200.0, 20.0)], 12, 5)
+    assert {tuple(sorted(one.track_id or 0 for one in here)) for here in found} == {(1, 2)}
+    for k, here in enumerate(found):
+        moving = min(here, key=lambda one: abs(one.bbox[1] - speeding_up(k)[1]))
+        assert moving.track_id == 1
+    missed = between([lambda k: (40.0, 40.0)], 11, 5, hidden=[(0, 5)])
+    assert {one.track_id for here in missed for one in here} == {1, 2}
+
+
+def test_a_run_that_goes_on_keeps_the_names() -> None:
+    def find(frame: tuple[Image, NDArray[np.uint8]]) -> list[Result]:
+        return [vehicle(frame[0].id, (30.0 + 2 * frame[0].id, 50.0)), vehicle(frame[0].id, (200.0, 20.0))]
+
+    frames = drawn(11, [lambda k: (32.0 + 2 * k, 50.0), lambda k: (200.0, 20.0)])
+    whole = [[one.track_id for one in found] for _, found, _ in with_frames_between(iter(frames), find, 5)]
+    later = [
+        [one.track_id for one in found] for _, found, _ in with_frames_between(iter(frames[5:]), find, 5, whole[5])
+    ]
+    assert later == whole[5:]
