@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import json
 import os
 import re
 import runpy
@@ -16,6 +17,7 @@ from typing import Any, Final
 
 import pytest
 
+from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose
@@ -66,6 +68,12 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_import.py", "--images 2 --rounds 1", says="AP: differs from pycocotools' by 0.0", apart=True),
     Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
     Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
+    Run(
+        "bench_tracks.py",
+        "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
+        says="v.mp4                 track",
+    ),
+    Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
     Run(
         "bench_predict.py",
         "{footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
@@ -150,7 +158,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> di
     numbered_video(folder / "footage" / "v.mp4", 3)
     images = tuple(replace(image, time_s=0.1 * image.id) for image in (make_image(1), make_image(2), make_image(3)))
     coco.write(folder / "footage" / "v.json", AnnotationFile(images=images, annotations=()))
+    camera = Camera.looking([0, 0, 6], yaw=0, pitch_down=0.4, size=(96, 64))
+    (folder / "camera.json").write_text(json.dumps({"width": 96, "height": 64, **camera.to_dict()}))
     return {
+        "camera": folder / "camera.json",
         "dataset": dataset,
         "labels": dataset / "labels.json",
         "predictions": folder / "predictions.json",
