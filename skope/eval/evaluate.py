@@ -12,12 +12,12 @@ from skope.dataset.folder import read_image
 from skope.dataset.image_selection import take
 from skope.errors import UserError
 from skope.eval import report
-from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
 from skope.eval.report import table
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
 from skope.files.output_folders import claim_output
+from skope.files.progress import Progress
 from skope.metrics import precision_recall, read_inputs
 from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth

@@ -24,11 +24,11 @@ from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.progress import Progress
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange, changes
 from skope.files.atomic import replacing
 from skope.files.output_folders import claim_output
+from skope.files.progress import Progress
 from skope.files.reading import sha256_of
 from skope.keypoints import Scheme
 from skope.pictures import draw

@@ -1,10 +1,9 @@
 """Vehicles in the world, one record each, and the files that hold them: JSON Lines and CSV."""
 
 import csv
-import io
 import itertools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
-from skope.files.atomic import write_text
+from skope.files.atomic import replacing
 from skope.keypoints import WHEELS
 from skope.types import Array
 
@@ -100,16 +99,18 @@ _COLUMNS: Final = (
 )  # fmt: skip
 
 
-def write_poses(folder: Path, rows: Iterable[dict[str, Any]]) -> list[Path]:
-    """Write `poses.jsonl` and `poses.csv` into a folder; returns their paths."""
-    kept = list(rows)
+def write_poses(folder: Path, rows: Callable[[], Iterable[dict[str, Any]]]) -> list[Path]:
+    """Write `poses.jsonl` and `poses.csv` into a folder; returns their paths.
+
+    `rows` gives the rows, once for each file: an hour of footage has more than fit into memory.
+    """
     paths = [folder / "poses.jsonl", folder / "poses.csv"]
-    write_text(paths[0], "".join(json.dumps(row, allow_nan=False) + "\n" for row in kept))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    writer.writerows(_cells(row) for row in kept)
-    write_text(paths[1], text.getvalue())
+    with replacing(paths[0]) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows())
+    with replacing(paths[1]) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows(_cells(row) for row in rows())
     return paths
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.dataset.folder import FOLLOWED
 from skope.errors import UserError
-from skope.eval.inference.progress import Progress
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
 from skope.eval.tracking import birdseye, birdseye_video, export, overlay
@@ -23,6 +22,7 @@ from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing, write_text
+from skope.files.progress import Progress
 from skope.pictures.video import write_video
 from skope.terminal.console import Console, counted
 

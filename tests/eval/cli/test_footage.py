@@ -24,12 +24,12 @@ from skope.dataset.folder import CHANGES
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
-from skope.eval.inference.progress import Progress
-from skope.eval.pose import fit_camera, pose_errors
+from skope.eval.pose import fit_camera, pose_errors, pose_footage
 from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.views import Scene
 from skope.files.json_files import write_json
+from skope.files.progress import Progress
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from tests.eval.inference import streams
 from tests.eval.pose.test_solver import drawn
@@ -705,3 +705,26 @@ def test_what_cannot_be_of_a_camera_is_refused(skope: Any, flag: str, value: str
     code, _, error = skope("eval", "camera", "--annotations", "road.json", flag, value)
     assert (code, error.count("\n")) == (2, 1)
     assert f"{flag}: expected a number from" in error
+
+
+def test_a_stopped_run_of_poses_goes_on_to_the_same_bytes(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    coco.write(Path("road.json"), drive(1, 5, speeds=(8.0, 3.0)))
+    call = ("eval", "pose", "--annotations", "road.json", "--noise", 1, "-q")
+    assert skope(*call, "--out", "whole")[0] == 0
+    located: list[int] = []
+    real = pose_footage.locate_view
+
+    def stops(view: Any, scene: Any) -> Any:
+        located.append(view.image.id)
+        if len(located) == 3:
+            raise KeyboardInterrupt
+        return real(view, scene)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pose_footage, "locate_view", stops)
+        assert skope(*call, "--out", "stopped")[0] != 0
+    code, out, error = skope("eval", "pose", "--annotations", "road.json", "--noise", 1, "--out", "stopped")
+    assert code == 0, error
+    assert "going on after the poses of 2 images" in out
+    for name in ("poses.jsonl", "poses.csv", "pose_errors.json"):
+        assert Path("stopped", name).read_bytes() == Path("whole", name).read_bytes()

@@ -10,7 +10,7 @@ import pytest
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.inference import progress
-from skope.eval.inference.progress import Progress
+from skope.files.progress import Progress
 
 
 def picture(path: Path, shape: tuple[int, ...] = (60, 80, 3)) -> Path:

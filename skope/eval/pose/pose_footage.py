@@ -1,0 +1,72 @@
+"""`skope eval pose`: the pose of every vehicle in every image, written as it comes, so that a stopped run goes on."""
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from skope.eval.pose.pose_errors import measure, summary, table
+from skope.eval.pose.records import INTERPOLATED, locate_view, records, write_poses
+from skope.eval.pose.views import Scene
+from skope.files.json_files import write_json
+from skope.files.progress import Progress
+from skope.terminal.console import Console
+
+_PROGRESS: Final = ".vehicles.jsonl"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseJob:
+    """Whose poses to work out, and where to write them."""
+
+    scene: Scene
+    out: Path
+    score: float
+    """Detections above this are taken."""
+    sigma_px: float | None
+    """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
+    noise: Sequence[float]
+    """Standard deviations of the noise that is added to labelled keypoints, pixels: poses have the first of them,
+    errors are measured with each."""
+
+
+def run(job: PoseJob, console: Console) -> Iterator[str]:
+    """Work out the poses and write them under `job.out`; yields lines that say what was written and found."""
+    scene = job.scene
+    progress = Progress(job.out / _PROGRESS, ("rows",))
+    if progress.count:
+        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+    with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
+        bar.update(progress.count)
+        views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise[0])
+        for view in itertools.islice(views, progress.count, None):
+            progress.add({"rows": list(records(locate_view(view, scene)))})
+            bar.update()
+    reasons = Counter[str | None]()
+
+    def rows() -> Iterator[dict[str, Any]]:
+        return itertools.chain.from_iterable(row["rows"] for row in progress.rows())
+
+    reasons.update(row["refused"] for row in rows())
+    for path in write_poses(job.out, rows):
+        yield f"wrote {path}"
+    between = reasons.pop(INTERPOLATED, 0)
+    found = reasons.total()
+    besides = f"; {between} more were followed between key frames and have none" if between else ""
+    yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} refused{besides}"
+    if scene.has_truth:
+        yield from _errors(job)
+    progress.end()
+
+
+def _errors(job: PoseJob) -> Iterator[str]:
+    """Write how far off the poses are where the truth is known."""
+    summaries = {}
+    for level in job.noise if job.scene.results is None else (0.0,):
+        name = f"labels with {level:g} px of noise" if job.scene.results is None else "predictions"
+        summaries[name] = summary(measure(job.scene, noise=level, score=job.score, sigma_px=job.sigma_px))
+        yield from table(f"{name}: median (90%, 99%)", summaries[name])
+    write_json(job.out / "pose_errors.json", summaries)
+    yield f"wrote {job.out / 'pose_errors.json'}"
