@@ -1,5 +1,6 @@
 """Tracks seen from above, as a video of outlines that move over the road."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -103,5 +104,7 @@ def write(
     (width, height), _ = cv2.getTextSize(text, _FONT, size, 1)
     x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
     y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
-    for thick, ink in ((4, (255, 255, 255)), (1, color)):
-        cv2.putText(picture, text, (x, y), _FONT, size, ink, thick, cv2.LINE_AA)
+    # Thicker letters may be wider, and would not lie under the thin ones.
+    for dx, dy in itertools.product((-1, 0, 1), repeat=2):
+        cv2.putText(picture, text, (x + dx, y + dy), _FONT, size, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(picture, text, (x, y), _FONT, size, color, 1, cv2.LINE_AA)

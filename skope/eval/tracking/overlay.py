@@ -19,6 +19,8 @@ from skope.schema import AnnotationFile
 
 Pixels = NDArray[np.uint8]
 
+_LABELLED: Final = 0.05
+"""Boxes that are longer than this share of the picture's width have words beside them: far ones lie close together."""
 _THICK: Final = 2
 """Lines of boxes, pixels."""
 
@@ -55,6 +57,8 @@ def _drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
         color = PALETTE[track.number % len(PALETTE)]
         corners = np.rint([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]).astype(np.int32)
         cv2.polylines(picture, [corners], True, color, _THICK, cv2.LINE_AA)
+        if max(w, h) < _LABELLED * picture.shape[1]:
+            continue
         number, _, speed = map_signs.label(track, i).partition("  ")
         write(picture, "  ".join(filter(None, (f"{number} {track.vehicle_class}", speed))), (round(x), round(y) - 5))
     return picture
