@@ -59,8 +59,9 @@ _INFLATION: Final = 1.5
 95% intervals hold the truth of generated cameras as often (docs/from-camera-to-tracks.md)."""
 _FOCAL_FLOOR: Final = 0.03
 """Standard deviation of the focal length, and of what goes with it, that stays with many vehicles, as a share."""
-_FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.02, 0.01])
-"""The same of the other unknowns: fleets differ from the shape space, lenses from one coefficient."""
+_FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
+"""The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
+nothing in the image tells, and lenses are bent by more than one coefficient says."""
 _STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
 
