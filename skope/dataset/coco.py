@@ -349,17 +349,28 @@ def _separated(rows: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def result_to_dict(result: Result) -> dict[str, Any]:
-    """One element of a results file."""
-    points = np.concatenate([np.round(result.keypoints[:, :2], 2), np.round(result.keypoints[:, 2:], 4)], axis=1)
+    """One element of a results file; what was followed between key frames, most of it, is rounded to pixels."""
     return {
         "image_id": result.image_id,
         "category_id": result.category_id,
-        "bbox": _rounded(result.bbox, 2),
-        "keypoints": (points + 0.0).ravel().tolist(),
+        "bbox": _rounded(result.bbox, 1 if result.interpolated else 2),
+        "keypoints": _followed_points(result) if result.interpolated else _points(result),
         "score": round(result.score, 6),
         **({} if result.track_id is None else {"track_id": result.track_id}),
         **({"interpolated": True} if result.interpolated else {}),
     }
+
+
+def _points(result: Result) -> list[float]:
+    points = np.concatenate([np.round(result.keypoints[:, :2], 2), np.round(result.keypoints[:, 2:], 4)], axis=1)
+    return list((points + 0.0).ravel().tolist())
+
+
+def _followed_points(result: Result) -> list[float]:
+    """Whole pixels, and probabilities in tenths."""
+    places = np.rint(result.keypoints[:, :2]).astype(np.int64).tolist()
+    sure = np.round(result.keypoints[:, 2], 1).tolist()
+    return [value for (x, y), p in zip(places, sure, strict=True) for value in (x, y, int(p) if p in (0.0, 1.0) else p)]
 
 
 def write_results(path: Path, results: Iterable[Result]) -> None:

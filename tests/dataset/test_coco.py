@@ -1,6 +1,6 @@
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -287,3 +287,17 @@ def test_points_that_were_not_found_are_no_part_of_the_box() -> None:
     points[:, 2] = 0
     with pytest.raises(UserError, match="bbox: missing, and no keypoint has a score"):
         coco.result_from_dict({"image_id": 1, "keypoints": points.ravel().tolist(), "score": 0.9})
+
+
+def test_what_was_followed_is_rounded_to_pixels_and_keeps_its_name(tmp_path: Path) -> None:
+    points = np.column_stack([np.linspace(10.26, 90.74, 33), np.linspace(5.5, 60.25, 33), np.linspace(0, 1, 33)])
+    one = Result(image_id=1, score=0.9, bbox=np.array([1.234, 2.345, 30.456, 40.567]), keypoints=points, track_id=7)
+    coco.write_results(tmp_path / "r.json", [one, replace(one, interpolated=True)])
+    found, followed = coco.read_results(tmp_path / "r.json")
+    assert (found.track_id, followed.track_id) == (7, 7)
+    assert np.abs(found.keypoints - points).max() < 0.0051
+    assert np.abs(followed.keypoints[:, :2] - points[:, :2]).max() <= 0.5
+    assert np.abs(followed.keypoints[:, 2] - points[:, 2]).max() < 0.051
+    assert (followed.keypoints[:, :2] % 1 == 0).all()
+    with pytest.raises(UserError, match="track_id"):
+        replace(one, track_id=-1)
