@@ -16,7 +16,7 @@ for each vehicle, which says how differently single vehicles pull.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Final, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -281,14 +281,14 @@ class BundleAdjustment:
         vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
         damping = np.full(self._views.count, _DAMPING)
         counted = self._counted(bundle)
-        here = self._linearised(bundle, counted, shared=False)
+        here = self._linearised(bundle, counted, by="nothing")
         for step in range(_FEW_STEPS):
             if step == _LOOK_AGAIN:
                 counted = self._counted(bundle)
-                here = self._linearised(bundle, counted, shared=False)
+                here = self._linearised(bundle, counted, by="nothing")
             parts = here.without_poses(vehicle, bundle.shape, damping)
             ahead = bundle.moved(still, *parts.back(still, vehicle))
-            there = self._linearised(ahead, counted, shared=False)
+            there = self._linearised(ahead, counted, by="nothing")
             better = there.vehicle_cost < here.vehicle_cost
             bundle, here = bundle.where(better, ahead, vehicle), here.where(better, there, vehicle)
             damping = np.where(better, damping / 5, damping * 10)
@@ -330,8 +330,20 @@ class BundleAdjustment:
         eye = height * np.column_stack([-cos * u - sin * v, sin * u - cos * v, np.ones_like(u)])
         return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
 
-    def _linearised(self, bundle: Bundle, counted: Mask, *, shared: bool = True) -> "_Linearised":
-        """Costs and normal equations; those of the shared unknowns only where they are asked for."""
+    def unevenness(self, solved: Solved) -> float:
+        """How far views lie off the road, up or down, in the median and in standard deviations of their heights."""
+        here, count = self._linearised(solved.bundle, solved.counted, by="height"), len(self._views.found)
+        parts = here.without_poses(np.arange(count), np.zeros((count, 0)), np.zeros(count))
+        information = np.maximum(parts.information[:, 0, 0], 1e-12)
+        return float(np.median(np.abs(parts.pull[:, 0]) / np.sqrt(information)))
+
+    def _linearised(
+        self, bundle: Bundle, counted: Mask, *, by: Literal["shared", "height", "nothing"] = "shared"
+    ) -> "_Linearised":
+        """Costs and normal equations, beside pose and shape in the shared unknowns.
+
+        In place of these `by` may say the height of each view over the road, the shapes being as they are.
+        """
         views, camera = self._views, bundle.camera
         kind, height, focal = bundle.kind[views.vehicle], math.exp(camera[HEIGHT]), math.exp(camera[FOCAL])
         directions = self._directions[kind]
@@ -362,7 +374,9 @@ class BundleAdjustment:
         by_pose = np.concatenate([by_world[..., :2] * height, by_heading[..., None]], axis=-1)
         by_shape = np.einsum("bkil,bklm->bkim", by_body, directions, optimize=True)
         by_shared = np.zeros((*away.shape, 0))
-        if shared:
+        if by == "height":
+            by_shape, by_shared = by_shape[..., :0], by_world[..., 2:]
+        elif by == "shared":
             by_shared = np.zeros((*away.shape, _UNKNOWNS))
             for i, step in enumerate(_STEP * np.eye(len(CAMERA))):
                 # Places are multiples of the height, and grow with it.

@@ -14,6 +14,8 @@ AGREE: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
 _LEAST_AGREEMENT: Final = 0.92
 """Share of the keypoints that are not hidden which must agree; of right cameras it is 0.95 to 1."""
+_UNEVEN: Final = 0.6
+"""How far views may lie off the road, in the median and in standard deviations."""
 _UNKNOWN: Final = 0.12
 """Standard deviation of ways on the road, as a share of them, from which a camera is worth nothing."""
 _UNKNOWN_FOCAL: Final = 0.3
@@ -45,6 +47,7 @@ def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
     """
     tests: Sequence[Callable[[], str | None]] = (
         lambda: _disagreement(estimate),
+        lambda: _uneven(estimate),
         lambda: _over_the_horizon(estimate, lower_edges),
         lambda: _unknown(estimate),
         lambda: _as_likely(estimate),
@@ -74,6 +77,12 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
         f"under the likeliest one {1 - share:.0%} of their keypoints lie where they cannot: the road is no plane, the "
         "lens bends straight lines much, or the detector is wrong here"
     )
+
+
+def _uneven(estimate: CameraEstimate) -> str | None:
+    if estimate.unevenness <= _UNEVEN:
+        return None
+    return "the vehicles do not stand on one plane, or the lens bends straight lines more than one coefficient says"
 
 
 def _over_the_horizon(estimate: CameraEstimate, lower_edges: Array) -> str | None:

@@ -85,6 +85,8 @@ class CameraEstimate:
     views: VehicleViews
     covariance: Array
     """(5, 5) of the unknowns that `skope.eval.pose.bundle_adjustment.CAMERA` names."""
+    unevenness: float
+    """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: "Rival | None"
     """The likeliest of other cameras."""
 
@@ -140,6 +142,7 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
         solved=best,
         views=views,
         covariance=_widened(best.covariance()),
+        unevenness=adjustment.unevenness(best),
         rival=Rival(others[0].bundle.camera, others[0].cost - best.cost) if others else None,
     )
 

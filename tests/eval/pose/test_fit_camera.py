@@ -87,6 +87,8 @@ def test_each_doubt_has_its_sentence() -> None:
     assert "above the horizon" in str(why_not(estimate, np.concatenate([edges[:50], sky])))
     vague = replace(estimate, covariance=100 * estimate.covariance)
     assert "distances along the road are known within" in str(why_not(vague, edges))
+    assert estimate.unevenness < 0.5
+    assert "do not stand on one plane" in str(why_not(replace(estimate, unevenness=0.7), edges))
     other = estimate.solved.bundle.camera + np.array([0.0, 0.0, 0.0, 0.3, 0.0])
     assert "two are about as likely" in str(why_not(replace(estimate, rival=Rival(other, 2.0)), edges))
     assert why_not(replace(estimate, rival=Rival(other, 20.0)), edges) is None
@@ -124,3 +126,18 @@ def test_a_camera_file_says_how_certain_it_is(skope: Any) -> None:
     assert np.array(document["covariance"]["matrix"]).shape == (5, 5)
     assert 0 < document["sigma"]["distance"] < 0.13
     assert "(95%: " in out
+
+
+def test_a_road_that_rises_is_no_plane() -> None:
+    """Half of the vehicles stand a metre higher than the others: of a camera 4.8 m over the road a fifth."""
+    views, truth, edges = stored("day")
+    camera = camera_of(truth, SIZE)
+    bundle = fitted("day").solved.bundle
+    found = views.found.copy()
+    for row in np.flatnonzero(views.vehicle % 2):
+        place = np.array([[*(bundle.pose[row, :2] * camera.position[2]), 0.0]])
+        here, there = camera.project(place)[0], camera.project(place + [0.0, 0.0, 1.0])[0]
+        found[row, :, :2] += there - here
+    estimate = fit_camera(replace(views, found=found))
+    assert estimate.unevenness > fitted("day").unevenness
+    assert why_not(estimate, edges) is not None
