@@ -9,7 +9,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.inference import progress
+from skope.files import progress
 from skope.files.progress import Progress
 
 
