@@ -292,6 +292,7 @@ def test_a_loss_that_is_not_finite_names_the_images(tmp_path: Path) -> None:
     assert not run_folder.resumable(tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_room_is_asked_for_before_the_first_epoch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
     usage = shutil.disk_usage(tmp_path)

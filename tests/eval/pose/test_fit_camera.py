@@ -110,6 +110,7 @@ def test_half_of_the_vehicles_tell_the_same_within_what_both_say() -> None:
     assert (np.abs(apart) < 3 * sigma).all()
 
 
+@pytest.mark.slow
 def test_too_uncertain_a_camera_is_not_written(skope: Any) -> None:
     coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, 6.0, 12.0, -6.0, -9.0)))
     code, _, error = skope("eval", "camera", "--annotations", "road.json", "--noise", 9, "--out", "c.json")
@@ -129,6 +130,7 @@ def test_a_camera_file_says_how_certain_it_is(skope: Any) -> None:
     assert "(95%: " in out
 
 
+@pytest.mark.slow
 def test_a_road_that_rises_is_no_plane() -> None:
     """Half of the vehicles stand 1.5 m higher than the others, under a camera 4.8 m over the road."""
     views, truth, edges = stored("day")

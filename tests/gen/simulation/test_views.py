@@ -100,6 +100,7 @@ def test_a_recording_keeps_its_town(filmed: list[Recording], tmp_path: Path) -> 
         assert recordings.load(tmp_path / "r.npz").town == recording.town
 
 
+@pytest.mark.slow
 def test_frames_are_at_other_times(plans: Sequence[RecordingPlan]) -> None:
     """Two cameras side by side record the same vehicles, but not at the same places, and in other paint."""
     (busy,) = request(traffic=(2.0, 2.0), sites=("t05_market_first",)).simulations()
