@@ -56,7 +56,8 @@ _NEAR: Final = 0.3
 """Depth from which a keypoint is taken to lie before the camera, metres."""
 _START_CAP: Final = 300.0
 """What a view can cost at most where the vehicle's body type is chosen."""
-_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+"""On it vehicles are placed before they are adjusted."""
 _DAMPING: Final = 1e-3
 _STUCK: Final = 1e4
 """Damping from which the search gives up."""
@@ -162,8 +163,6 @@ class Solved:
     cost: float
     """Twice the negative log of the probability, but for a constant; other shapes that are about as likely are counted
     in (Laplace's approximation)."""
-    vehicle_cost: Array
-    """(N,) what each vehicle costs of that."""
     squared: Array
     """(B, 33) squared distances between keypoints and bodies in the image, in variances."""
     counted: Mask
@@ -204,7 +203,7 @@ def camera_of(unknowns: Array, size: tuple[int, int]) -> Camera:
 class BundleAdjustment:
     """The search for the likeliest camera, shapes and places, given views of vehicles."""
 
-    def __init__(self, views: VehicleViews, shapes: Shapes, known: "Known | None" = None) -> None:
+    def __init__(self, views: VehicleViews, shapes: Shapes, known: Known | None = None) -> None:
         """`known` says what is known of the camera beforehand; None: what is so of any."""
         known = known or Known()
         self._views, self._shapes = views, shapes
@@ -259,11 +258,9 @@ class BundleAdjustment:
                 damping = damping * 8
                 if damping[0] > _STUCK:
                     break
-        parts = here.without_poses(vehicle, bundle.shape, np.zeros(self._views.count))
-        each = here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
-        prior = float((self._prior * (bundle.shared - self._center) ** 2).sum())
-        cost = prior + float(each.sum())
-        return Solved(bundle, self._prior, cost, each, here.squared, counted, parts.information, parts.pull)
+        parts, each = self._whole(here, bundle)
+        cost = self._prior_cost(bundle) + float(each.sum())
+        return Solved(bundle, self._prior, cost, here.squared, counted, parts.information, parts.pull)
 
     def with_likeliest_types(self, bundle: Bundle) -> Bundle:
         """The same camera and offsets; of each vehicle the body type that is likeliest when its shape is fitted."""
@@ -292,8 +289,12 @@ class BundleAdjustment:
             better = there.vehicle_cost < here.vehicle_cost
             bundle, here = bundle.where(better, ahead, vehicle), here.where(better, there, vehicle)
             damping = np.where(better, damping / 5, damping * 10)
-        parts = here.without_poses(vehicle, bundle.shape, np.zeros(self._views.count))
-        return bundle, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
+        return bundle, self._whole(here, bundle)[1]
+
+    def _whole(self, here: "_Linearised", bundle: Bundle) -> tuple["_Parts", Array]:
+        """The normal equations' parts, not damped, and (N,) what each vehicle costs with shapes that are as likely."""
+        parts = here.without_poses(self._views.vehicle, bundle.shape, np.zeros(self._views.count))
+        return parts, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
 
     def _shared_step(self, parts: "_Parts", shared: Array, damping: float) -> Array:
         """(U,) a damped step of the shared unknowns."""
@@ -306,11 +307,14 @@ class BundleAdjustment:
         return step
 
     def _total(self, here: "_Linearised", bundle: Bundle) -> float:
-        return float(here.vehicle_cost.sum() + (self._prior * (bundle.shared - self._center) ** 2).sum())
+        return float(here.vehicle_cost.sum()) + self._prior_cost(bundle)
+
+    def _prior_cost(self, bundle: Bundle) -> float:
+        return float((self._prior * (bundle.shared - self._center) ** 2).sum())
 
     def _starts(self, camera: Array) -> Starts:
         seen = observe(camera_of(camera, self._views.size), self._views.found, self._views.sigma_px)
-        return initialize.on_ground(seen, self._shapes, _ROAD)
+        return initialize.on_ground(seen, self._shapes, ROAD)
 
     def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
         row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]

@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 
 from skope.eval.pose.bundle_adjustment import FOCAL, HEIGHT, camera_of
+from skope.eval.pose.candidates import INLIER
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
 
-AGREE: Final = 9.0
-"""Squared distance, in variances, up to which a keypoint agrees."""
 _LEAST_AGREEMENT: Final = 0.92
 """Share of the keypoints that are not hidden which must agree; of right cameras it is 0.95 to 1."""
 _UNEVEN: Final = 0.6
@@ -70,7 +69,7 @@ def sigma_of_ways(estimate: CameraEstimate) -> float:
 
 def _disagreement(estimate: CameraEstimate) -> str | None:
     solved = estimate.solved
-    share = float((solved.squared < AGREE)[solved.counted].mean())
+    share = float((solved.squared <= INLIER)[solved.counted].mean())
     if share >= _LEAST_AGREEMENT:
         return None
     return (

@@ -21,6 +21,7 @@ from skope.eval.pose.bundle_adjustment import (
     HEIGHT,
     K1,
     PITCH,
+    ROAD,
     ROLL,
     BundleAdjustment,
     Known,
@@ -28,12 +29,10 @@ from skope.eval.pose.bundle_adjustment import (
     VehicleViews,
     camera_of,
 )
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.types import Array
 
-_GROUND: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 _FOCAL: Final = np.geomspace(0.34, 2.9, 10)
 """Focal lengths of the grid, as multiples of the image's width: fields of view from 112 to 20 degrees."""
 _PITCH: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
@@ -45,7 +44,7 @@ _JUDGED: Final = (20, 60)
 _LEFT: Final = 100
 """How many cameras of the grid are judged by more views."""
 _CAP: Final = 150.0
-"""What a view can cost at most there."""
+"""What a view can cost at most, so that a false detection does not decide."""
 _APART: Final = 0.45
 """Cameras of the grid that are nearer to one another than this, in logarithms and twice radians, are one start."""
 _STARTS: Final = 10
@@ -87,7 +86,7 @@ class CameraEstimate:
     """(5, 5) of the unknowns that `skope.eval.pose.bundle_adjustment.CAMERA` names."""
     unevenness: float
     """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
-    rival: "Rival | None"
+    rival: Rival | None
     """The likeliest of other cameras."""
 
     @property
@@ -164,8 +163,8 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
 
         def cost(at: Array) -> float:
             seen = observe(camera_of(at, views.size), few.found, few.sigma_px)
-            least = initialize.on_ground(seen, shapes, _GROUND).cost.min(axis=1)
-            return float((_CAP * np.tanh(np.minimum(least, 1e6) / _CAP)).sum())
+            least = initialize.on_ground(seen, shapes, ROAD).cost.min(axis=1)
+            return float(capped(least).sum())
 
         return sorted(cameras, key=cost)
 
@@ -180,6 +179,11 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
         if len(out) == _STARTS:
             break
     return out
+
+
+def capped(cost: Array) -> Array:
+    """Costs of views that level off at `_CAP`, still smooth."""
+    return np.asarray(_CAP * np.tanh(np.minimum(cost, 1e6) / _CAP))
 
 
 def _distinct(solved: list[Solved]) -> list[Solved]:

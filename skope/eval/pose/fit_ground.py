@@ -22,6 +22,7 @@ from skope.eval.pose.bundle_adjustment import (
     camera_of,
 )
 from skope.eval.pose.candidates import best_types
+from skope.eval.pose.fit_camera import capped
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
 from skope.eval.pose.shape_model import fleet_shapes
@@ -38,8 +39,6 @@ _FEWEST: Final = 3
 """Vehicles that a road needs; a known camera tells more of each than an unknown one."""
 _FEWEST_PLACES: Final = 3
 """Places that a plane goes through."""
-_CAP: Final = 150.0
-"""What a vehicle can cost at most."""
 _UNEVEN: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
 """Standard deviations of the road's height over its plane, metres, that are tried."""
 _ROUNDS: Final = 5
@@ -171,11 +170,6 @@ def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
         level, flat = levelled(camera, replace(ground, height_sigma=sigma))
         fits = best_types(observe(level, views.found, views.sigma_px), fleet_shapes(), flat)
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
-        return float((_capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
+        return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 
     return min(_UNEVEN, key=surprise)
-
-
-def _capped(cost: Array) -> Array:
-    """Costs of vehicles that level off, still smooth, so that a false detection does not decide."""
-    return np.asarray(_CAP * np.tanh(np.minimum(cost, 1e6) / _CAP))

@@ -38,8 +38,6 @@ class Sample:
     views: VehicleViews
     numbered: bool
     """Whether vehicles are known from image to image; else each view counts as a vehicle."""
-    image: NDArray[np.intp]
-    """(B,) which of the scene's images each view is in."""
     lower_edges: Array
     """(P, 2) pixels of the middles of the lower edges of boxes, of all vehicles in images spread over the scene."""
 
@@ -104,14 +102,14 @@ def sample(
     chosen = sorted(order, key=lambda number: len(spread[number]) == 1)[:count]
     place = {(one.image, one.row): k for k, number in enumerate(chosen) for one in spread[number]}
     taken = [
-        (view.found[row], float(view.sigma_px[row]), place[i, row], i)
+        (view.found[row], float(view.sigma_px[row]), place[i, row])
         for i, (view, _) in enumerate(numbered_views())
         for row in range(len(view.found))
         if (i, row) in place
     ]
-    found, sigma, vehicle, image = zip(*taken, strict=True)
+    found, sigma, vehicle = zip(*taken, strict=True)
     views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size)
-    return Sample(views, known, np.array(image, dtype=np.intp), np.concatenate(lower))
+    return Sample(views, known, np.concatenate(lower))
 
 
 def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]:

@@ -56,7 +56,7 @@ def from_vehicles(
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
     _, pitch, _ = fit.camera.angles
-    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.image), 'view')}"
+    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
     if reason := why_not(fit, drawn.lower_edges):
         raise UserError(f"{told} do not tell the camera: {reason}. Marked points on the road tell it (--points)")
     ways = sigma_of_ways(fit)

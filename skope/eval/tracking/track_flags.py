@@ -56,7 +56,7 @@ def _never_moved(track: Track) -> bool:
 
 
 def _impossible(track: Track) -> bool:
-    """Whether it accelerates, brakes or turns for some time harder than tyres can, beyond what is uncertain of it."""
+    """Whether it accelerates, brakes or turns for some time harder than tyres can."""
     if len(track.times_s) < 2:
         return False
     force = np.linalg.norm(track.acceleration, axis=1)
