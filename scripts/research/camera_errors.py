@@ -23,8 +23,8 @@ from skope.dataset import coco
 from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.inference.confirmation import Confirmation
-from skope.eval.pose.bundle_adjustment import FOCAL, HEIGHT, PITCH
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
 from skope.eval.pose.fit_camera import fit_camera
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
@@ -72,7 +72,7 @@ def named(file: AnnotationFile, results: Sequence[Result]) -> list[Result]:
     return [replace(one, track_id=int(n)) for one, n in zip(found, numbers.tolist(), strict=True) if n >= 0]
 
 
-def on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
+def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
     """Of each track the places on the road that the camera sees, world."""
     places = defaultdict(list)
     for a in file.annotations:
@@ -92,9 +92,7 @@ def judged(estimate: Camera, camera: Camera, places: dict[int, Array]) -> tuple[
     """Errors of the logarithms of distances from the camera's foot, and of ways driven."""
     distances, ways = [], []
     for xyz in places.values():
-        rays, _ = estimate.rays(camera.project(xyz)[0])
-        x, y, down = (rays @ estimate.T_camera_world[:3, :3]).T
-        found = np.stack([x, y], axis=-1) * (-estimate.position[2] / np.minimum(down, -1e-6))[:, None]
+        found = on_road(estimate, camera.project(xyz)[0])
         true = xyz[:, :2] - camera.position[:2]
         distances += np.log(np.linalg.norm(found, axis=1) / np.linalg.norm(true, axis=1)).tolist()
         begin = 0
@@ -108,7 +106,7 @@ def judged(estimate: Camera, camera: Camera, places: dict[int, Array]) -> tuple[
 def measure(name: str, file: AnnotationFile, results: list[Result] | None) -> Row | None:
     camera = file.images[0].camera
     assert camera is not None
-    places = on_road(file, camera)
+    places = places_on_road(file, camera)
     level = float(np.median(np.concatenate([xyz[:, 2] for xyz in places.values()]))) if places else 0.0
     truth = np.array([math.log(camera.K[0, 0]), camera.angles[1], math.log(camera.position[2] - level)])
     focal, tilt, height = math.exp(truth[0]), math.degrees(truth[1]), math.exp(truth[2])

@@ -29,6 +29,13 @@ def camera(
         float | None, data_option(help="The camera's height over the road, metres, if that is known.")
     ] = None,
     fov: Annotated[float | None, data_option(help="The horizontal field of view, degrees, if that is known.")] = None,
+    length: Annotated[
+        list[str] | None,
+        data_option(
+            metavar="C,R,C,R,METRES",
+            help="A known length on the road: column and row of its two ends, metres; repeatable.",
+        ),
+    ] = None,
     noise: NoiseOption = 0.0,
     score: ScoreOption = 0.9,
     sigma: SigmaOption = None,
@@ -38,7 +45,7 @@ def camera(
 
     (`skope eval calibrate` is about a detector's keypoint scores.)
     """
-    from skope.eval.pose.write_camera import from_points, from_vehicles
+    from skope.eval.pose.write_camera import from_points, from_vehicles, known_length
 
     check_probability("--score", score)
     check_pixels("--noise", noise)
@@ -47,8 +54,8 @@ def camera(
         if value is not None and not 0.5 <= value <= most:
             raise UserError(f"{name}: expected a number from 0.5 to {most:g}, got {value:g}")
     if points is not None:
-        if height is not None or fov is not None:
-            raise UserError("--height and --fov: help vehicles; with --points the points tell both")
+        if height is not None or fov is not None or length:
+            raise UserError("--height, --fov and --length: help vehicles; with --points the points tell all")
         if keypoints.folder or keypoints.annotations or keypoints.predictions:
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
         lines = from_points(points, size, out)
@@ -62,6 +69,7 @@ def camera(
             sigma_px=sigma,
             height=height,
             fov_deg=fov,
+            lengths=[known_length(text) for text in length or ()],
             out=out,
         )
     for line in lines:

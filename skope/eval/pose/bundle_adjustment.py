@@ -22,38 +22,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera.model import Camera, Distortion
-from skope.eval.pose import initialize
+from skope.eval.pose import cauchy, initialize
+from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT, Pictured, by_camera, camera_of
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.normal_equations import Linearised, Parts, summed
 from skope.eval.pose.observations import LEAST_PROBABILITY, Mask, observe
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
 from skope.types import Array
 
-CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
-"""The camera's unknowns: natural logarithms of pixels and metres, radians."""
-FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(CAMERA))
 _STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
 """The camera's unknowns change by so much at most in a step."""
 _OFFSET: Final = 0.04
 """Standard deviation of a keypoint's offset, metres an axis."""
 _BUMPER_OFFSET: Final = 0.12
 """The same of the corners of bumpers, which people see at the outline, and models have under the lip."""
-_TAIL: Final = 9.0
-"""Squared distance, in variances, at which a keypoint's weight is half (Cauchy's distribution)."""
 _HIDDEN: Final = 6.0
 """What a keypoint costs that the body hides: else cameras would win that see little."""
 _MIDDLE_OFFSET: Final = 0.001
 """The same, to the side, of keypoints in the vehicle's middle."""
 _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
-_POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
-"""A pose changes by so much at most in a step: heights of the camera, radians."""
-_STEP: Final = 1e-4
-"""Step of the differences that tell derivatives by the camera's unknowns."""
-_NEAR: Final = 0.3
-"""Depth from which a keypoint is taken to lie before the camera, metres."""
 _START_CAP: Final = 300.0
 """What a view can cost at most where the vehicle's body type is chosen."""
 ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
@@ -73,8 +63,6 @@ _LOOK_AGAIN: Final = 3
 """Which keypoints bodies hide is worked out anew after so many steps."""
 _SETTLED: Final = 1e-5
 """The search ends when a step lowers the cost by less than this share of it."""
-_FARTHEST_RADIUS: Final = 2.0
-"""Distortion grows no more beyond this distance from the axis, at a depth of 1."""
 
 _GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
 """Keypoints with their mirror images; those in the vehicle's middle are their own."""
@@ -186,20 +174,6 @@ class Solved:
         return np.asarray(whole[: len(CAMERA), : len(CAMERA)])
 
 
-def camera_of(unknowns: Array, size: tuple[int, int]) -> Camera:
-    """The camera with the unknowns (5,), over (0, 0) and looking along x."""
-    bent = Distortion("brown", (float(unknowns[K1]), 0.0, 0.0, 0.0)) if unknowns[K1] else None
-    return Camera.looking(
-        [0, 0, math.exp(unknowns[HEIGHT])],
-        yaw=0,
-        pitch_down=float(unknowns[PITCH]),
-        roll=float(unknowns[ROLL]),
-        size=size,
-        fov=2 * math.atan(size[0] / 2 / math.exp(unknowns[FOCAL])),
-        distortion=bent,
-    )
-
-
 class BundleAdjustment:
     """The search for the likeliest camera, shapes and places, given views of vehicles."""
 
@@ -291,12 +265,12 @@ class BundleAdjustment:
             damping = np.where(better, damping / 5, damping * 10)
         return bundle, self._whole(here, bundle)[1]
 
-    def _whole(self, here: "_Linearised", bundle: Bundle) -> tuple["_Parts", Array]:
+    def _whole(self, here: Linearised, bundle: Bundle) -> tuple[Parts, Array]:
         """The normal equations' parts, not damped, and (N,) what each vehicle costs with shapes that are as likely."""
         parts = here.without_poses(self._views.vehicle, bundle.shape, np.zeros(self._views.count))
         return parts, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
 
-    def _shared_step(self, parts: "_Parts", shared: Array, damping: float) -> Array:
+    def _shared_step(self, parts: Parts, shared: Array, damping: float) -> Array:
         """(U,) a damped step of the shared unknowns."""
         normal = parts.information.sum(axis=0) + np.diag(self._prior)
         normal += np.diag(damping * np.diag(normal) + 1e-9)
@@ -306,7 +280,7 @@ class BundleAdjustment:
         step[: len(CAMERA)] = np.clip(step[: len(CAMERA)], -_STRIDE, _STRIDE)
         return step
 
-    def _total(self, here: "_Linearised", bundle: Bundle) -> float:
+    def _total(self, here: Linearised, bundle: Bundle) -> float:
         return float(here.vehicle_cost.sum()) + self._prior_cost(bundle)
 
     def _prior_cost(self, bundle: Bundle) -> float:
@@ -324,7 +298,7 @@ class BundleAdjustment:
         return Bundle(shared, kind, np.zeros((self._views.count, self._directions.shape[-1])), pose)
 
     def _by_vehicle(self, values: Array) -> Array:
-        return _summed(values, self._views.vehicle, self._views.count)
+        return summed(values, self._views.vehicle, self._views.count)
 
     def _counted(self, bundle: Bundle) -> Mask:
         """(B, 33) the keypoints that were found and that the bodies do not hide."""
@@ -343,7 +317,7 @@ class BundleAdjustment:
 
     def _linearised(
         self, bundle: Bundle, counted: Mask, *, by: Literal["shared", "height", "nothing"] = "shared"
-    ) -> "_Linearised":
+    ) -> Linearised:
         """Costs and normal equations, beside pose and shape in the shared unknowns.
 
         In place of these `by` may say the height of each view over the road, the shapes being as they are.
@@ -361,17 +335,15 @@ class BundleAdjustment:
         R[:, 0, 1], R[:, 2, 2] = -R[:, 1, 0], 1.0
         foot = np.column_stack([u, v, np.zeros_like(u)])
         world = body @ np.swapaxes(R, -1, -2) + height * foot[:, None]
-        pixels, depth = _projected(camera, views.size, world)
-        away = pixels - views.found[..., :2]
-        rest = focal * self._shapes.rest[kind] / np.maximum(depth, _NEAR)
-        variance = self._variance + rest**2
-        front = depth > _NEAR
-        squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        each = np.where(counted, _TAIL * np.log1p(squared / _TAIL), _HIDDEN * self._seen)
+        pictured = Pictured.of(camera, views.size, world)
+        away = pictured.pixels - views.found[..., :2]
+        variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
+        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, _BEHIND)
+        each = np.where(counted, cauchy.cost(squared), _HIDDEN * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
-        weight = np.where(counted & front, 1 / (1 + squared / _TAIL) / variance, 0.0)
+        weight = np.where(counted & pictured.front, cauchy.weight(squared) / variance, 0.0)
         # Derivatives of the image by a shift in the world, by the pose, by the shape.
-        by_world = _by_world(camera, world)
+        by_world = pictured.by_world()
         by_body = np.einsum("bkij,bjl->bkil", by_world, R)
         turned = np.stack([-body[..., 1], body[..., 0], np.zeros_like(body[..., 0])], axis=-1)
         by_heading = np.einsum("bkil,bkl->bki", by_body, turned)
@@ -382,113 +354,13 @@ class BundleAdjustment:
             by_shape, by_shared = by_shape[..., :0], by_world[..., 2:]
         elif by == "shared":
             by_shared = np.zeros((*away.shape, _UNKNOWNS))
-            for i, step in enumerate(_STEP * np.eye(len(CAMERA))):
-                # Places are multiples of the height, and grow with it.
-                grown = [(math.exp(camera[HEIGHT] + sign * step[HEIGHT]) - height) * foot[:, None] for sign in (1, -1)]
-                ahead, back = (
-                    _projected(camera + sign * step, views.size, world + more)[0]
-                    for sign, more in zip((1, -1), grown, strict=True)
-                )
-                by_shared[..., i] = (ahead - back) / (2 * _STEP)
+            # Places are multiples of the height, and grow with it.
+            by_shared[..., : len(CAMERA)] = by_camera(camera, views.size, world, foot)
             mirrored = np.stack([np.ones_like(_SIDE), _SIDE, np.ones_like(_SIDE)], axis=-1)
             column = len(CAMERA) + 3 * _GROUP[:, None] + np.arange(3)
             for k in range(keypoints.K):
                 by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
-        return _Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """Costs, and normal equations of B views in pose (3), shape (M) and shared unknowns (U, or none of them)."""
-
-    squared: Array
-    vehicle_cost: Array
-    normal: Array
-    """(B, 3 + M + U, 3 + M + U)"""
-    gradient: Array
-    """(B, 3 + M + U)"""
-    numbers: int
-    """M."""
-
-    @classmethod
-    def of(
-        cls,
-        squared: Array,
-        vehicle_cost: Array,
-        weight: Array,
-        away: Array,
-        by_pose: Array,
-        by_shape: Array,
-        by_shared: Array,
-    ) -> Self:
-        views = len(away)
-        J = np.concatenate([by_pose, by_shape, by_shared], axis=-1).reshape(views, 2 * keypoints.K, -1)
-        weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
-        gradient = (weighted @ away.reshape(views, -1, 1))[..., 0]
-        return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
-
-    def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """The vehicles `better` (N,) as in `other`."""
-        rows = better[vehicle]
-        return replace(
-            self,
-            squared=np.where(rows[:, None], other.squared, self.squared),
-            vehicle_cost=np.where(better, other.vehicle_cost, self.vehicle_cost),
-            normal=np.where(rows[:, None, None], other.normal, self.normal),
-            gradient=np.where(rows[:, None], other.gradient, self.gradient),
-        )
-
-    def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "_Parts":
-        """What is left when the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
-        count, m = len(shape), self.numbers
-        pose, rest = slice(0, 3), slice(3, None)
-        own = self.normal[:, pose, pose]
-        own = own + np.einsum("b,bii->bi", damping[vehicle], own)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
-        inverse = np.linalg.inv(own)
-        pose_back = inverse @ self.normal[:, pose, rest]
-        pose_alone = (inverse @ self.gradient[:, pose, None])[..., 0]
-        across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
-        normal = _summed(self.normal[:, rest, rest] - across @ pose_back, vehicle, count)
-        gradient = _summed(self.gradient[:, rest] - (across @ pose_alone[..., None])[..., 0], vehicle, count)
-        # Shapes' numbers are of unit variance.
-        held = normal[:, :m, :m] + np.eye(m)
-        spread = np.linalg.slogdet(held)[1]
-        held = held + damping[:, None, None] * np.eye(m)
-        inverse = np.linalg.inv(held)
-        shape_back = inverse @ normal[:, :m, m:]
-        shape_alone = (inverse @ (gradient[:, :m] + shape)[..., None])[..., 0]
-        across = np.swapaxes(normal[:, :m, m:], -1, -2)
-        return _Parts(
-            information=normal[:, m:, m:] - across @ shape_back,
-            pull=gradient[:, m:] - (across @ shape_alone[..., None])[..., 0],
-            spread=spread,
-            shape_back=shape_back,
-            shape_alone=shape_alone,
-            pose_back=pose_back,
-            pose_alone=pose_alone,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """Normal equations of the shared unknowns, a part for each vehicle, and the way back to shapes and poses."""
-
-    information: Array
-    pull: Array
-    spread: Array
-    """(N,) log determinants of the shapes' normal matrices."""
-    shape_back: Array
-    shape_alone: Array
-    pose_back: Array
-    pose_alone: Array
-
-    def back(self, shared: Array, vehicle: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Steps of the shapes (N, M) and the poses (B, 3) that belong to a step (U,) of the shared unknowns."""
-        own = shared[: self.shape_back.shape[-1]]
-        shape = -(self.shape_alone + self.shape_back @ own)
-        rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
-        pose = -(self.pose_alone + np.einsum("bpi,bi->bp", self.pose_back, rest))
-        return shape, np.clip(pose, -_POSE_STRIDE, _POSE_STRIDE)
+        return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
 
 
 def _offset_sigma() -> Array:
@@ -504,42 +376,3 @@ def _offsets(shared: Array) -> Array:
     offsets = shared[len(CAMERA) :].reshape(-1, 3)[_GROUP]
     offsets[:, 1] *= _SIDE
     return np.asarray(offsets)
-
-
-def _summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
-    """(N, ...) sums over the views (B, ...) of each vehicle."""
-    out = np.zeros((count, *values.shape[1:]))
-    np.add.at(out, vehicle, values)
-    return out
-
-
-def _seen_from(camera: Array, world: Array) -> tuple[Array, Array, Array, Array]:
-    """Rotation (3, 3) to the camera's axes, and x / z, y / z, z (B, 33) before the camera."""
-    pitch, roll = camera[PITCH], camera[ROLL]
-    forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
-    right = np.array([0.0, -1.0, 0.0])
-    turn = np.array([[math.cos(roll), math.sin(roll), 0.0], [-math.sin(roll), math.cos(roll), 0.0], [0.0, 0.0, 1.0]])
-    R = turn @ np.stack([right, np.cross(forward, right), forward])
-    x, y, depth = np.moveaxis((world - [0.0, 0.0, math.exp(camera[HEIGHT])]) @ R.T, -1, 0)
-    near = np.maximum(depth, _NEAR)
-    return R, x / near, y / near, depth
-
-
-def _projected(camera: Array, size: tuple[int, int], world: Array) -> tuple[Array, Array]:
-    """Pixels (B, 33, 2) and depths (B, 33) of points in the world."""
-    _, x, y, depth = _seen_from(camera, world)
-    grown = 1 + camera[K1] * np.minimum(x**2 + y**2, _FARTHEST_RADIUS**2)
-    middle = np.array(size) / 2
-    return math.exp(camera[FOCAL]) * np.stack([x * grown, y * grown], axis=-1) + middle, depth
-
-
-def _by_world(camera: Array, world: Array) -> Array:
-    """(B, 33, 2, 3) derivatives of the pixels of points by a shift in the world."""
-    R, x, y, depth = _seen_from(camera, world)
-    near = np.maximum(depth, _NEAR)[..., None]
-    by_x, by_y = (R[0] - x[..., None] * R[2]) / near, (R[1] - y[..., None] * R[2]) / near
-    k1 = camera[K1]
-    grown = 1 + k1 * np.minimum(x**2 + y**2, _FARTHEST_RADIUS**2)
-    xx, xy, yy = ((grown + 2 * k1 * x * x), (2 * k1 * x * y), (grown + 2 * k1 * y * y))
-    along = [xx[..., None] * by_x + xy[..., None] * by_y, xy[..., None] * by_x + yy[..., None] * by_y]
-    return np.asarray(math.exp(camera[FOCAL]) * np.stack(along, axis=-2))

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.eval.pose.bundle_adjustment import FOCAL, HEIGHT, camera_of
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, camera_of, on_road
 from skope.eval.pose.candidates import INLIER
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
@@ -139,9 +139,5 @@ def _log_ways(estimate: CameraEstimate, unknowns: Array) -> Array:
     heading = bundle.pose[:, 2]
     end = begin + _AHEAD_M * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
     camera = camera_of(unknowns, size)
-    on_road = []
-    for points in (begin, end):
-        rays, _ = camera.rays(estimate.camera.project(points)[0])
-        x, y, down = (rays @ camera.T_camera_world[:3, :3]).T
-        on_road.append(np.stack([x, y], axis=-1) * (-camera.position[2] / np.minimum(down, -1e-3))[:, None])
-    return np.asarray(np.log(np.linalg.norm(on_road[1] - on_road[0], axis=1) + 1e-9))
+    a, b = (on_road(camera, estimate.camera.project(points)[0]) for points in (begin, end))
+    return np.asarray(np.log(np.linalg.norm(b - a, axis=1) + 1e-9))

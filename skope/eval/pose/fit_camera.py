@@ -16,19 +16,8 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.eval.pose import initialize
-from skope.eval.pose.bundle_adjustment import (
-    FOCAL,
-    HEIGHT,
-    K1,
-    PITCH,
-    ROAD,
-    ROLL,
-    BundleAdjustment,
-    Known,
-    Solved,
-    VehicleViews,
-    camera_of,
-)
+from skope.eval.pose.bundle_adjustment import ROAD, BundleAdjustment, Known, Solved, VehicleViews
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
 from skope.eval.pose.observations import observe
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.types import Array
@@ -70,7 +59,7 @@ class Rival:
     """Another camera that the search has come to."""
 
     unknowns: Array
-    """(5,) as `skope.eval.pose.bundle_adjustment.CAMERA` names them."""
+    """(5,) as `skope.eval.pose.camera_unknowns.CAMERA` names them."""
     behind: float
     """How much less likely it is, twice the log likelihood."""
 
@@ -83,7 +72,7 @@ class CameraEstimate:
     solved: Solved
     views: VehicleViews
     covariance: Array
-    """(5, 5) of the unknowns that `skope.eval.pose.bundle_adjustment.CAMERA` names."""
+    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.CAMERA` names."""
     unevenness: float
     """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None

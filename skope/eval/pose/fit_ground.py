@@ -12,15 +12,8 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.eval.pose.bundle_adjustment import (
-    FOCAL,
-    HEIGHT,
-    BundleAdjustment,
-    Known,
-    Solved,
-    VehicleViews,
-    camera_of,
-)
+from skope.eval.pose.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, camera_of
 from skope.eval.pose.candidates import best_types
 from skope.eval.pose.fit_camera import capped
 from skope.eval.pose.ground import Ground

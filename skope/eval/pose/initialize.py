@@ -10,8 +10,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from skope.eval.pose import cauchy
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.observations import NEAREST_M, Mask, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
@@ -20,8 +21,6 @@ _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""
 _SCALE: Final = 0.08
 """Standard deviation of the logarithm of a vehicle's size over its type's mean."""
-_TAIL: Final = 9.0
-"""Squared distance, in variances, at which a keypoint's weight is half (Cauchy's distribution)."""
 
 
 def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | None = None) -> Starts:
@@ -72,7 +71,7 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         world[..., 1] = solution[..., 1:2] + s * x + c * y
         world[..., 2] = z
         seen_from = world @ R.T + t
-        depth = np.maximum(seen_from[..., 2], 0.5)
+        depth = np.maximum(seen_from[..., 2], NEAREST_M)
         if last:
             break
         w = np.concatenate([weight, weight], axis=1)[:, None] / np.concatenate([depth, depth], axis=-1) ** 2
@@ -127,10 +126,10 @@ def free(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
 def _cost(seen: Observed, points: Array) -> Array:
     """Cost (N, T) of vehicles whose keypoints lie at `points` (N, T, 33, 3) in the camera frame, metres."""
     depth = points[..., 2]
-    near = np.maximum(depth, 0.5)
+    near = np.maximum(depth, NEAREST_M)
     away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * seen.focal
     variance = seen.variance[:, None] + (seen.focal.mean() * _MISFIT / near) ** 2
     squared = (away**2).sum(axis=-1) / variance
-    behind = ((depth <= 0.5) & seen.counted[:, None]).any(axis=-1)
-    cost = (_TAIL * np.log1p(squared / _TAIL) * seen.counted[:, None]).sum(axis=-1)
+    behind = ((depth <= NEAREST_M) & seen.counted[:, None]).any(axis=-1)
+    cost = (cauchy.cost(squared) * seen.counted[:, None]).sum(axis=-1)
     return np.asarray(np.where(behind, IMPOSSIBLE, cost))

@@ -15,6 +15,8 @@ Mask = NDArray[np.bool_]
 
 LEAST_PROBABILITY: Final = 0.2
 """Keypoints below this do not count."""
+NEAREST_M: Final = 0.5
+"""Depth from which a keypoint is taken to lie before the camera, metres."""
 _PER_VEHICLE: Final = ("xy", "variance", "counted", "probability")
 _THIN: Final = 0.04
 """Breadth over length of keypoints in the image below which they count as lying on a line."""

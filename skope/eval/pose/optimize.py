@@ -12,18 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
+from skope.eval.pose import cauchy
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Observed
+from skope.eval.pose.observations import NEAREST_M, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
 
 _STEPS: Final = 12
 """Steps of the optimiser at most."""
-_TAIL: Final = 9.0
-"""Squared distance, in variances, at which a keypoint's weight is half."""
-_NEAR: Final = 0.5
-"""Depth from which a keypoint is taken to lie before the camera, metres."""
 _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
 _SETTLED: Final = 1e-5
@@ -197,13 +194,13 @@ class _Problem:
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
         x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
         # How far they are from where they were found, pixels, and how much that counts (Cauchy's distribution).
-        front = z > _NEAR
-        near = np.where(front, z, _NEAR)
+        front = z > NEAREST_M
+        near = np.where(front, z, NEAREST_M)
         fx, fy = self._focal
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
         squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        weight = np.where(front & self._counted, 1 / (1 + squared / _TAIL) / variance, 0.0)
+        weight = np.where(front & self._counted, cauchy.weight(squared) / variance, 0.0)
         # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
         Rc = self._T[:3, :3]
         by_x = (fx / near)[..., None] * (Rc[0] - (x / near)[..., None] * Rc[2])
@@ -225,7 +222,7 @@ class _Problem:
         normal, gradient = weighted @ J, (weighted @ away)[..., 0]
         normal[:, range(6, 6 + m), range(6, 6 + m)] += 1
         gradient[:, 6:] += a
-        cost = (_TAIL * np.log1p(squared / _TAIL) * self._counted).sum(axis=1) + (a**2).sum(axis=1)
+        cost = (cauchy.cost(squared) * self._counted).sum(axis=1) + (a**2).sum(axis=1)
         if self._ground is not None:
             cost += self._on_road(p, R, normal, gradient)
         return cost, squared, variance, normal, gradient

@@ -4,7 +4,7 @@ import csv
 import json
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,8 +15,10 @@ from skope.camera.model import Camera
 from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
-from skope.eval.pose.bundle_adjustment import CAMERA, FOCAL, HEIGHT, Known
+from skope.eval.pose.bundle_adjustment import Known
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
+from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT
+from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import read_scene
 from skope.files.output_folders import write_new
@@ -43,6 +45,7 @@ def from_vehicles(
     sigma_px: float | None,
     height: float | None,
     fov_deg: float | None,
+    lengths: Sequence[KnownLength],
     out: Path,
 ) -> Iterator[str]:
     """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found.
@@ -59,6 +62,7 @@ def from_vehicles(
     told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
     if reason := why_not(fit, drawn.lower_edges):
         raise UserError(f"{told} do not tell the camera: {reason}. Marked points on the road tell it (--points)")
+    fit = corrected(fit, lengths)
     ways = sigma_of_ways(fit)
     sigma = {
         "focal": fit.sigma_focal,
@@ -141,6 +145,17 @@ def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
     if fov_deg is not None:
         center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _SURE
     return Known(center, sigma)
+
+
+def known_length(text: str) -> KnownLength:
+    """The length that `--length` gives: column and row of one end, of the other, and metres."""
+    try:
+        *ends, metres = [float(part) for part in text.split(",")]
+    except ValueError:
+        ends, metres = [], math.nan
+    if len(ends) != 4 or not np.isfinite(ends).all() or not 0.1 <= metres <= 1000:
+        raise UserError(f"--length: expected COLUMN,ROW,COLUMN,ROW,METRES with 0.1 to 1000 metres, got {text!r}")
+    return KnownLength(np.array(ends).reshape(2, 2), metres)
 
 
 def doubt(name: Path | str, distance_sigma: float | None) -> str | None:

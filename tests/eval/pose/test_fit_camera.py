@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from skope.dataset import coco
-from skope.eval.pose.bundle_adjustment import FOCAL, HEIGHT, PITCH, VehicleViews, camera_of
+from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
 from skope.eval.pose.fit_camera import CameraEstimate, Rival, fit_camera
 from skope.eval.pose.write_camera import known_of
 from skope.types import Array

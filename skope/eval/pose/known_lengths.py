@@ -1,0 +1,91 @@
+"""A camera from vehicles, corrected by lengths on the road that somebody knows: a dash, a lane's width, a kerb.
+
+How large vehicles of a country are in the mean, nothing in the image tells: all distances go with it. A length that was
+measured on the road does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from skope.errors import UserError
+from skope.eval.pose.camera_unknowns import camera_of, on_road
+from skope.eval.pose.fit_camera import CameraEstimate
+from skope.types import Array
+
+_MARKED_PX: Final = 1.0
+"""Standard deviation of a marked end, pixels along each axis."""
+_MEASURED: Final = 0.01
+"""The same of a measured length, as a share of it."""
+_CONTRADICTS: Final = 3.0
+"""Deviations between a length and what the vehicles say of it, from which one of them is wrong."""
+_NUDGE: Final = 1e-4
+_NUDGE_PX: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLength:
+    """A straight line on the road."""
+
+    ends: Array
+    """(2, 2) column and row of its ends, pixels."""
+    metres: float
+
+    def log_under(self, unknowns: Array, size: tuple[int, int]) -> float:
+        """The logarithm of its length under the camera with the unknowns (5,)."""
+        return _log_length(unknowns, size, self.ends)
+
+
+def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> CameraEstimate:
+    """The estimate with known lengths, each taken in as Kalman's filter takes in a measurement.
+
+    Raises:
+        UserError: A length contradicts the vehicles, or an end lies at the horizon.
+    """
+    unknowns, covariance = estimate.solved.bundle.camera, estimate.covariance
+    size = estimate.views.size
+    for length in lengths:
+        says = length.log_under(unknowns, size)
+        slope = np.array(
+            [
+                (length.log_under(unknowns + step, size) - length.log_under(unknowns - step, size)) / (2 * _NUDGE)
+                for step in _NUDGE * np.eye(len(unknowns))
+            ]
+        )
+        across = covariance @ slope
+        variance = float(slope @ across) + _variance(length, unknowns, size)
+        away = math.log(length.metres) - says
+        if not abs(away) < _CONTRADICTS * math.sqrt(variance):
+            (a, b), (c, d) = length.ends.tolist()
+            raise UserError(
+                f"--length {a:g},{b:g},{c:g},{d:g},{length.metres:g}: under the camera that the vehicles tell this is "
+                f"{math.exp(says):.3g} m: it is not on the road, the road is no plane, or one of the numbers is wrong"
+            )
+        unknowns = unknowns + across * away / variance
+        covariance = covariance - np.outer(across, across) / variance
+    solved = estimate.solved
+    shared = np.concatenate([unknowns, solved.bundle.shared[len(unknowns) :]])
+    return replace(
+        estimate,
+        camera=camera_of(unknowns, size),
+        solved=replace(solved, bundle=replace(solved.bundle, shared=shared)),
+        covariance=covariance,
+    )
+
+
+def _variance(length: KnownLength, unknowns: Array, size: tuple[int, int]) -> float:
+    """Variance of the logarithm of a length through its marking and measuring."""
+    slopes = [
+        (_log_length(unknowns, size, length.ends + step) - _log_length(unknowns, size, length.ends - step))
+        / (2 * _NUDGE_PX)
+        for step in _NUDGE_PX * np.eye(4).reshape(4, 2, 2)
+    ]
+    return float(np.sum(np.square(slopes))) * _MARKED_PX**2 + _MEASURED**2
+
+
+def _log_length(unknowns: Array, size: tuple[int, int], ends: Array) -> float:
+    begin, end = on_road(camera_of(unknowns, size), ends)
+    return math.log(float(np.linalg.norm(end - begin)) + 1e-9)

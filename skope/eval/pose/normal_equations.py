@@ -1,0 +1,118 @@
+"""Normal equations of many views of many vehicles, and how poses and shapes are taken out of them.
+
+What is left (Schur's complement, Triggs et al. 2000) is the sum of a part for each vehicle.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.eval.pose.observations import Mask
+from skope.types import Array
+
+_POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
+"""A pose changes by so much at most in a step: heights of the camera, radians."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Costs, and normal equations of B views in pose (3), shape (M) and shared unknowns (U, or none of them)."""
+
+    squared: Array
+    vehicle_cost: Array
+    normal: Array
+    """(B, 3 + M + U, 3 + M + U)"""
+    gradient: Array
+    """(B, 3 + M + U)"""
+    numbers: int
+    """M."""
+
+    @classmethod
+    def of(
+        cls,
+        squared: Array,
+        vehicle_cost: Array,
+        weight: Array,
+        away: Array,
+        by_pose: Array,
+        by_shape: Array,
+        by_shared: Array,
+    ) -> Self:
+        views = len(away)
+        J = np.concatenate([by_pose, by_shape, by_shared], axis=-1).reshape(views, 2 * keypoints.K, -1)
+        weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
+        gradient = (weighted @ away.reshape(views, -1, 1))[..., 0]
+        return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
+
+    def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
+        """The vehicles `better` (N,) as in `other`."""
+        rows = better[vehicle]
+        return replace(
+            self,
+            squared=np.where(rows[:, None], other.squared, self.squared),
+            vehicle_cost=np.where(better, other.vehicle_cost, self.vehicle_cost),
+            normal=np.where(rows[:, None, None], other.normal, self.normal),
+            gradient=np.where(rows[:, None], other.gradient, self.gradient),
+        )
+
+    def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "Parts":
+        """What is left when the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
+        count, m = len(shape), self.numbers
+        pose, rest = slice(0, 3), slice(3, None)
+        own = self.normal[:, pose, pose]
+        own = own + np.einsum("b,bii->bi", damping[vehicle], own)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
+        inverse = np.linalg.inv(own)
+        pose_back = inverse @ self.normal[:, pose, rest]
+        pose_alone = (inverse @ self.gradient[:, pose, None])[..., 0]
+        across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
+        normal = summed(self.normal[:, rest, rest] - across @ pose_back, vehicle, count)
+        gradient = summed(self.gradient[:, rest] - (across @ pose_alone[..., None])[..., 0], vehicle, count)
+        # Shapes' numbers are of unit variance.
+        held = normal[:, :m, :m] + np.eye(m)
+        spread = np.linalg.slogdet(held)[1]
+        held = held + damping[:, None, None] * np.eye(m)
+        inverse = np.linalg.inv(held)
+        shape_back = inverse @ normal[:, :m, m:]
+        shape_alone = (inverse @ (gradient[:, :m] + shape)[..., None])[..., 0]
+        across = np.swapaxes(normal[:, :m, m:], -1, -2)
+        return Parts(
+            information=normal[:, m:, m:] - across @ shape_back,
+            pull=gradient[:, m:] - (across @ shape_alone[..., None])[..., 0],
+            spread=spread,
+            shape_back=shape_back,
+            shape_alone=shape_alone,
+            pose_back=pose_back,
+            pose_alone=pose_alone,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Normal equations of the shared unknowns, a part for each vehicle, and the way back to shapes and poses."""
+
+    information: Array
+    pull: Array
+    spread: Array
+    """(N,) log determinants of the shapes' normal matrices."""
+    shape_back: Array
+    shape_alone: Array
+    pose_back: Array
+    pose_alone: Array
+
+    def back(self, shared: Array, vehicle: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Steps of the shapes (N, M) and the poses (B, 3) that belong to a step (U,) of the shared unknowns."""
+        own = shared[: self.shape_back.shape[-1]]
+        shape = -(self.shape_alone + self.shape_back @ own)
+        rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
+        pose = -(self.pose_alone + np.einsum("bpi,bi->bp", self.pose_back, rest))
+        return shape, np.clip(pose, -_POSE_STRIDE, _POSE_STRIDE)
+
+
+def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
+    """(N, ...) sums over the views (B, ...) of each vehicle."""
+    out = np.zeros((count, *values.shape[1:]))
+    np.add.at(out, vehicle, values)
+    return out
