@@ -1,4 +1,4 @@
-"""What a track should be distrusted for."""
+"""What a track should be distrusted for, and where it cannot be one vehicle's."""
 
 import math
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from skope.eval.tracking.tracks import Track
 from skope.types import Array
 
 FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
-"""Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it moves as nothing on wheels
-does, as where two vehicles have one track; it drives where all others drive the other way."""
+"""Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it was cut out of a track that
+moves as nothing on wheels does, as where two vehicles have one track; all others drive the other way where it does."""
 
 _FEW: Final = 2
 """Poses of a track that tell little."""
@@ -35,18 +35,35 @@ _OPPOSITE: Final = math.radians(150)
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks, each with those of `FLAGS` that hold."""
-    against = _against_traffic(tracks)
+    """The tracks, each with those of `FLAGS` that hold, numbered from 1 by their first frames.
+
+    Tracks are cut where they accelerate, brake or turn harder than tyres can.
+    """
+    parts = [part for track in tracks for part in _cut(track)]
+    parts.sort(key=lambda track: int(track.frames[0]))
+    parts = [replace(part, number=number) for number, part in enumerate(parts, start=1)]
+    against = _against_traffic(parts)
     out = []
-    for track in tracks:
+    for track in parts:
         holds = {
             "two_poses": int(track.measured.sum()) <= _FEW,
             "never_moved": _never_moved(track),
-            "impossible_motion": _impossible(track),
+            "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,
         }
         out.append(replace(track, flags=tuple(name for name in FLAGS if holds[name])))
     return out
+
+
+def _cut(track: Track) -> list[Track]:
+    """The parts of a track before and after motion that is impossible; where none is long enough, the whole track."""
+    hard = _impossible(track)
+    if not hard.any():
+        return [track]
+    suspect = replace(track, flags=("impossible_motion",))
+    edges = np.flatnonzero(np.diff(hard)) + 1
+    rows = [run for run in np.split(np.arange(len(hard)), edges) if not hard[run[0]]]
+    return [part for run in rows if (part := suspect.during(run)).confirmed] or [suspect]
 
 
 def _never_moved(track: Track) -> bool:
@@ -55,18 +72,14 @@ def _never_moved(track: Track) -> bool:
     return bool(track.times_s[-1] - track.times_s[0] >= _STANDS_S and farthest < _STANDS_M)
 
 
-def _impossible(track: Track) -> bool:
-    """Whether it accelerates, brakes or turns for some time harder than tyres can."""
-    if len(track.times_s) < 2:
-        return False
-    force = np.linalg.norm(track.acceleration, axis=1)
+def _impossible(track: Track) -> NDArray[np.bool_]:
+    """(M,) in which frames it accelerates, brakes or turns for some time harder than tyres can."""
+    hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > _FORCE)
     steps = np.diff(track.times_s, prepend=track.times_s[0])
-    lasting = 0.0
-    for hard, dt in zip((force > _FORCE).tolist(), steps.tolist(), strict=True):
-        lasting = lasting + dt if hard else 0.0
-        if lasting >= _FORCE_S:
-            return True
-    return False
+    for run in np.split(np.arange(len(hard)), np.flatnonzero(np.diff(hard)) + 1):
+        if steps[run].sum() < _FORCE_S:
+            hard[run] = False
+    return hard
 
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,14 @@ from skope.types import Array
 
 _BOX_S: Final = 0.5
 """For how long an unseen vehicle's last box says where it is in the image, and boxes without a pose what it does."""
-_CONFIRMED: Final = 2
+_CONFIRMED_POSES: Final = 2
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
 """A track lasts at least this long, seconds."""
+
+
+_PER_TRACK: Final = ("number", "kind", "vehicle_class", "class_confidence", "size_lwh", "flags")
+"""Fields of a track that have one value for all its frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,18 @@ class Track:
             position_sigma=np.hypot(self.position_sigma, distance_sigma * away),
             speed_sigma=np.hypot(self.speed_sigma, distance_sigma * self.speed),
         )
+
+    def during(self, rows: NDArray[np.intp]) -> "Track":
+        """The track in some of its frames, as indices (R,) into them."""
+        columns = [one.name for one in fields(self) if one.name not in _PER_TRACK]
+        values: dict[str, Any] = {name: getattr(self, name)[rows] for name in columns}
+        return replace(self, **values)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it has been seen often and long enough to be a vehicle."""
+        times = self.times_s[self.measured]
+        return len(times) >= _CONFIRMED_POSES and bool(times[-1] - times[0] >= _CONFIRMED_S)
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
@@ -233,7 +249,7 @@ class OpenTrack:
     def confirmed(self) -> bool:
         """Whether an ended track has been seen often and long enough to be a vehicle."""
         times = [part.times_s for part in self.parts if len(part.times_s)]
-        return self.poses >= _CONFIRMED and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
+        return self.poses >= _CONFIRMED_POSES and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
 
 
 def begin(

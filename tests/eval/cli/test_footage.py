@@ -700,11 +700,21 @@ def test_tracks_are_drawn_into_their_footage(skope: Any, random_run: Path, tmp_p
     assert "does not say where its footage is" in error
 
 
-@pytest.mark.parametrize(("flag", "value"), [("--height", "0.1"), ("--fov", "190")])
-def test_what_cannot_be_of_a_camera_is_refused(skope: Any, flag: str, value: str) -> None:
+@pytest.mark.parametrize(
+    ("flag", "value", "expected"),
+    [
+        ("--height", "0.1", "a number from"),
+        ("--fov", "190", "a number from"),
+        ("--length", "10,20,30,40", "COLUMN,ROW,COLUMN,ROW,METRES"),
+        ("--length", "10,20,30,nan,3", "COLUMN,ROW,COLUMN,ROW,METRES"),
+        ("--length", "10,20,30,40,-3", "COLUMN,ROW,COLUMN,ROW,METRES with 0.1 to 1000 metres"),
+    ],
+)
+def test_what_cannot_be_of_a_camera_is_refused(skope: Any, flag: str, value: str, expected: str) -> None:
+    coco.write(Path("road.json"), drive(1, 5, speeds=(8.0,)))
     code, _, error = skope("eval", "camera", "--annotations", "road.json", flag, value)
     assert (code, error.count("\n")) == (2, 1)
-    assert f"{flag}: expected a number from" in error
+    assert f"{flag}: expected {expected}" in error
 
 
 def test_a_stopped_run_of_poses_goes_on_to_the_same_bytes(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:

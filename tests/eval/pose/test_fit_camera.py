@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 from skope.dataset import coco
+from skope.errors import UserError
 from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
 from skope.eval.pose.fit_camera import CameraEstimate, Rival, fit_camera
+from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.write_camera import known_of
 from skope.types import Array
 from tests.eval.cli.test_footage import drive
@@ -80,6 +82,25 @@ def test_what_is_known_is_kept_to() -> None:
     assert estimate.camera.K[0, 0] == pytest.approx(math.exp(truth[FOCAL]), rel=0.06)
     assert estimate.camera.position[2] == pytest.approx(height, rel=0.06)
     assert sigma_of_ways(estimate) < sigma_of_ways(fitted("steep"))
+
+
+def test_a_known_length_says_how_large_everything_is() -> None:
+    estimate, (_, truth, _) = fitted("day"), stored("day")
+    ends = np.array([[560.0, 640.0], [700.0, 430.0]])
+    length = KnownLength(ends, float(ways(truth, ends)[0]))
+    better = corrected(estimate, [length])
+    assert sigma_of_ways(better) < sigma_of_ways(estimate)
+    assert better.sigma_height < estimate.sigma_height
+    assert float(ways(better.solved.bundle.camera, ends)[0]) == pytest.approx(length.metres, rel=0.01)
+    assert better.camera.K[0, 0] == pytest.approx(math.exp(better.solved.bundle.camera[FOCAL]))
+    # Where the height alone is not known, all distances grow with it.
+    only = np.diag([0.0, 0.0, 0.0, 0.2**2, 0.0])
+    twice = corrected(replace(estimate, covariance=only), [KnownLength(ends, 1.3 * length.metres)])
+    before = float(ways(estimate.solved.bundle.camera, ends)[0])
+    assert twice.camera.position[2] / estimate.camera.position[2] == pytest.approx(1.3 * length.metres / before, 0.01)
+    assert twice.camera.angles == pytest.approx(estimate.camera.angles)
+    with pytest.raises(UserError, match=r"--length 560,640,700,430,.* under the camera that the vehicles tell"):
+        corrected(estimate, [KnownLength(ends, 2 * length.metres)])
 
 
 def test_each_doubt_has_its_sentence() -> None:

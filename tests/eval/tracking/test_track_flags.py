@@ -1,5 +1,6 @@
 """What tracks are distrusted for, and their classes."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,7 +70,23 @@ def test_two_poses_and_standing_still_are_told() -> None:
 def test_who_turns_round_on_the_spot_is_two_vehicles() -> None:
     times = np.linspace(0, 6, 60)
     x = np.cumsum(np.clip(24 * (3 - times), -20, 20)) * 0.1
-    assert flags(track(1, np.column_stack([x, np.zeros(60)]))) == [("impossible_motion",)]
+    whole = track(1, np.column_stack([x, np.zeros(60)]))
+    there, back = flagged([whole])
+    assert [there.number, back.number] == [1, 2]
+    assert there.flags == back.flags == ("impossible_motion",)
+    assert (there.velocity[:, 0] > 0).all()
+    assert (back.velocity[:, 0] < 0).all()
+    assert there.times_s[-1] < 3 < back.times_s[0]
+    for part in (there, back):
+        assert part.position == pytest.approx(whole.position[part.frames])
+        assert (np.linalg.norm(part.acceleration, axis=1) < 9).all()
+
+
+def test_what_is_nowhere_possible_is_kept_whole_and_told() -> None:
+    times = np.linspace(0, 6, 60)
+    shaken = track(1, np.column_stack([0.5 * np.abs((times * 2) % 2 - 1) * 30, 0 * times]), poses=3)
+    wild = replace(shaken, acceleration=np.full((60, 2), 20.0))
+    assert [(len(one.frames), one.flags) for one in flagged([wild])] == [(60, ("impossible_motion",))]
 
 
 @pytest.mark.parametrize(("others", "told"), [(6, True), (3, False)])
