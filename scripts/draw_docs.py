@@ -89,6 +89,19 @@ def vehicle_sheet(places: Places) -> Pixels:
     return narrowed(read_image(places.work / "vehicles" / "suv.png"), 1350)
 
 
+def keypoints(places: Places) -> Pixels:
+    """Of each kind of body the two views from three quarters, with its keypoints."""
+    rows = []
+    for model in ("suv", "van", "truck", "bus"):
+        skope("gen", "vehicles", "show", model, "--out", places.work / "vehicles")
+        sheet = read_image(places.work / "vehicles" / f"{model}.png")
+        # Plain and labelled rows by turns, three views in each; a line of text above.
+        high, wide = sheet.shape[1] // 3 * 400 // 640, sheet.shape[1] * 2 // 3
+        top = sheet.shape[0] - 3 * (high + 3)
+        rows.append(sheet[top : top + high, :wide])
+    return narrowed(np.vstack(rows), 1000)
+
+
 def birdseye(places: Places) -> Pixels:
     return narrowed(read_image(places.run / "tracks" / "birdseye.png"), 1500)
 
@@ -140,6 +153,7 @@ PICTURES: Final[dict[str, Callable[[Places], Pixels]]] = {
     "fog": weather("fog", "fog", "noon"),
     "own_road": own_road,
     "vehicle_sheet": vehicle_sheet,
+    "keypoints": keypoints,
     "birdseye": birdseye,
     "footage_overlay": footage_overlay,
     "gallery": gallery,

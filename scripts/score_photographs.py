@@ -115,7 +115,7 @@ def read_photographs(path: Path) -> Photographs:
             raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {there}")
         (source,) = found
     file = coco.read(source)
-    if file.scheme is not keypoints.SKOPE33:
+    if file.scheme.name != keypoints.SCHEME:
         raise UserError(f"{source}: has keypoint scheme {file.scheme.name}, expected {keypoints.SCHEME}")
     images, complete = [], set()
     for i, (image, row) in enumerate(zip(file.images, read_json(source)["images"], strict=True)):

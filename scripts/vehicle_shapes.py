@@ -72,7 +72,7 @@ def main() -> None:
         print(
             f"{kind:<10} {len(own):3d} shapes; beyond {DIRECTIONS} directions a keypoint has {rest.mean():.3f} m left"
         )
-    head = f'"version":1,"scheme":"{keypoints.SCHEME}","unit":"m"'
+    head = f'"version":1,"scheme":"{keypoints.SCHEME}","edition":{keypoints.EDITION},"unit":"m"'
     body = ",\n".join(lines)
     write_text(options.out, f'{{{head},\n"types":{{\n{body}\n}}}}\n')
     print(f"wrote {options.out} ({options.out.stat().st_size / 1000:.0f} kB)")

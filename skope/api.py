@@ -6,6 +6,7 @@ user's files raises a `skope.UserError` of one line that names file and field.
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +100,8 @@ class Detector:
         for one in pixels:
             if one.ndim != 3 or one.shape[2] != 3 or one.dtype != np.uint8:
                 raise ValueError(f"expected (H, W, 3) pixels of type uint8, got {one.shape} of type {one.dtype}")
-        return self._predictor.detections(pixels)
+        scheme = self._predictor.scheme
+        return [replace(found, scheme=scheme) for found in self._predictor.detections(pixels)]
 
 
 def load_detector(
@@ -175,13 +177,15 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     from skope.dataset.camera_of_file import sized
     from skope.eval.pose.ground import Ground
     from skope.eval.pose.records import Located
+    from skope.eval.pose.shape_model import fleet_shapes
     from skope.eval.pose.solver import locate as solve
     from skope.eval.pose.views import view_of
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)
     road = None if ground is None else Ground(height=ground)
-    poses = solve(own, view.found, sigma_px=view.sigma_px, ground=road, cut=view.cut)
+    shapes = fleet_shapes(detections.scheme.edition)
+    poses = solve(own, view.found, sigma_px=view.sigma_px, ground=road, shapes=shapes, cut=view.cut)
     return Located(view, own, poses)
 
 

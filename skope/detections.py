@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope import boxes
+from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Result
 
 
@@ -26,6 +27,8 @@ class Detections:
     """
     size: tuple[int, int]
     """Width and height of the image, pixels."""
+    scheme: Scheme = SKOPE33
+    """What the keypoints are, and by which edition of their definition they are marked."""
 
     def __len__(self) -> int:
         return len(self.scores)

@@ -5,10 +5,16 @@ that a dataset, and a detector trained on it, can have: ours, and that of the pu
 """
 
 import itertools
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from skope.errors import UserError, one_of
 
 SCHEME: Final = "skope33"
+EDITION: Final = 2
+"""Edition of the definition by which today's models are marked. In the first one the corners of bumpers lay under the
+lip and inside the corner's rounding, hood and trunk corners inside of theirs; in the second one they lie where people
+see them (docs/conventions.md). Files that say nothing hold the first."""
 
 NAMES: Final[tuple[str, ...]] = (
     "roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left",
@@ -188,12 +194,26 @@ class Scheme:
     """Pairs of 0-based indices."""
     sigmas: tuple[float, ...]
     colors: tuple[tuple[int, int, int], ...]
+    edition: int = 1
+    """Edition of the definition of where the keypoints lie, as `EDITION`."""
+
+    @property
+    def title(self) -> str:
+        """Name and edition, for messages."""
+        return self.name if self.edition == 1 else f"{self.name} (edition {self.edition})"
+
+    def fields(self) -> dict[str, Any]:
+        """What files say of it."""
+        return {"keypoint_scheme": self.name} | ({"keypoint_edition": self.edition} if self.edition > 1 else {})
 
     def __post_init__(self) -> None:
         assert len(self.names) == len(set(self.names)) == len(self.sigmas) == len(self.colors) == K
 
 
-SKOPE33: Final = Scheme(name=SCHEME, names=NAMES, flip=FLIP, skeleton=SKELETON, sigmas=SIGMAS, colors=COLORS)
+SKOPE33: Final = Scheme(
+    name=SCHEME, names=NAMES, flip=FLIP, skeleton=SKELETON, sigmas=SIGMAS, colors=COLORS, edition=EDITION
+)
+_FIRST: Final = replace(SKOPE33, edition=1)
 
 _UNKNOWN_COLOR: Final = (190, 190, 190)
 PUBLISHED: Final = Scheme(
@@ -207,6 +227,17 @@ PUBLISHED: Final = Scheme(
 """The published files' own keypoints, whose order is not ours and but for `SKOPE3D` not documented."""
 
 SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
+
+
+def scheme_of(name: str, edition: Any = 1) -> Scheme:
+    """The scheme of a file that names it; a UserError where there is no such scheme, or edition of it."""
+    one_of("keypoint_scheme", name, tuple(SCHEMES))
+    known = [scheme for scheme in (SCHEMES[name], _FIRST) if scheme.name == name]
+    found = next((scheme for scheme in known if scheme.edition == edition), None)
+    if found is None:
+        raise UserError(f"keypoint_edition: {name} has no edition {edition!r}; a later skope may")
+    return found
+
 
 assert K == 33
 assert all(max(FOREIGN_SCHEMES[name]) < count for name, count in FOREIGN_K.items())

@@ -108,7 +108,7 @@ def make_dataset(
             annotations.extend(vehicles)
         file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split, scheme=scheme)
         coco.write(root / "annotations" / f"{split}.json", file)
-    write_json(root / "dataset.json", {"version": 1, "keypoint_scheme": scheme.name, "seed": seed})
+    write_json(root / "dataset.json", {"version": 1, **scheme.fields(), "seed": seed})
     return root
 
 

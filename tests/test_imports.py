@@ -77,7 +77,8 @@ GEN = (
 )
 """Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
 SHARED = (
-    {"errors", "keypoints", "types", "version"},
+    {"errors", "types", "version"},
+    {"keypoints"},
     {"boxes", "files"},
     {"camera", "terminal"},
     {"schema"},

@@ -95,7 +95,7 @@ def test_trains_and_evaluates(skope: Any, published: Path, monkeypatch: pytest.M
     size = {"min_size": 64, "max_size": 96, "norm": "given", "trainable_layers": 3, "seed": 0}
     with pytest.raises(UserError, match="has keypoint scheme skope3d, the dataset has skope33"):
         init_weights.initialise("run", **size)
-    assert init_weights.initialise("run", **size, scheme="skope3d")[1].scheme == "skope3d"
+    assert init_weights.initialise("run", **size, scheme=PUBLISHED)[1].scheme == "skope3d"
 
 
 def test_schemes_are_not_learnt_together(published: Path, tmp_path: Path) -> None:

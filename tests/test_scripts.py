@@ -128,6 +128,7 @@ RUNS: Final[Sequence[Run]] = (
         "{footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
         says="| minutes | images/s |",
     ),
+    Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),

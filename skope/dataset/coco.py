@@ -11,7 +11,7 @@ import numpy as np
 
 from skope import keypoints, schema
 from skope.camera.model import Camera
-from skope.errors import UserError, one_of
+from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes, parse_json, read_json
 from skope.keypoints import SKOPE33, Scheme
@@ -64,7 +64,7 @@ def assembled(
         images += images_of(path, [image])
         annotations += _parse_rows(path, "annotations", annotation_rows, annotation_from_dict)
     _check_ids(path, tuple(images), tuple(annotations))
-    info = {"split": split, "keypoint_scheme": scheme.name, "schema_version": schema.VERSION}
+    info = {"split": split, **scheme.fields(), "schema_version": schema.VERSION}
     return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split, scheme=scheme)
 
 
@@ -103,8 +103,6 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     """The scheme that a file says it has, or else the one whose names it has."""
     info = document.get("info")
     stated = info.get("keypoint_scheme") if isinstance(info, dict) else None
-    if stated is not None:
-        one_of(f"{path}: info.keypoint_scheme", stated, tuple(keypoints.SCHEMES))
     categories = document.get("categories")
     if not isinstance(categories, list) or len(categories) != 1 or not isinstance(categories[0], dict):
         raise UserError(f"{path}: field categories: expected exactly one category")
@@ -112,9 +110,13 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
         raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
-    if stated is None:
-        stated = next((s.name for s in keypoints.SCHEMES.values() if s.names == tuple(names)), keypoints.SCHEME)
-    scheme = keypoints.SCHEMES[stated]
+    if stated is None:  # somebody else's file: people mark what they see, as today's edition does
+        scheme = next((s for s in keypoints.SCHEMES.values() if s.names == tuple(names)), SKOPE33)
+    else:
+        try:
+            scheme = keypoints.scheme_of(stated, (info or {}).get("keypoint_edition", 1))
+        except UserError as error:
+            raise UserError(f"{path}: info.{error}") from None
     if tuple(names) != scheme.names:
         first = next(i for i, (a, b) in enumerate(zip(names, scheme.names, strict=True)) if a != b)
         raise UserError(
@@ -332,8 +334,8 @@ def write_lines(
     scheme: Scheme = SKOPE33,
 ) -> None:
     """Write records that are JSON already as an annotation file, a line each."""
-    head = {"keypoint_scheme": scheme.name, "schema_version": schema.VERSION, "skope": __version__}
-    head |= {**info, "keypoint_scheme": scheme.name}
+    head = {**scheme.fields(), "schema_version": schema.VERSION, "skope": __version__}
+    head |= {name: value for name, value in info.items() if name != "keypoint_edition"} | scheme.fields()
     begin = f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n"images":[\n'
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(begin.encode())

@@ -92,7 +92,7 @@ class Dataset:
     @property
     def scheme(self) -> Scheme:
         """Keypoint scheme of the dataset."""
-        return keypoints.SCHEMES[self.card["keypoint_scheme"]]
+        return keypoints.scheme_of(self.card["keypoint_scheme"], self.card.get("keypoint_edition", 1))
 
     @property
     def licence(self) -> str:
@@ -125,7 +125,7 @@ class Dataset:
     def _read_file(self, path: Path) -> AnnotationFile:
         file = coco.read(path)
         if file.scheme is not self.scheme:
-            raise UserError(f"{path}: has keypoint scheme {file.scheme.name}, the dataset's card {self.scheme.name}")
+            raise UserError(f"{path}: has keypoint scheme {file.scheme.title}, the dataset's card {self.scheme.title}")
         return file
 
     def image(self, image: Image) -> NDArray[np.uint8]:
@@ -152,6 +152,10 @@ def read_card(root: Path) -> dict[str, Any]:
     card = read_json(path)
     scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
     one_of(f"{path}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
+    try:
+        keypoints.scheme_of(str(scheme), card.get("keypoint_edition", 1))
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     check_version(path, card.get("version", schema.VERSION), schema.VERSION)
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):

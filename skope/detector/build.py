@@ -46,9 +46,11 @@ class DetectorConfig:
     """What the keypoints are: a name in `keypoints.SCHEMES`."""
     anchors: tuple[int, ...] = ANCHORS
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
+    keypoint_edition: int = 1
+    """By which edition of the scheme the keypoints were marked that it has learnt."""
 
     def __post_init__(self) -> None:
-        one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
+        keypoints.scheme_of(self.scheme, self.keypoint_edition)
         check_anchors(self.anchors)
         one_of("norm", self.norm, NORMS)
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
@@ -65,15 +67,21 @@ class DetectorConfig:
         """The config with another short side, pixels; the long side's limit changes in proportion."""
         return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
 
+    @property
+    def keypoint_scheme(self) -> keypoints.Scheme:
+        """What the keypoints are."""
+        return keypoints.scheme_of(self.scheme, self.keypoint_edition)
+
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        """The config as JSON values, without the first edition: checkpoints say nothing of it."""
+        return {name: value for name, value in asdict(self).items() if name != "keypoint_edition" or value != 1}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
         names = {field.name for field in fields(cls)}
-        # Older checkpoints do not name their scheme and anchors.
-        if not isinstance(values, Mapping) or {"scheme", "anchors", *values} != names:
+        # Older checkpoints do not name their scheme and anchors; the first edition is not named.
+        if not isinstance(values, Mapping) or {"scheme", "anchors", "keypoint_edition", *values} != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
         anchors = values.get("anchors", ANCHORS)
         if not isinstance(anchors, list | tuple):

@@ -30,7 +30,7 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Inte
     kinds = np.full(outcomes.labelled.shape, RIGHT, dtype=np.int64)
     wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)
     kinds[wrong] = JITTER
-    if options.scheme is not keypoints.SKOPE33:  # which keypoints are counterparts is known of skope33 alone
+    if options.scheme.name != keypoints.SCHEME:  # which keypoints are counterparts is known of skope33 alone
         return kinds
     side = _apart(matches, outcomes, FLIP)
     ends = np.minimum(_apart(matches, outcomes, OTHER_END), _apart(matches, outcomes, [FLIP[k] for k in OTHER_END]))

@@ -73,7 +73,7 @@ def read_annotations(path: Path) -> GroundTruth:
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
     """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
-    one_of("--scheme", scheme, SCHEMES if truth is keypoints.SKOPE33 else (truth.name,))
+    one_of("--scheme", scheme, SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
     return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))

@@ -20,6 +20,7 @@ from skope.detector import weights
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
+from skope.keypoints import Scheme
 from skope.train.recipe import SMALL_SIZE
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
@@ -42,7 +43,7 @@ def initialise(
     max_size: int | None,
     trainable_layers: int,
     seed: int,
-    scheme: str = keypoints.SCHEME,
+    scheme: Scheme = keypoints.SKOPE33,
     anchors: tuple[int, ...] | None = None,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """Build a detector with the weights from which training begins.
@@ -75,7 +76,8 @@ def initialise(
             norm=given.norm if norm == "given" else norm,
             min_size=min_size or given.min_size,
             max_size=max_size or given.max_size,
-            scheme=scheme,
+            scheme=scheme.name,
+            keypoint_edition=scheme.edition,
             anchors=anchors or given.anchors,
         )
 
@@ -90,7 +92,7 @@ def initialise(
         if init == "imagenet":
             chosen = completed(_plain("frozen", _DEFAULT_EPS))
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
-        shipped = init == "auto" and scheme == keypoints.SCHEME and weights.DEFAULT in weights.names()
+        shipped = init == "auto" and scheme.name == keypoints.SCHEME and weights.DEFAULT in weights.names()
         if init in INITS and not shipped:
             chosen = completed(_plain("batch", _DEFAULT_EPS))
             return build(chosen, trainable_layers=5), chosen, "random weights"
@@ -110,7 +112,7 @@ def check(init: str) -> None:
     find_checkpoint(Path(init))
 
 
-def _from_file(path: Path, scheme: str) -> tuple[State, DetectorConfig]:
+def _from_file(path: Path, scheme: Scheme) -> tuple[State, DetectorConfig]:
     """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
     Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
@@ -120,8 +122,8 @@ def _from_file(path: Path, scheme: str) -> tuple[State, DetectorConfig]:
         if _is_ours(path):
             header, state = read_checkpoint(path)
             own = DetectorConfig.from_dict(header["config"])
-            if own.scheme != scheme:
-                raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme}")
+            if own.scheme != scheme.name:
+                raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme.name}")
             return state, own
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)

@@ -13,7 +13,6 @@ import torch
 from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.keypoints import SCHEMES
 from skope.terminal.console import Console, counted, minutes
 from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import Draw, TrainingSample, TrainingSet
@@ -306,8 +305,8 @@ def _announce(
     recipe = config.recipe
     console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
     names = " + ".join(config.data)
-    if SCHEMES[config.scheme].flip is None:
-        console.say(f"images are not mirrored: of scheme {config.scheme} no mirror partners are known")
+    if config.scheme.flip is None:
+        console.say(f"images are not mirrored: of scheme {config.scheme.name} no mirror partners are known")
     learnt = f"{counted(len(training_set), 'image')} with {counted(training_set.vehicles, 'vehicle')} to learn from"
     kept = [part.validated for part in parts]
     images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)

@@ -26,7 +26,7 @@ def text(
     lines = [
         "# Vehicle keypoint detector",
         "",
-        f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{config.scheme}`), "
+        f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{config.scheme.title}`), "
         f"{training.config.norm} normalisation with eps {training.config.norm_eps:g}, images at a short side of "
         f"{training.config.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} "
         "epochs.",

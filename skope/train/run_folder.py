@@ -54,7 +54,7 @@ class RunConfig:
     mix: float | None
     """Share of an epoch's images that the first dataset gives; None: all images of all datasets once."""
     max_images: int | None
-    scheme: str = keypoints.SCHEME
+    scheme: Scheme = keypoints.SKOPE33
     """The datasets' keypoint scheme."""
     licences: tuple[str, ...] = ()
     """Licences of the datasets, in their order, as their cards state them."""
@@ -67,12 +67,12 @@ class RunConfig:
         recipe = self.recipe
         if scheme.flip is None:
             recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
-        return replace(self, recipe=recipe, scheme=scheme.name, licences=tuple(d.licence for d in datasets))
+        return replace(self, recipe=recipe, scheme=scheme, licences=tuple(d.licence for d in datasets))
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "version": _VERSION,
-            "scheme": self.scheme,
+            "scheme": self.scheme.name,
             "recipe": self.recipe.to_dict(),
             "seed": self.seed,
             "data": list(self.data),

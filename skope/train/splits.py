@@ -75,8 +75,8 @@ def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
     for other in others:
         if other.dataset.scheme is not first.dataset.scheme:
             raise UserError(
-                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.name}, {first.dataset.root} has "
-                f"{first.dataset.scheme.name}: datasets of different schemes cannot be learnt together"
+                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.title}, {first.dataset.root} has "
+                f"{first.dataset.scheme.title}: datasets of different schemes cannot be learnt together"
             )
     return first.dataset.scheme
 

@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 
 CAMERA = Camera.looking([3, -2, 7], yaw=0.4, pitch_down=math.radians(15))
 _SIDE = ("wheel", "mirror", "beltline")
-_FRONT = ("headlight", "front_logo", "bumper_front", "hood_front")
-_REAR = ("taillight", "bumper_rear", "trunk_rear")
+_FRONT = ("headlight", "front_logo")
+_REAR = ("taillight",)
+_CORNERS = ("bumper", "hood_front", "trunk_rear")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,10 @@ class Scene:
 
 
 def facing(points: Array, eye: Array) -> NDArray[np.bool_]:
-    """Which keypoints (33, 3) a camera at `eye`, both in the vehicle frame, sees: the ends' and sides' that face it."""
+    """Which keypoints (33, 3) a camera at `eye`, both in the vehicle frame, sees.
+
+    Those of ends and sides that face it, and corners, where an end turns to a side, that do along their diagonal.
+    """
     out = np.ones(keypoints.K, dtype=bool)
     for i, name in enumerate(keypoints.NAMES):
         if name.startswith(_SIDE):
@@ -44,6 +48,8 @@ def facing(points: Array, eye: Array) -> NDArray[np.bool_]:
             out[i] = eye[0] > points[i, 0]
         elif name.startswith(_REAR):
             out[i] = eye[0] < points[i, 0]
+        elif name.startswith(_CORNERS):
+            out[i] = (eye[:2] - points[i, :2]) @ np.sign(points[i, :2]) > 0
     return out
 
 

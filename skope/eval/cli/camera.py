@@ -45,6 +45,7 @@ def camera(
 
     (`skope eval calibrate` is about a detector's keypoint scores.)
     """
+    from skope.eval.pose.views import read_scene
     from skope.eval.pose.write_camera import from_points, from_vehicles, known_length
 
     check_probability("--score", score)
@@ -60,9 +61,14 @@ def camera(
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
         lines = from_points(points, size, out)
     else:
-        where = (keypoints.folder, keypoints.annotations, keypoints.predictions)
+        scene = read_scene(
+            keypoints.folder, keypoints.annotations, keypoints.predictions, None, None, keypoints.keypoint_edition
+        )
+        if words := keypoints.taken_edition(scene):
+            console.warn(words)
         lines = from_vehicles(
-            where,
+            scene,
+            keypoints.folder,
             max_vehicles,
             score=score,
             noise=noise,

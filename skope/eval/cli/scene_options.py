@@ -11,6 +11,7 @@ from skope.errors import UserError
 from skope.eval.cli.checks import check_pixels, check_probability, numbers_of
 from skope.eval.cli.options import counts, data_option, output
 from skope.files.output_folders import claim_output
+from skope.keypoints import EDITION
 from skope.terminal.command_options import DIR, FILE
 from skope.terminal.console import Console
 
@@ -55,6 +56,25 @@ class KeypointOptions:
         Path | None,
         data_option(metavar=FILE, help="COCO results for the images, in place of the annotations' keypoints."),
     ] = None
+    keypoint_edition: Annotated[
+        int | None,
+        data_option(
+            min=1,
+            max=EDITION,
+            help="By which edition of their definition (docs/conventions.md) the keypoints are marked; road33 has "
+            "learnt the first.",
+            show_default="what the file of images says",
+        ),
+    ] = None
+
+    def taken_edition(self, scene: "Scene") -> str | None:
+        """Which edition results are taken to hold that do not say it, in words; None where nothing is guessed."""
+        if self.predictions is None or self.keypoint_edition is not None:
+            return None
+        return (
+            f"{self.predictions}: taken to hold keypoints of edition {scene.file.scheme.edition}, as {scene.file.name} "
+            "does; --keypoint-edition says another (road33: 1)"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +105,12 @@ class SceneOptions(KeypointOptions):
         check_probability("--score", self.score)
         check_pixels("--noise", *noise)
         check_pixels("--sigma", self.sigma)
-        scene = read_scene(self.folder, self.annotations, self.predictions, self.camera, _ground(self.ground))
+        where = (self.folder, self.annotations, self.predictions, self.camera)
+        scene = read_scene(*where, _ground(self.ground), self.keypoint_edition)
         if scene.left_out:
             console.result(scene.left_out)
+        if words := self.taken_edition(scene):
+            console.warn(words)
         if words := doubt(self.camera or scene.file.name, self.distance_sigma(scene)):
             console.result(words)
         if self.ground in _FITTED:
@@ -116,8 +139,14 @@ class SceneOptions(KeypointOptions):
     def claim_output(self, out: Path, command: str, **options: Any) -> None:
         """Take the output folder of a command for these options and `options`."""
         inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
+        edition = {} if self.keypoint_edition is None else {"keypoint_edition": self.keypoint_edition}
         inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
-        claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
+        claim_output(
+            out,
+            command,
+            inputs,
+            {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma, **edition},
+        )
 
 
 def _ground(text: str) -> float | None:

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torchvision.models.detection import KeypointRCNN
 
-from skope import boxes, keypoints
+from skope import boxes
 from skope.dataset.folder import read_image
 from skope.detections import Detections
 from skope.detector.checkpoint import find_checkpoint, load_weights
@@ -57,7 +57,7 @@ class Predictor:
         self.model: KeypointRCNN
         """The network, whose parts a backend may have taken over."""
         self.model, self.config, self.metadata = load_weights(self.weights, self._device)
-        self.scheme = keypoints.SCHEMES[self.config.scheme]
+        self.scheme = self.config.keypoint_scheme
         self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
         if settings.min_size is not None:
             self.config = self.config.with_min_size(settings.min_size)
@@ -79,8 +79,14 @@ class Predictor:
         console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
-        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""
-        if scheme is not self.scheme:
+        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
+        by another edition of the definition."""
+        if scheme.edition != self.scheme.edition and scheme.name == self.scheme.name:
+            self._console.warn(
+                f"{self.weights.name} has learnt keypoints of edition {self.scheme.edition}, {data} holds edition "
+                f"{scheme.edition}: corners of bumpers, hoods and trunks lie elsewhere (docs/conventions.md)"
+            )
+        if scheme.name != self.scheme.name:
             raise UserError(
                 f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
                 "held against each other"

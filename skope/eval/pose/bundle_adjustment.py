@@ -36,8 +36,8 @@ _STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
 """The camera's unknowns change by so much at most in a step."""
 _OFFSET: Final = 0.04
 """Standard deviation of a keypoint's offset, metres an axis."""
-_BUMPER_OFFSET: Final = 0.12
-"""The same of the corners of bumpers, which people see at the outline, and models have under the lip."""
+_FIRST_BUMPER_OFFSET: Final = 0.12
+"""The same of the corners of bumpers, which the first edition has under the lip, and people see at the outline."""
 _HIDDEN: Final = 6.0
 """What a keypoint costs that the body hides: else cameras would win that see little."""
 _MIDDLE_OFFSET: Final = 0.001
@@ -83,6 +83,8 @@ class VehicleViews:
     """(B,) which vehicle each view shows, 0 to N - 1."""
     size: tuple[int, int]
     """Width and height of the images, pixels."""
+    shapes: Shapes
+    """The shapes that vehicles can have, with their keypoints where `found` marks them."""
 
     @property
     def count(self) -> int:
@@ -103,10 +105,13 @@ class Known:
     sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
     """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
 
-    def precision(self) -> Array:
-        """(U,) inverse variances of all shared unknowns about what is known of them."""
+    def precision(self, offset_sigma: Array) -> Array:
+        """(U,) inverse variances of all shared unknowns about what is known of them.
+
+        `offset_sigma` (G, 3) are the standard deviations of the keypoints' offsets, metres.
+        """
         camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(CAMERA)), where=self.sigma > 0)
-        return np.concatenate([camera, 1 / _offset_sigma().ravel() ** 2])
+        return np.concatenate([camera, 1 / offset_sigma.ravel() ** 2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +182,17 @@ class Solved:
 class BundleAdjustment:
     """The search for the likeliest camera, shapes and places, given views of vehicles."""
 
-    def __init__(self, views: VehicleViews, shapes: Shapes, known: Known | None = None) -> None:
+    def __init__(self, views: VehicleViews, known: Known | None = None) -> None:
         """`known` says what is known of the camera beforehand; None: what is so of any."""
         known = known or Known()
-        self._views, self._shapes = views, shapes
-        self._directions = np.moveaxis(shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
+        self._views, self._shapes = views, views.shapes
+        self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
         rest = _UNKNOWNS - len(CAMERA)
         self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
         self._center = np.concatenate([known.center, np.zeros(rest)])
         self._seen = views.found[..., 2] >= LEAST_PROBABILITY
         self._variance = (views.sigma_px**2)[:, None] / np.clip(views.found[..., 2], LEAST_PROBABILITY, 1.0)
-        self._prior = known.precision()
+        self._prior = known.precision(_offset_sigma(views.shapes.edition))
 
     def begun(self, camera: Array) -> Bundle:
         """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
@@ -363,10 +368,11 @@ class BundleAdjustment:
         return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
 
 
-def _offset_sigma() -> Array:
-    """(G, 3) standard deviations of the offsets, metres."""
+def _offset_sigma(edition: int) -> Array:
+    """(G, 3) standard deviations of the offsets of keypoints that are marked by an edition, metres."""
+    bumpers = _FIRST_BUMPER_OFFSET if edition == 1 else _OFFSET
     names = [keypoints.NAMES[pair[0]] for pair in _GROUPS]
-    sigma = np.array([[_BUMPER_OFFSET if name.startswith("bumper") else _OFFSET] * 3 for name in names])
+    sigma = np.array([[bumpers if name.startswith("bumper") else _OFFSET] * 3 for name in names])
     sigma[[one == other for one, other in _GROUPS], 1] = _MIDDLE_OFFSET
     return sigma
 

@@ -19,7 +19,6 @@ from skope.eval.pose import initialize
 from skope.eval.pose.bundle_adjustment import ROAD, BundleAdjustment, Known, Solved, VehicleViews
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
 from skope.eval.pose.observations import observe
-from skope.eval.pose.shape_model import fleet_shapes
 from skope.types import Array
 
 _FOCAL: Final = np.geomspace(0.34, 2.9, 10)
@@ -119,8 +118,7 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
     Returns:
         The camera under which the vehicles are most likely, over (0, 0) and looking along x, and how certain it is.
     """
-    shapes = fleet_shapes()
-    adjustment = BundleAdjustment(views, shapes, known)
+    adjustment = BundleAdjustment(views, known)
     begun = [adjustment.solve(adjustment.begun(at), _STEPS) for at in _starts(views, known or Known())]
     begun.sort(key=lambda solved: solved.cost)
     fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[:_REFINED]]
@@ -145,7 +143,7 @@ def _widened(covariance: Array) -> Array:
 
 def _starts(views: VehicleViews, known: Known) -> list[Array]:
     """The best cameras of the grid that are apart from one another, as unknowns (5,)."""
-    shapes, order = fleet_shapes(), np.random.default_rng(0).permutation(len(views.found))
+    shapes, order = views.shapes, np.random.default_rng(0).permutation(len(views.found))
 
     def best(cameras: list[Array], judged: int) -> list[Array]:
         few = views.take(order[:judged])

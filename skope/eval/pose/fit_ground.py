@@ -18,7 +18,6 @@ from skope.eval.pose.candidates import best_types
 from skope.eval.pose.fit_camera import capped
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
-from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.solver import levelled, locate
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
@@ -116,7 +115,7 @@ def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool
     rays, valid = camera.rays(views.found[..., :2])
     ideal = rays[..., :2] * focal + np.array(views.size) / 2
     found = np.concatenate([ideal, np.where(valid, views.found[..., 2], 0.0)[..., None]], axis=-1)
-    adjustment = BundleAdjustment(replace(views, found=found), fleet_shapes(), Known(center, sigma))
+    adjustment = BundleAdjustment(replace(views, found=found), Known(center, sigma))
     return adjustment.refined(adjustment.begun(at))
 
 
@@ -132,7 +131,7 @@ def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
 
 def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
-    poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None)
+    poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
     good = np.array([reason is None for reason in poses.refusal])
     if good.sum() >= _FEWEST_PLACES:
         points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))
@@ -161,7 +160,7 @@ def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
 
     def surprise(sigma: float) -> float:
         level, flat = levelled(camera, replace(ground, height_sigma=sigma))
-        fits = best_types(observe(level, views.found, views.sigma_px), fleet_shapes(), flat)
+        fits = best_types(observe(level, views.found, views.sigma_px), views.shapes, flat)
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
         return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 

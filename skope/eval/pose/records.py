@@ -42,7 +42,14 @@ class Located:
 def locate_view(view: View, scene: Scene) -> Located:
     """Work out the poses of the vehicles in one image of a scene; those that were followed there have none."""
     camera, found = scene.camera_of(view.image), ~view.interpolated
-    poses = locate(camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.ground, cut=view.cut[found])
+    poses = locate(
+        camera,
+        view.found[found],
+        sigma_px=view.sigma_px[found],
+        ground=scene.ground,
+        shapes=scene.shapes,
+        cut=view.cut[found],
+    )
     return Located(view, camera, poses if found.all() else poses.among(found, INTERPOLATED))
 
 

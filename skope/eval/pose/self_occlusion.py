@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.eval.pose.shape_model import Shapes
+from skope.eval.pose.shape_model import Shapes, of_edition
 from skope.files.json_files import read_json
 from skope.types import Array
 
@@ -21,9 +21,11 @@ _NUMBERS: Final = 4
 
 
 @cache
-def _fleet_sight() -> dict[str, Array]:
+def _fleet_sight(edition: int) -> dict[str, Array]:
     """Body type -> (33, 4) weights of a logistic regression: of the direction's x, y, z in the vehicle frame, and 1."""
-    with resources.as_file(resources.files("skope.eval.pose").joinpath("keypoint_visibility.json")) as path:
+    with resources.as_file(
+        resources.files("skope.eval.pose").joinpath(of_edition("keypoint_visibility", edition))
+    ) as path:
         document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected keypoint scheme {keypoints.SCHEME!r}")
@@ -43,7 +45,7 @@ def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) ->
         (N, 33) whether each keypoint is seen.
     """
     always = np.tile([0.0, 0.0, 0.0, 1.0], (keypoints.K, 1))
-    weights = np.stack([_fleet_sight().get(name, always) for name in shapes.types])[kind]
+    weights = np.stack([_fleet_sight(shapes.edition).get(name, always) for name in shapes.types])[kind]
     away = eye[:, None] - points
     away = away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
     return np.asarray(np.einsum("nki,nki->nk", away, weights[..., :3]) + weights[..., 3] > 0)

@@ -36,6 +36,8 @@ class Shapes:
     """(T, M, 34, 3) metres for one standard deviation."""
     rest: Array
     """(T, 33) standard deviation of a keypoint beyond the directions, metres an axis."""
+    edition: int = keypoints.EDITION
+    """By which edition of the definition the keypoints are marked."""
 
     @classmethod
     def known(cls, points: ArrayLike, size_lwh: ArrayLike, *, name: str = "known") -> Self:
@@ -49,10 +51,15 @@ class Shapes:
 
 
 @cache
-def fleet_shapes() -> Shapes:
-    """The shape space that skope ships."""
-    with resources.as_file(resources.files("skope.eval.pose").joinpath("vehicle_shapes.json")) as path:
+def fleet_shapes(edition: int = keypoints.EDITION) -> Shapes:
+    """The shape space that skope ships, of keypoints that are marked by an edition of their definition."""
+    with resources.as_file(resources.files("skope.eval.pose").joinpath(of_edition("vehicle_shapes", edition))) as path:
         return read_shapes(path)
+
+
+def of_edition(stem: str, edition: int) -> str:
+    """Name of the file that was worked out from models that were marked by an edition of the definition."""
+    return f"{stem}.json" if edition == keypoints.EDITION else f"{stem}_edition_{edition}.json"
 
 
 def read_shapes(path: Path) -> Shapes:
@@ -70,4 +77,4 @@ def read_shapes(path: Path) -> Shapes:
         raise UserError(f"{path}: types: {error}") from None
     if not types:
         raise UserError(f"{path}: types: none")
-    return Shapes(tuple(types), share / share.sum(), mean, directions, rest)
+    return Shapes(tuple(types), share / share.sum(), mean, directions, rest, document.get("edition", 1))

@@ -108,7 +108,7 @@ def sample(
         if (i, row) in place
     ]
     found, sigma, vehicle = zip(*taken, strict=True)
-    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size)
+    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size, scene.shapes)
     return Sample(views, known, np.concatenate(lower))
 
 

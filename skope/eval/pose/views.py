@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +17,7 @@ from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.schema import Annotation, AnnotationFile, Image, Result
@@ -77,6 +78,11 @@ class Scene:
     """Where the road is; None: unknown."""
     left_out: str | None = None
     """Which images of the file are not here, as they show another view; None: all are here."""
+
+    @property
+    def shapes(self) -> Shapes:
+        """The shapes that vehicles have, with their keypoints where the scene's are marked."""
+        return fleet_shapes(self.file.scheme.edition)
 
     @property
     def has_truth(self) -> bool:
@@ -188,7 +194,12 @@ def _margins(image: Image, boxes: Array) -> Array:
 
 
 def read_scene(
-    folder: Path | None, annotations: Path | None, predictions: Path | None, camera: Path | None, ground: float | None
+    folder: Path | None,
+    annotations: Path | None,
+    predictions: Path | None,
+    camera: Path | None,
+    ground: float | None,
+    edition: int | None = None,
 ) -> Scene:
     """Read the keypoints that poses and tracks are worked out from.
 
@@ -199,6 +210,7 @@ def read_scene(
         camera: File of the camera of all images; None: each image has its own.
         ground: Height of the level road in the camera's world, metres; None: unknown, as it is where the camera file
             has no pose.
+        edition: By which edition of their definition the keypoints are marked; None: as the file of images says.
 
     Raises:
         UserError: Both or neither of `folder` and `annotations` are given, or a file is missing or malformed.
@@ -211,8 +223,10 @@ def read_scene(
         annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
     assert annotations is not None
     file = coco.read(annotations)
-    if file.scheme is not keypoints.SKOPE33:
+    if file.scheme.name != keypoints.SCHEME:
         raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
+    if edition is not None:
+        file = replace(file, scheme=keypoints.scheme_of(keypoints.SCHEME, edition))
     results = read_inputs.stream_results(predictions, file) if predictions else None
     file, left_out = _of_one_view(file)
     if camera is None:

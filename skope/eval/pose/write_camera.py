@@ -20,7 +20,7 @@ from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
 from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT
 from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
-from skope.eval.pose.views import read_scene
+from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
 from skope.files.reading import read_bytes, read_text
 from skope.terminal.console import counted
@@ -37,7 +37,8 @@ _WRONG_PX: Final = 3.0
 
 
 def from_vehicles(
-    where: tuple[Path | None, Path | None, Path | None],
+    scene: Scene,
+    folder: Path | None,
     count: int,
     *,
     score: float,
@@ -48,12 +49,11 @@ def from_vehicles(
     lengths: Sequence[KnownLength],
     out: Path,
 ) -> Iterator[str]:
-    """Fit to the vehicles of a folder, or of annotations and predictions, and write `out`; yields what was found.
+    """Fit to the vehicles of a scene, which lies in `folder`, and write `out`; yields what was found.
 
     Raises:
         UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
     """
-    scene = read_scene(*where, None, None)
     if scene.left_out:
         yield scene.left_out
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
@@ -85,8 +85,8 @@ def from_vehicles(
         height=(fit.camera.position[2], fit.sigma_height),
     )
     yield f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%)"
-    if where[0] is not None:
-        yield f"next: skope eval track {shlex.quote(str(where[0]))} --camera {shlex.quote(str(out))}"
+    if folder is not None:
+        yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
 
 
 def _figures(**values: tuple[float, float]) -> Iterator[str]:

@@ -90,7 +90,7 @@ def finish_dataset(
         raise UserError("no image was found: nothing to write")
     card = {
         "version": schema.VERSION,
-        "keypoint_scheme": writer.scheme.name,
+        **writer.scheme.fields(),
         "format": "folder",
         "command": command,
         "counts": counts.to_dict(),

@@ -45,7 +45,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
     for other in datasets[1:]:
         if other.scheme is not first.scheme:
             raise UserError(
-                f"{other.root}: has keypoint scheme {other.scheme.name}, {first.root} has {first.scheme.name}"
+                f"{other.root}: has keypoint scheme {other.scheme.title}, {first.root} has {first.scheme.title}"
             )
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:

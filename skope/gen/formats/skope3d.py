@@ -238,7 +238,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     write_text(out / SCENES, text.getvalue())
     if ignored:
         console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
-    if dataset.scheme is SKOPE33:
+    if dataset.scheme.name == SKOPE33.name:
         write_json(out / MAP, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 
 

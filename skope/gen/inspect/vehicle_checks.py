@@ -20,6 +20,10 @@ SYMMETRY_TOLERANCE: Final = 0.005
 GROUND_TOLERANCE: Final = 0.01
 RAYS: Final = 300
 """Cast at the surface from each of four sides, to different triangles."""
+CORNER_TOLERANCE: Final = 0.05
+"""Metres that a bumper may reach beyond the markers of its corners, along the diagonal."""
+_CORNER_BAND: Final = 0.15
+"""Height above and below a bumper's marker within which it is looked for, metres."""
 BACK_SHARE: Final = 0.002
 """Share of rays from outside that may meet a triangle's back first."""
 GRAZING: Final = 0.1
@@ -50,7 +54,7 @@ def findings(vehicle: Vehicle) -> Iterator[VehicleFinding]:
     added = isinstance(vehicle, AddedVehicle)
     for part in (_surface, _symmetry, _size, _wheels, _orientation, _sidecar):
         yield from map(VehicleFinding, part(vehicle))
-    for part in (_class, _lamps):
+    for part in (_class, _lamps, _corners):
         yield from (VehicleFinding(text, harmless=added) for text in part(vehicle))
 
 
@@ -72,6 +76,21 @@ def _symmetry(vehicle: Vehicle) -> Iterator[str]:
     for k, name in enumerate(keypoints.NAMES):
         if name.endswith("_right") and vehicle.points[k, 1] > 0:
             yield f"keypoints: {name} is on the left"
+
+
+def _corners(vehicle: Vehicle) -> Iterator[str]:
+    """Corners of bumpers that are marked inside of where people see them (docs/conventions.md)."""
+    surface = vehicle.mesh.vertices[np.unique(vehicle.mesh.triangles)]
+    for name in (f"bumper_{end}_{side}" for end in ("front", "rear") for side in ("right", "left")):
+        marker = vehicle.points[keypoints.INDEX[name]]
+        outwards = np.sign(marker[:2]) / np.sqrt(2)
+        near = np.abs(surface[:, 2] - marker[2]) < _CORNER_BAND
+        beyond = float(((surface[near, :2] - marker[:2]) @ outwards).max(initial=0.0))
+        if beyond > CORNER_TOLERANCE:
+            yield (
+                f"keypoints: {name} lies {100 * beyond:.0f} cm inside of the bumper's corner: mark where the outline, "
+                "seen from above, is farthest out along the diagonal, at the bumper's lower edge"
+            )
 
 
 def _lamps(vehicle: Vehicle) -> Iterator[str]:

@@ -36,7 +36,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     own, solid = parameters.own, parameters.renderer == "pybullet"
     return {
         "version": schema.VERSION,
-        "keypoint_scheme": keypoints.SCHEME,
+        **keypoints.SKOPE33.fields(),
         "format": parameters.format,
         "seed": parameters.seed,
         "command": command(parameters),

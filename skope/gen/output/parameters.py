@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Self
 
+from skope import keypoints
 from skope.dataset.folder import check_takes
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
@@ -59,6 +60,8 @@ class Parameters:
     """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
     """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
+    keypoint_edition: int = keypoints.EDITION
+    """By which definition vehicles are marked, as `skope.keypoints.EDITION`."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
     """Models that were asked for: name to SHA-256 of the files of a model of the user (`skope gen vehicles add`), to
     nothing for a model of the fleet."""
@@ -127,7 +130,7 @@ class Parameters:
             UserError: A field is missing, unknown or of another kind; it is named.
         """
         _check_fields(where, values, _KINDS, optional=_OPTIONAL)
-        made = dict(values)
+        made = {"keypoint_edition": 1, **values}
         for name, kind in (("rules", Rules), ("encoding", Encoding)):
             made[name] = _made(f"{where}.{name}", kind, values[name])
         if made.get("own") is not None:
@@ -219,7 +222,7 @@ _ASKED: Final = ("vehicle_share", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
-    **dict.fromkeys(("seed", "recordings", "views"), _WHOLE),
+    **dict.fromkeys(("seed", "recordings", "views", "keypoint_edition"), _WHOLE),
     **dict.fromkeys(("interval_s", "fov_deg", "randomised"), _NUMBER),
     **dict.fromkeys(("rules", "encoding"), _OBJECT),
     **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
@@ -232,7 +235,10 @@ _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
 }
 _OPTIONAL: Final = frozenset(
-    ("distractors", "licence", "own", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views", *_ASKED)
+    (
+        *("distractors", "keypoint_edition", "licence", "own", "randomised", "recordings", "seasons", "town_jitter"),
+        *("traffic", "views", *_ASKED),
+    )
 )
 """Fields that may be missing: folders of before lack some."""
 _OWN_KINDS: Final[Mapping[str, _Kind]] = {

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from skope import keypoints
 from skope.dataset.folder import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import safe_names
@@ -134,7 +135,17 @@ class Store:
         """Save the renderer, driver and versions of a dataset that was simulated without choosing them."""
         self._write_plan(replace(self.plan, parameters=parameters))
 
+    def refuse_other_edition(self, begun: DatasetPlan) -> None:
+        """Raise a UserError unless the dataset's labels are by the edition of the definition that new ones would be."""
+        edition = begun.parameters.keypoint_edition
+        if edition != keypoints.EDITION:
+            raise UserError(
+                f"{self.root}: was begun when models were marked by edition {edition} of the keypoints' definition, "
+                f"and labels are by edition {keypoints.EDITION} now; choose another folder"
+            )
+
     def _refuse_other_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
+        self.refuse_other_edition(begun)
         was, now = begun.parameters, wanted.parameters
         if not was.renderer:  # simulated elsewhere, and to be rendered here
             was = replace(was, renderer=now.renderer, driver=now.driver, versions=now.versions)

@@ -120,8 +120,10 @@ def finish_rendering(store: Store, renderer: str, start_pool: PoolFactory, conso
 def _fix_renderer(store: Store, renderer: str) -> None:
     """Choose and save the renderer of a dataset that has none yet; else check that it is the same one here.
 
-    Raises UserError where renderer, driver or a library's version differs from that of the frames of before.
+    Raises UserError where renderer, driver, a library's version or the keypoints' definition differs from that of the
+    frames of before.
     """
+    store.refuse_other_edition(store.plan)
     drawn = store.plan.parameters
     chosen, driver, _ = choose_renderer(drawn.renderer or renderer)
     here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}

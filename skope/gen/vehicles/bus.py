@@ -8,13 +8,16 @@ import numpy as np
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower, arch, corner_w
 from skope.types import Array
 
 _LEFT = (0.0, 1.0, 0.0)
+
+_LIP = 0.07
+"""Share of the wall's height at which front and rear turn under: the lower edge of the bumpers."""
 
 
 class BusBody:
@@ -56,7 +59,7 @@ class BusBody:
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
         lean = [
             (0.0, 0.03, 0.06, 0.05),
-            (0.07, 0.0, 0.0, 0.0),
+            (_LIP, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.02, 0.01),
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
@@ -91,8 +94,8 @@ class BusBody:
         self.points |= {
             "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP)[0],
             "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP)[0],
-            "bumper_front": shell.place((screen, BOTTOM), ROWS)[0],
-            "bumper_rear": shell.place((corner_w(w, rear=True), BOTTOM), ROWS)[0],
+            "bumper_front": shell.corner(_LIP),
+            "bumper_rear": shell.corner(_LIP, rear=True),
         }
         return out
 

@@ -260,12 +260,11 @@ class CarBody:
         self._parts += rear.draw_rear(lower, self.w, s, style, self.points)
         # What is drawn before a sink would hover over it.
         self._draw_hood()
-        corner, last = float(self.w[SIDE_START - 4]), float(self.w[len(self.w) - SIDE_START + 3])
         self.points |= {
-            "bumper_front": lower.place((corner, BOTTOM), ROWS)[0],
-            "bumper_rear": lower.place((last, BOTTOM), ROWS)[0],
-            "hood_front": lower.place((corner, SHOULDER), ROWS)[0],
-            "trunk_rear": lower.place((last, SHOULDER), ROWS)[0],
+            "bumper_front": lower.corner(_SILL),
+            "bumper_rear": lower.corner(_SILL, rear=True),
+            "hood_front": lower.corner(SHOULDER),
+            "trunk_rear": lower.corner(SHOULDER, rear=True),
             "beltline": lower.place((self.w_of(self._greenhouse.pillar_x), SHOULDER), ROWS)[0],
         }
 

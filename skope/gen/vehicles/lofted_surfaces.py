@@ -35,6 +35,7 @@ _FRONT, _CORNER = 4, 4
 _LIFT: Final = 0.0012
 """How far each layer of what is drawn hovers over the one below, metres."""
 _CREASE: Final = np.cos(np.radians(38))
+_SAME_ROW: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -320,6 +321,13 @@ class Surface:
         position = v[:, :NX] + layer * _LIFT * v[:, NX:W]
         kind = np.zeros(len(inside), dtype=np.int64)
         self._drawn.append(Mesh(position, v[:, NX:W], index, (material,), kind))
+
+    def corner(self, level: float, *, rear: bool = False) -> Array:
+        """(3,) position where a row turns from the front, or the rear, to the side: where it lies farthest out along
+        the diagonal, so that its tangent runs at 45 degrees."""
+        row = self._vertices[np.abs(self._vertices[:, T] - level) < _SAME_ROW]
+        outwards = np.array([-1.0 if rear else 1.0, 1.0])
+        return np.asarray(row[(row[:, [X, Y]] @ outwards).argmax(), :NX])
 
     def place(
         self,

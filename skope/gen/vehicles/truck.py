@@ -16,6 +16,8 @@ from skope.types import Array
 
 _GAP = 0.09
 """Gap between cab and body, metres."""
+_LIP = 0.06
+"""Share of the wall's height at which the front turns under: the lower edge of the bumper."""
 _LEFT = (0.0, 1.0, 0.0)
 
 
@@ -62,7 +64,7 @@ class TruckBody:
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
-            (0.06, 0.0, 0.0, 0.0),
+            (_LIP, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.035, 0.0),
             (1.0, s.roof_inset, 0.035 + s.screen_run, 0.02),
         ]
@@ -89,7 +91,7 @@ class TruckBody:
             "roof_front": cab.place((screen, top), WRAP)[0],
             "windscreen_base": cab.place((screen, base), WRAP)[0],
             "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
-            "bumper_front": cab.place((corner_w(w), BOTTOM), ROWS)[0],
+            "bumper_front": cab.corner(_LIP),
         }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
@@ -170,8 +172,7 @@ class TruckBody:
         ).surface("trim")
         self._parts += rear.draw_rear(shell, w, s, style, self.points)
         add(shell.half)
-        corner = corner_w(w, rear=True)
-        self.points["bumper_rear"] = shell.place((corner, BOTTOM), ROWS)[0]
+        self.points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
 
     def _build_cargo(self) -> None:
         s, body = self.shape, self.style.body

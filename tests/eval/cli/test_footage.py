@@ -27,6 +27,7 @@ from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose import fit_camera, pose_errors, pose_footage
 from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.views import Scene
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
@@ -506,7 +507,9 @@ def test_a_camera_is_found_from_vehicles() -> None:
     seen = scene(drawn(16, 3), np.random.default_rng(4), noise=1, far=35, camera=real)
     count = len(seen.found)
     fit = fit_camera.fit_camera(
-        VehicleViews(seen.found, np.ones(count), np.arange(count, dtype=np.intp), (real.width, real.height))
+        VehicleViews(
+            seen.found, np.ones(count), np.arange(count, dtype=np.intp), (real.width, real.height), fleet_shapes()
+        )
     )
     focal = abs(fit.camera.K[0, 0] - real.K[0, 0])
     assert focal < max(0.05 * real.K[0, 0], 2 * fit.sigma_focal)

@@ -20,6 +20,7 @@ from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
 from skope.eval.pose.fit_camera import CameraEstimate, Rival, fit_camera
 from skope.eval.pose.known_lengths import KnownLength, corrected
+from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.write_camera import known_of
 from skope.types import Array
 from tests.eval.cli.test_footage import drive
@@ -33,7 +34,7 @@ def stored(name: str) -> tuple[VehicleViews, Array, Array]:
     with np.load(Path(__file__).with_name("seen_by_a_detector.npz")) as file:
         found = np.concatenate([file[f"{name}_xy"] / 8, file[f"{name}_p"][..., None] / 200], axis=-1)
         vehicle = file[f"{name}_vehicle"].astype(np.intp)
-        views = VehicleViews(found, file[f"{name}_sigma"].astype(float), vehicle, SIZE)
+        views = VehicleViews(found, file[f"{name}_sigma"].astype(float), vehicle, SIZE, fleet_shapes(1))
         return views, file[f"{name}_truth"], file[f"{name}_edges"].astype(float)
 
 

@@ -266,7 +266,7 @@ def test_shards_are_exported_like_folders(skope: Any, ours: Path) -> None:
         members += [(f"{stem}.png", (ours / image.file_name).read_bytes())]
         members += [(f"{stem}.json", json.dumps(labels).encode())]
     shards.write_shard(shard, members)
-    write_json(Path("tars/dataset.json"), {"version": 1, "keypoint_scheme": "skope33", "format": "shards"})
+    write_json(Path("tars/dataset.json"), {"version": 1, **keypoints.SKOPE33.fields(), "format": "shards"})
     (ours / "annotations" / "train.json").unlink()
     for form in ("coco", "mot"):
         for root in ("ours", "tars"):

@@ -35,7 +35,7 @@ def dataset(tmp_path: Path) -> Path:
     path = tmp_path / "annotations/easy.json"
     path.parent.mkdir()
     coco.write(path, AnnotationFile(images=images, annotations=rows, info={}, name="easy"))
-    write_json(tmp_path / "dataset.json", {"version": 1, "keypoint_scheme": keypoints.SCHEME})
+    write_json(tmp_path / "dataset.json", {"version": 1, **keypoints.SKOPE33.fields()})
     return tmp_path
 
 

@@ -65,6 +65,10 @@ def test_every_model_passes(model: str) -> None:
         ({"points": moved("hood_front_left", (0, 0, 0.03))}, "hood_front_left is 2."),
         ({"points": moved("front_logo", (0.5, 0, 0))}, "front_logo is inf cm off the surface"),
         ({"points": moved("mirror_left", (0, 0.006, 0))}, "is 0.6 cm off the mirror image of its twin"),
+        (
+            {"points": moved("bumper_front_left", (-0.05, -0.15, 0))},
+            "bumper_front_left lies 14 cm inside of the bumper's",
+        ),
         ({"points": swapped("mirror_left", "mirror_right")}, "mirror_right is on the left"),
         ({"points": moved("wheel_front_left", (0.02, 0, 0))}, "wheel_front_left is not the centre of its wheel"),
         ({"mesh": turned(SEDAN.mesh)}, "rays from outside meet the back of a triangle"),

@@ -83,7 +83,17 @@ COMMANDS = {
     "repair": ("gen", "check", "d", "--repair", "--workers", "1"),
     "shards": ("gen", "convert", "d", "tars", "--to", "shards"),
 }
-OPTIONAL = {"distractors", "licence", "randomised", "recordings", "seasons", "town_jitter", "traffic", "views"}
+OPTIONAL = {
+    "distractors",
+    "keypoint_edition",
+    "licence",
+    "randomised",
+    "recordings",
+    "seasons",
+    "town_jitter",
+    "traffic",
+    "views",
+}
 """Parameters that folders need not have."""
 
 

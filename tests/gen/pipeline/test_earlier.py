@@ -30,7 +30,9 @@ def test_recordings_load() -> None:
     assert own.town.network.read_bytes() == b"<net/>"
 
 
-def test_a_dataset_that_was_begun_is_finished(skope: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_dataset_that_was_begun_is_finished_by_the_same_edition(
+    skope: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     shutil.copytree(EARLIER / "begun", tmp_path / "d")
     path = tmp_path / "d" / ".work" / "parameters.json"
     begun = json.loads(path.read_text())
@@ -41,6 +43,13 @@ def test_a_dataset_that_was_begun_is_finished(skope: Any, monkeypatch: pytest.Mo
     assert len(before) == 2
     monkeypatch.setattr("skope.gen.pipeline.workers.make_renderer", hostile.FlatRenderer)
     words = "--sites t01_main_west --frames 3 --size 64x48 --seed 4 --renderer pybullet --no-depth --image-format png"
+    code, _, error = skope("gen", *words.split(), "--workers", 1, "--out", "d")
+    said = "skope: d: was begun when models were marked by edition 1 of the keypoints' definition, and labels are"
+    assert (code, error.startswith(said)) == (2, True), error
+    code, _, error = skope("gen", "render", "d", "--workers", 1)
+    assert (code, error.startswith(said)) == (2, True), error
+    begun["parameters"]["keypoint_edition"] = 2
+    path.write_text(json.dumps(begun))
     code, _, error = skope("gen", *words.split(), "--workers", 1, "--out", "d")
     assert code == 0, error
     made = open_dataset(tmp_path / "d").read("medium")

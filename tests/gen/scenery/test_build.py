@@ -87,6 +87,11 @@ def test_cameras_have_room_around_them(town: Town) -> None:
         assert distance.min() > CAMERA_CLEARANCE, site.name
 
 
+@pytest.mark.parametrize(
+    "town",
+    [pytest.param(town, marks=pytest.mark.slow) if town.name in ("town03", "town04") else town for town in towns()],
+    ids=lambda town: town.name,
+)
 def test_cameras_see_the_road_before_them(town: Town) -> None:
     """Of the carriageway within 30 m in front of a camera hardly anything is hidden by scenery."""
     layout, mesh = Layout.of(town), scenery(town).mesh

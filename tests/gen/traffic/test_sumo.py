@@ -46,7 +46,7 @@ def road_height(town: str, place: np.ndarray) -> float:
     return float(foot[np.hypot(*(foot[:, :2] - place).T).argmin(), 2])
 
 
-@pytest.mark.parametrize("name", ["t07_hollow_bend", "t07_county_rise"])
+@pytest.mark.parametrize("name", [pytest.param("t07_hollow_bend", marks=pytest.mark.slow), "t07_county_rise"])
 def test_tyres_stay_on_sloped_roads(name: str) -> None:
     recording, checked, heights = recorded(name), 0, []
     for frame in range(len(recording)):

@@ -36,6 +36,20 @@ def test_keypoints_lie_on_the_surface(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
+def test_corners_of_bumpers_lie_farthest_out(model: str) -> None:
+    vehicle = fleet()[model].vehicle
+    surface = vehicle.mesh.vertices
+    for name in ("bumper_front_left", "bumper_rear_left", "bumper_front_right", "bumper_rear_right"):
+        marker = vehicle.points[keypoints.INDEX[name]]
+        outwards = np.sign(marker[:2]) / np.sqrt(2)
+        beyond = (surface[:, :2] - marker[:2]) @ outwards
+        near, under = np.abs(surface[:, 2] - marker[2]) < 0.15, surface[:, 2] < marker[2] - 0.03
+        assert beyond[near].max() < 0.01, name
+        # It is the lower edge: below it the bumper stands back, or there is nothing.
+        assert beyond[under].max(initial=-1.0) < 0, name
+
+
+@pytest.mark.parametrize("model", MODELS)
 def test_keypoints_are_mirror_images(model: str) -> None:
     points = fleet()[model].vehicle.points
     np.testing.assert_allclose(points[list(keypoints.FLIP)], points * [1, -1, 1], atol=1e-12)
