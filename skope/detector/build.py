@@ -46,7 +46,7 @@ class DetectorConfig:
     """What the keypoints are: a name in `keypoints.SCHEMES`."""
     anchors: tuple[int, ...] = ANCHORS
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
-    keypoint_edition: int = 1
+    keypoint_edition: int = keypoints.EDITION
     """By which edition of the scheme the keypoints were marked that it has learnt."""
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class DetectorConfig:
         anchors = values.get("anchors", ANCHORS)
         if not isinstance(anchors, list | tuple):
             raise UserError(f"anchors: expected a list of pixels, got {anchors!r}")
-        return cls(**{**values, "anchors": tuple(anchors)})
+        return cls(**{"keypoint_edition": 1, **values, "anchors": tuple(anchors)})
 
 
 def check_anchors(anchors: Sequence[int]) -> None:
