@@ -5,6 +5,7 @@ that a dataset, and a detector trained on it, can have: ours, and that of the pu
 """
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -203,7 +204,7 @@ class Scheme:
         return self.name if self.edition == 1 else f"{self.name} (edition {self.edition})"
 
     def fields(self) -> dict[str, Any]:
-        """What files say of it."""
+        """What files say of it, as `scheme_in` reads it."""
         return {"keypoint_scheme": self.name} | ({"keypoint_edition": self.edition} if self.edition > 1 else {})
 
     def __post_init__(self) -> None:
@@ -228,15 +229,21 @@ PUBLISHED: Final = Scheme(
 
 SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
 
+_EDITIONS: Final = (_FIRST, *SCHEMES.values())
 
-def scheme_of(name: str, edition: Any = 1) -> Scheme:
-    """The scheme of a file that names it; a UserError where there is no such scheme, or edition of it."""
+
+def scheme_of(name: Any, edition: Any = 1) -> Scheme:
+    """The scheme with a name, in an edition; a UserError where there is none."""
     one_of("keypoint_scheme", name, tuple(SCHEMES))
-    known = [scheme for scheme in (SCHEMES[name], _FIRST) if scheme.name == name]
-    found = next((scheme for scheme in known if scheme.edition == edition), None)
+    found = next((scheme for scheme in _EDITIONS if scheme.name == name and scheme.edition == edition), None)
     if found is None:
         raise UserError(f"keypoint_edition: {name} has no edition {edition!r}; a later skope may")
     return found
+
+
+def scheme_in(said: Mapping[str, Any]) -> Scheme:
+    """The scheme that a file names by `Scheme.fields`; a UserError where there is none."""
+    return scheme_of(said.get("keypoint_scheme"), said.get("keypoint_edition", 1))
 
 
 assert K == 33

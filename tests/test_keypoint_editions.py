@@ -21,6 +21,7 @@ from skope.eval.pose.views import read_scene
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import SKOPE33, scheme_of
 from skope.schema import AnnotationFile, Result
+from tests import hostile
 from tests.eval.sightings import CAMERA, scene
 from tests.samples import make_annotation, make_dataset, make_image
 
@@ -50,6 +51,50 @@ def test_files_of_others_mark_what_people_see(tmp_path: Path) -> None:
     assert coco.read(tmp_path / "some.json").scheme is SKOPE33
 
 
+@pytest.mark.parametrize("scheme", [FIRST, SKOPE33])
+def test_imports_keep_the_edition_that_a_file_states(skope: Any, tmp_path: Path, scheme: keypoints.Scheme) -> None:
+    root = make_dataset(tmp_path / "ours", scheme=scheme)
+    code, _, error = skope("gen", "convert", root, tmp_path / "cvat", "--to", "cvat", "-q")
+    assert code == 0, error
+    code, _, error = skope("gen", "convert", tmp_path / "cvat", tmp_path / "back", "--from", "cvat", "-q")
+    assert code == 0, error
+    assert open_dataset(tmp_path / "back").read("train").scheme is scheme
+    # What a detector of that edition found, as labels to be corrected.
+    seen = tmp_path / "seen"
+    file = open_dataset(root).read("train")
+    coco.write(seen / "frames.json", replace(file, annotations=()))
+    coco.write_results(
+        seen / "predictions.json",
+        [
+            Result(image_id=a.image_id, bbox=a.bbox, score=0.9, keypoints=a.keypoints / [1, 1, 2])
+            for a in file.annotations
+        ],
+    )
+    for image in file.images:
+        (seen / image.file_name).parent.mkdir(parents=True, exist_ok=True)
+        (seen / image.file_name).write_bytes((root / image.file_name).read_bytes())
+    code, _, error = skope("gen", "convert", seen, tmp_path / "found", "--from", "coco", "-q")
+    assert code == 0, error
+    assert open_dataset(tmp_path / "found").read("train").scheme is scheme
+
+
+def test_shards_of_an_earlier_dataset_become_a_folder_of_its_edition(
+    skope: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("skope.gen.pipeline.workers.make_renderer", hostile.FlatRenderer)
+    root = hostile.complete(tmp_path / "d")
+    card = read_json(root / "dataset.json")
+    del card["keypoint_edition"], card["parameters"]["keypoint_edition"]
+    write_json(root / "dataset.json", card)
+    for path in (root / "annotations").glob("*.json"):
+        coco.write(path, replace(coco.read(path), scheme=FIRST))
+    for source, target, form in (("d", "tars", "shards"), ("tars", "back", "folder")):
+        code, _, error = skope("gen", "convert", tmp_path / source, tmp_path / target, "--to", form, "-q")
+        assert code == 0, error
+        dataset = open_dataset(tmp_path / target)
+        assert {dataset.read(split).scheme for split in dataset.splits} == {FIRST}
+
+
 def test_a_later_edition_is_refused(tmp_path: Path) -> None:
     coco.write(tmp_path / "some.json", file_of(SKOPE33))
     document = read_json(tmp_path / "some.json")
@@ -74,6 +119,10 @@ def test_editions_are_not_mixed(skope: Any, tmp_path: Path) -> None:
     code, _, error = skope("train", "--data", "old", "--data", "new", "--init", "random", "--out", "run")
     assert code == 2
     assert "new: has keypoint scheme skope33 (edition 2), old has skope33: datasets of different schemes" in error
+    for name in ("old", "new"):
+        assert skope("gen", "convert", name, f"{name}_cvat", "--to", "cvat", "-q")[0] == 0
+    code, _, error = skope("gen", "convert", "old_cvat", "new_cvat", "mixed", "--from", "cvat", "-q")
+    assert (code, "the others of skope33 (editions 2 and 1)" in error) == (2, True)
     coco.write(Path("new/annotations/train.json"), replace(open_dataset(Path("new")).read("train"), scheme=FIRST))
     with pytest.raises(UserError, match=r"has keypoint scheme skope33, the dataset's card skope33 \(edition 2\)"):
         open_dataset(Path("new")).read("train")

@@ -102,7 +102,8 @@ def _parsed(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]
 def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     """The scheme that a file says it has, or else the one whose names it has."""
     info = document.get("info")
-    stated = info.get("keypoint_scheme") if isinstance(info, dict) else None
+    info = info if isinstance(info, dict) else {}
+    stated = info.get("keypoint_scheme")
     categories = document.get("categories")
     if not isinstance(categories, list) or len(categories) != 1 or not isinstance(categories[0], dict):
         raise UserError(f"{path}: field categories: expected exactly one category")
@@ -114,7 +115,7 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
         scheme = next((s for s in keypoints.SCHEMES.values() if s.names == tuple(names)), SKOPE33)
     else:
         try:
-            scheme = keypoints.scheme_of(stated, (info or {}).get("keypoint_edition", 1))
+            scheme = keypoints.scheme_in(info)
         except UserError as error:
             raise UserError(f"{path}: info.{error}") from None
     if tuple(names) != scheme.names:

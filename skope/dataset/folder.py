@@ -13,7 +13,7 @@ from skope import keypoints, schema
 from skope.camera.model import Camera
 from skope.dataset import coco, shards
 from skope.dataset.depth_files import read_depth
-from skope.errors import UserError, one_of
+from skope.errors import UserError
 from skope.files import safe_names
 from skope.files.json_files import check_version, read_json
 from skope.keypoints import Scheme
@@ -92,7 +92,7 @@ class Dataset:
     @property
     def scheme(self) -> Scheme:
         """Keypoint scheme of the dataset."""
-        return keypoints.scheme_of(self.card["keypoint_scheme"], self.card.get("keypoint_edition", 1))
+        return keypoints.scheme_in(self.card)
 
     @property
     def licence(self) -> str:
@@ -150,10 +150,8 @@ def read_card(root: Path) -> dict[str, Any]:
     """The card of a dataset folder; a UserError names a field that is of another kind than `skope gen` writes."""
     path = root / CARD
     card = read_json(path)
-    scheme = card.get("keypoint_scheme") if isinstance(card, dict) else None
-    one_of(f"{path}: keypoint_scheme", scheme, tuple(keypoints.SCHEMES))
     try:
-        keypoints.scheme_of(str(scheme), card.get("keypoint_edition", 1))
+        keypoints.scheme_in(card if isinstance(card, dict) else {})
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     check_version(path, card.get("version", schema.VERSION), schema.VERSION)

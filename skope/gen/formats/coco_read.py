@@ -62,7 +62,8 @@ def read(
                 writer = writer or FolderWriter(root, scheme)
                 if scheme is not writer.scheme:
                     raise UserError(
-                        f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name}"
+                        f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name} "
+                        f"(editions {scheme.edition} and {writer.scheme.edition})"
                     )
                 _add(file, files, labels, importer, writer, console)
     remarks.say(console)

@@ -184,7 +184,7 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
             }
         )
     document = {
-        "info": {"keypoint_scheme": frames.scheme.name},
+        "info": frames.scheme.fields(),
         "images": [coco.image_to_dict(image) for image in frames.images],
         "annotations": rows,
         "categories": [schema.category(frames.scheme)],

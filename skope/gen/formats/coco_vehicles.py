@@ -67,7 +67,7 @@ def labels_of(file: AnnotationSource, console: Console) -> dict[int, Label]:
             vehicle_type = called if called in schema.VEHICLE_TYPES else None
             if vehicle_type is None:
                 lost.append(str(category.get("name")))
-            out[category["id"]] = Label(scheme, len(names), tuple(known), tuple(places), vehicle_type)
+            out[category["id"]] = Label(_marked(scheme, file), len(names), tuple(known), tuple(places), vehicle_type)
     if not out:
         found = f"its keypoints are {', '.join(names_seen[:5])} ..." if names_seen else "it has none"
         raise UserError(f"{file.path}: categories: no keypoint has a name of {SKOPE33.name}: {found}")
@@ -79,6 +79,16 @@ def labels_of(file: AnnotationSource, console: Console) -> dict[int, Label]:
             f"ours is called so ({', '.join(schema.VEHICLE_TYPES)})"
         )
     return out
+
+
+def _marked(scheme: Scheme, file: AnnotationSource) -> Scheme:
+    """The scheme in the edition that a file of ours states; people mark what they see, as today's edition does."""
+    if not file.ours or file.document["info"]["keypoint_scheme"] != scheme.name:
+        return scheme
+    try:
+        return keypoints.scheme_in(file.document["info"])
+    except UserError as error:
+        raise UserError(f"{file.path}: info.{error}") from None
 
 
 def _bare(name: object) -> str:

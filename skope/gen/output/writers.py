@@ -173,9 +173,9 @@ class ShardWriter(DatasetWriter):
             yield f"{labels.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
 
 
-def writer_of(form: str, root: Path) -> DatasetWriter:
+def writer_of(form: str, root: Path, scheme: Scheme = SKOPE33) -> DatasetWriter:
     """The writer of a format of `FORMATS`."""
-    return ShardWriter(root) if form == "shards" else FolderWriter(root)
+    return ShardWriter(root) if form == "shards" else FolderWriter(root, scheme)
 
 
 def checksum(data: bytes) -> str:
