@@ -55,7 +55,7 @@ def camera_of(image: Image, fov_deg: float) -> Camera:
     return Camera.looking([0, 0, 0], yaw=0, pitch_down=0, roll=0, size=size, fov=np.radians(fov_deg))
 
 
-def fields_of_view(images: list[tuple[Image, list[Annotation]]], shapes: Shapes) -> float:
+def field_of_view(images: list[tuple[Image, list[Annotation]]], shapes: Shapes) -> float:
     """The field of view, degrees, under which the vehicles of one site fit best."""
 
     def misfit(fov_deg: float) -> float:
@@ -101,7 +101,7 @@ def main() -> None:
         vehicles = [a for a in labelled[image.id] if not a.ignored and (a.keypoints[:, 2] == 2).sum() >= FEWEST]
         if vehicles:
             sites[image.site].append((image, vehicles))
-    fields = {site: fields_of_view(images, shapes) for site, images in sites.items()}
+    fields = {site: field_of_view(images, shapes) for site, images in sites.items()}
     print(", ".join(f"{site}: {fov:g} degrees" for site, fov in fields.items()))
     print("kind                points  distance  outwards    down")
     for name, kind in kinds().items():

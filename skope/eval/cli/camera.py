@@ -45,7 +45,6 @@ def camera(
 
     (`skope eval calibrate` is about a detector's keypoint scores.)
     """
-    from skope.eval.pose.views import read_scene
     from skope.eval.pose.write_camera import from_points, from_vehicles, known_length
 
     check_probability("--score", score)
@@ -61,13 +60,8 @@ def camera(
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
         lines = from_points(points, size, out)
     else:
-        scene = read_scene(
-            keypoints.folder, keypoints.annotations, keypoints.predictions, None, None, keypoints.keypoint_edition
-        )
-        if words := keypoints.taken_edition(scene):
-            console.warn(words)
         lines = from_vehicles(
-            scene,
+            keypoints.read(console),
             keypoints.folder,
             max_vehicles,
             score=score,
@@ -81,12 +75,12 @@ def camera(
     for line in lines:
         console.result(line)
     if keypoints.folder:
-        picture = _picture(keypoints.folder, out, console)
+        picture = _picture(keypoints.folder, keypoints.keypoint_edition, out, console)
         if picture is not None:
             console.result(f"wrote {picture}: look whether the grid lies on the road, and the boxes on the vehicles")
 
 
-def _picture(folder: Path, camera: Path, console: Console) -> Path | None:
+def _picture(folder: Path, edition: int | None, camera: Path, console: Console) -> Path | None:
     """A picture of what the camera says, beside its file; None where the footage is not at hand."""
     import cv2
 
@@ -96,7 +90,7 @@ def _picture(folder: Path, camera: Path, console: Console) -> Path | None:
 
     path = camera.with_suffix(".jpg")
     try:
-        pixels = draw(read_scene(folder, None, None, camera, 0.0), folder)
+        pixels = draw(read_scene(folder, None, None, camera, 0.0, edition), folder)
         if pixels is not None:
             _, encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
             write_new(path, encoded.tobytes())

@@ -67,14 +67,21 @@ class KeypointOptions:
         ),
     ] = None
 
-    def taken_edition(self, scene: "Scene") -> str | None:
-        """Which edition results are taken to hold that do not say it, in words; None where nothing is guessed."""
-        if self.predictions is None or self.keypoint_edition is not None:
-            return None
-        return (
-            f"{self.predictions}: taken to hold keypoints of edition {scene.file.scheme.edition}, as {scene.file.name} "
-            "does; --keypoint-edition says another (road33: 1)"
-        )
+    def read(self, console: Console, camera: Path | None = None, ground: float | None = None) -> "Scene":
+        """The keypoints, with the camera's file and the height of the road as `read_scene` takes them.
+
+        Warns where results do not say by which edition of their definition they are marked.
+        """
+        from skope.eval.pose.views import read_scene
+
+        where = (self.folder, self.annotations, self.predictions, camera)
+        scene = read_scene(*where, ground, self.keypoint_edition)
+        if self.predictions is not None and self.keypoint_edition is None:
+            console.warn(
+                f"{self.predictions}: taken to hold keypoints of edition {scene.file.scheme.edition}, as "
+                f"{scene.file.name} does; --keypoint-edition says another (road33: 1)"
+            )
+        return scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,18 +106,14 @@ class SceneOptions(KeypointOptions):
         `noise` are the levels that will be added, of which the first one counts here.
         """
         from skope.eval.pose.fit_ground import with_fitted_ground
-        from skope.eval.pose.views import read_scene
         from skope.eval.pose.write_camera import doubt
 
         check_probability("--score", self.score)
         check_pixels("--noise", *noise)
         check_pixels("--sigma", self.sigma)
-        where = (self.folder, self.annotations, self.predictions, self.camera)
-        scene = read_scene(*where, _ground(self.ground), self.keypoint_edition)
+        scene = self.read(console, self.camera, _ground(self.ground))
         if scene.left_out:
             console.result(scene.left_out)
-        if words := self.taken_edition(scene):
-            console.warn(words)
         if words := doubt(self.camera or scene.file.name, self.distance_sigma(scene)):
             console.result(words)
         if self.ground in _FITTED:

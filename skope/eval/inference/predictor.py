@@ -81,15 +81,15 @@ class Predictor:
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
         """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
         by another edition of the definition."""
-        if scheme.edition != self.scheme.edition and scheme.name == self.scheme.name:
-            self._console.warn(
-                f"{self.weights.name} has learnt keypoints of edition {self.scheme.edition}, {data} holds edition "
-                f"{scheme.edition}: corners of bumpers, hoods and trunks lie elsewhere (docs/conventions.md)"
-            )
         if scheme.name != self.scheme.name:
             raise UserError(
                 f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
                 "held against each other"
+            )
+        if scheme.edition != self.scheme.edition:
+            self._console.warn(
+                f"{self.weights.name} has learnt keypoints of edition {self.scheme.edition}, {data} holds edition "
+                f"{scheme.edition}: corners of bumpers, hoods and trunks lie elsewhere (docs/conventions.md)"
             )
 
     @property

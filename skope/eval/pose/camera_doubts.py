@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, camera_of, on_road
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, STEP, camera_of, on_road, slopes
 from skope.eval.pose.candidates import INLIER
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
@@ -32,7 +32,6 @@ _FEWEST_WAYS: Final = 5
 """Least number of such ways."""
 _ABOVE: Final = 0.05
 """Share of the vehicles' lower edges that may lie above the horizon."""
-_NUDGE: Final = 1e-4
 _AHEAD_M: Final = 2.0
 """Length of the ways on the road by which distances are told, metres."""
 
@@ -57,12 +56,7 @@ def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
 
 def sigma_of_ways(estimate: CameraEstimate) -> float:
     """Relative standard deviation of ways that the vehicles go on the road, at the ninth in ten of their places."""
-    camera = estimate.solved.bundle.camera
-    slopes = [
-        (_log_ways(estimate, camera + step) - _log_ways(estimate, camera - step)) / (2 * _NUDGE)
-        for step in _NUDGE * np.eye(len(camera))
-    ]
-    J = np.stack(slopes, axis=1)
+    J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, STEP)
     variance = np.einsum("bi,ij,bj->b", J, estimate.covariance, J)
     return float(np.sqrt(np.percentile(variance, 90)))
 

@@ -1,6 +1,7 @@
 """A camera over a level road as a few numbers, its pictures of points, and how these follow the numbers."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -13,7 +14,7 @@ from skope.types import Array
 CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
 """The camera's unknowns: natural logarithms of pixels and metres, radians."""
 FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(CAMERA))
-_STEP: Final = 1e-4
+STEP: Final = 1e-4
 """Step of the differences that tell derivatives by the camera's unknowns."""
 _LEAST_FALL: Final = 1e-3
 """A ray that goes down by less of its depth meets the road as if it went down by so much."""
@@ -41,6 +42,11 @@ def on_road(camera: Camera, pixels: Array) -> Array:
     x, y, z = (rays @ camera.T_camera_world[:3, :3]).T
     away = -camera.position[2] / np.minimum(z, -_LEAST_FALL)
     return np.asarray(camera.position[:2] + np.stack([x, y], axis=-1) * away[:, None])
+
+
+def slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
+    """(..., U) derivatives of a function (...) of numbers (U,), by central differences of `step` in each."""
+    return np.stack([(of(at + one) - of(at - one)) / (2 * step) for one in step * np.eye(len(at))], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +108,7 @@ def by_camera(camera: Array, size: tuple[int, int], world: Array, foot: Array) -
         world: (B, P, 3) the points, metres.
         foot: (B, 3) places in the world, over the camera's height, that they stand at: they go with the height.
     """
-    out = np.zeros((*world.shape[:2], 2, len(CAMERA)))
     height = math.exp(camera[HEIGHT])
-    for i, step in enumerate(_STEP * np.eye(len(CAMERA))):
-        ahead, back = (
-            Pictured.of(at, size, world + (math.exp(at[HEIGHT]) - height) * foot[:, None]).pixels
-            for at in (camera + step, camera - step)
-        )
-        out[..., i] = (ahead - back) / (2 * _STEP)
-    return out
+    return slopes(
+        lambda at: Pictured.of(at, size, world + (math.exp(at[HEIGHT]) - height) * foot[:, None]).pixels, camera, STEP
+    )

@@ -7,12 +7,13 @@ measured on the road does.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from skope.errors import UserError
-from skope.eval.pose.camera_unknowns import camera_of, on_road
+from skope.eval.pose.camera_unknowns import STEP, camera_of, on_road, slopes
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
 
@@ -22,8 +23,7 @@ _MEASURED: Final = 0.01
 """The same of a measured length, as a share of it."""
 _CONTRADICTS: Final = 3.0
 """Deviations between a length and what the vehicles say of it, from which one of them is wrong."""
-_NUDGE: Final = 1e-4
-_NUDGE_PX: Final = 0.1
+_STEP_PX: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,10 @@ class KnownLength:
     """(2, 2) column and row of its ends, pixels."""
     metres: float
 
-    def log_under(self, unknowns: Array, size: tuple[int, int]) -> float:
+    def log_under(self, unknowns: Array, size: tuple[int, int]) -> Array:
         """The logarithm of its length under the camera with the unknowns (5,)."""
-        return _log_length(unknowns, size, self.ends)
+        begin, end = on_road(camera_of(unknowns, size), self.ends)
+        return np.asarray(np.log(np.linalg.norm(end - begin) + 1e-9))
 
 
 def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> CameraEstimate:
@@ -48,13 +49,8 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
     unknowns, covariance = estimate.solved.bundle.camera, estimate.covariance
     size = estimate.views.size
     for length in lengths:
-        says = length.log_under(unknowns, size)
-        slope = np.array(
-            [
-                (length.log_under(unknowns + step, size) - length.log_under(unknowns - step, size)) / (2 * _NUDGE)
-                for step in _NUDGE * np.eye(len(unknowns))
-            ]
-        )
+        says = float(length.log_under(unknowns, size))
+        slope = slopes(partial(length.log_under, size=size), unknowns, STEP)
         across = covariance @ slope
         variance = float(slope @ across) + _variance(length, unknowns, size)
         away = math.log(length.metres) - says
@@ -78,14 +74,9 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
 
 def _variance(length: KnownLength, unknowns: Array, size: tuple[int, int]) -> float:
     """Variance of the logarithm of a length through its marking and measuring."""
-    slopes = [
-        (_log_length(unknowns, size, length.ends + step) - _log_length(unknowns, size, length.ends - step))
-        / (2 * _NUDGE_PX)
-        for step in _NUDGE_PX * np.eye(4).reshape(4, 2, 2)
-    ]
-    return float(np.sum(np.square(slopes))) * _MARKED_PX**2 + _MEASURED**2
 
+    def marked(ends: Array) -> Array:
+        return replace(length, ends=ends.reshape(2, 2)).log_under(unknowns, size)
 
-def _log_length(unknowns: Array, size: tuple[int, int], ends: Array) -> float:
-    begin, end = on_road(camera_of(unknowns, size), ends)
-    return math.log(float(np.linalg.norm(end - begin)) + 1e-9)
+    by_ends = slopes(marked, length.ends.ravel(), _STEP_PX)
+    return float(by_ends @ by_ends) * _MARKED_PX**2 + _MEASURED**2

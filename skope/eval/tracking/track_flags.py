@@ -61,9 +61,13 @@ def _cut(track: Track) -> list[Track]:
     if not hard.any():
         return [track]
     suspect = replace(track, flags=("impossible_motion",))
-    edges = np.flatnonzero(np.diff(hard)) + 1
-    rows = [run for run in np.split(np.arange(len(hard)), edges) if not hard[run[0]]]
-    return [part for run in rows if (part := suspect.during(run)).confirmed] or [suspect]
+    possible = [suspect.during(run) for run in _runs(hard) if not hard[run[0]]]
+    return [part for part in possible if part.confirmed] or [suspect]
+
+
+def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """The indices into (M,) truth values, split where these change."""
+    return np.split(np.arange(len(holds)), np.flatnonzero(np.diff(holds)) + 1)
 
 
 def _never_moved(track: Track) -> bool:
@@ -76,7 +80,7 @@ def _impossible(track: Track) -> NDArray[np.bool_]:
     """(M,) in which frames it accelerates, brakes or turns for some time harder than tyres can."""
     hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > _FORCE)
     steps = np.diff(track.times_s, prepend=track.times_s[0])
-    for run in np.split(np.arange(len(hard)), np.flatnonzero(np.diff(hard)) + 1):
+    for run in _runs(hard):
         if steps[run].sum() < _FORCE_S:
             hard[run] = False
     return hard

@@ -123,8 +123,9 @@ def _fix_renderer(store: Store, renderer: str) -> None:
     Raises UserError where renderer, driver, a library's version or the keypoints' definition differs from that of the
     frames of before.
     """
-    store.refuse_other_edition(store.plan)
-    drawn = store.plan.parameters
+    plan = store.plan
+    store.refuse_other_edition(plan)
+    drawn = plan.parameters
     chosen, driver, _ = choose_renderer(drawn.renderer or renderer)
     here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}
     now = replace(drawn, renderer=chosen, driver=driver, versions={**drawn.versions, **here})
