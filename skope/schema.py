@@ -30,7 +30,7 @@ VEHICLE_TYPES: Final = (
 COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
-WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
+WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
 _OUTSIDE_SHARE: Final = 0.1
 _OUTSIDE_PX: Final = 2.0
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")

@@ -25,7 +25,7 @@ from skope.gen.labels.annotate import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS
 from skope.gen.output.frames import FORMATS as IMAGE_FORMATS
 from skope.gen.output.writers import FORMATS
-from skope.gen.pipeline.config import presets
+from skope.gen.pipeline.presets import presets
 from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.counts import LABELLED, PROTOCOLS

@@ -21,7 +21,7 @@ labels = panel("Labels")
 output = panel("Output")
 machine = panel("Machine")
 
-WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog")
+WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
 HOURS: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 
 RendererOption = Annotated[
@@ -36,7 +36,7 @@ class DatasetOptions:
     preset: Annotated[
         str,
         traffic(
-            choices=("demo", "paper", "extra", "full", "varied", "world"),
+            choices=("demo", "paper", "extra", "full", "varied", "world", "conditions"),
             help="Which dataset to make (see docs/generating.md).",
         ),
     ] = "demo"

@@ -20,7 +20,7 @@ from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
-_VARIED: Final = ("world",)
+_VARIED: Final = ("world", "conditions")
 """Presets that have views and jitter unless they are told otherwise."""
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 

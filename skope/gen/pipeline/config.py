@@ -1,22 +1,20 @@
 """Presets, what a user asks for, and the plans of its recordings."""
 
 import math
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cache
-from importlib import resources
-from typing import Any
+from typing import Any, Final
 
 from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import FORMATS
+from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_its_split, varied
+from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
-from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
@@ -24,9 +22,8 @@ from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
 
-_OF_HOUR = ("sun_elevation_deg", "sun_azimuth_deg")
-_OF_WEATHER = ("clouds", "visibility_m")
-"""Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
+HEAVY: Final = frozenset(("bus", "truck", "box_truck"))
+"""Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
 
 
 @dataclass(frozen=True)
@@ -135,30 +132,32 @@ class DatasetRequest:
 
     def plans(self) -> list[RecordingPlan]:
         """One plan for each recording, site by site; a site's frames are shared out evenly to its recordings."""
-        p = self.parameters
         return [
-            RecordingPlan(
-                site=self._in_its_light(name, index),
-                index=index,
-                frames=frames,
-                interval=p.interval_s,
-                size=p.pixels(),
-                fov_deg=p.fov_deg,
-                seed=p.seed,
-                settings=p.settings,
-                cameras=p.cameras,
-                vehicles=tuple(p.vehicles),
-                vehicle_share=p.vehicle_share,
-                shape_jitter=p.shape_jitter,
-                views=p.views if self.site(name).split == "train" else 0,
-                town_jitter=p.town_jitter,
-                distractors=p.distractors,
-                seasons=p.seasons,
-                randomised=p.randomised,
-            )
-            for name in p.sites
-            for index, frames in enumerate(_share_out(self.frames_of(name), p.recordings))
+            self._plan(name, index, frames)
+            for name in self.parameters.sites
+            for index, frames in enumerate(_share_out(self.frames_of(name), self.parameters.recordings))
         ]
+
+    def _plan(self, name: str, index: int, frames: int) -> RecordingPlan:
+        p, planned = self.parameters, self._in_its_light(name, index)
+        return RecordingPlan(
+            site=planned,
+            index=index,
+            frames=frames,
+            interval=p.interval_s,
+            size=p.pixels(),
+            fov_deg=p.fov_deg,
+            seed=p.seed,
+            settings=p.settings,
+            cameras=p.cameras,
+            **self._asked_vehicles(planned),
+            shape_jitter=p.shape_jitter,
+            views=p.views if self.site(name).split == "train" else 0,
+            town_jitter=p.town_jitter,
+            distractors=p.distractors,
+            seasons=p.seasons,
+            randomised=p.randomised,
+        )
 
     def simulations(self) -> list[tuple[RecordingPlan, ...]]:
         """The plans, those together that share their traffic."""
@@ -169,14 +168,26 @@ class DatasetRequest:
 
     def _in_its_light(self, name: str, index: int) -> Site:
         """The site with the weather, hour and traffic of its recording `index`."""
-        p = self.parameters
-        if self.own is None:
-            planned = in_its_light(site(name), index, p.seed, p.traffic, presets()[p.preset].get("light"))
-        else:
+        p, row = self.parameters, presets()[self.parameters.preset]
+        if self.own is not None:
             own = replace(self.own.site, split=self.own.splits[index])
             # A photograph shows one light, which all recordings share.
             planned = own if self.own.road.photograph else in_its_light(own, index, p.seed)
-        return in_asked_light(planned, index, p.seed, p.weather, p.time_of_day)
+        elif "splits" in row:
+            planned = in_its_split(site(name), index, p.seed, row["splits"])
+        else:
+            planned = in_its_light(site(name), index, p.seed, p.traffic, row.get("light"))
+        lit = in_asked_light(planned, index, p.seed, p.weather, p.time_of_day)
+        return varied(lit) if row.get("varied_light") and self.own is None else lit
+
+    def _asked_vehicles(self, planned: Site) -> dict[str, Any]:
+        """Fields of a plan: the models that were asked for, or those that the table of the recording's split wants."""
+        p = self.parameters
+        share = tables()["conditions"].get(planned.split, {}).get("heavy") if self.own is None else None
+        if p.vehicles or share is None:
+            return {"vehicles": tuple(p.vehicles), "vehicle_share": p.vehicle_share}
+        heavy = [name for name, entry in fleet().items() if entry.vehicle.vehicle_type in HEAVY]
+        return {"vehicles": tuple(heavy), "vehicle_share": share}
 
     def frames_of(self, name: str) -> int:
         """Number of frames of the site of that name; where its split is not among `frames`, that of the first split."""
@@ -197,67 +208,6 @@ def _share_out(frames: int, recordings: int) -> list[int]:
     """Number of frames of each recording, as even as can be; there are no more recordings than frames."""
     count = min(recordings, frames)
     return [frames // count + (i < frames % count) for i in range(count)]
-
-
-def in_its_light(
-    own: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
-) -> Site:
-    """A site with the weather, hour and traffic of its recording `index`.
-
-    Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
-    and a share of the site's vehicles an hour that `seed` draws. `lights` and `traffic` replace what the table says.
-    """
-    splits = _tables()["splits"]
-    split = splits.get(own.split, splits["train"])
-    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*(traffic or split["traffic"]))
-    busy = replace(own, vehicles_per_hour=round(own.vehicles_per_hour * share, 1))
-    if index == 0:
-        return busy if traffic else own
-    lights = lights or split["light"]
-    if own.road:
-        # The site file decides the first recording's light: the others are at other hours.
-        lights = [light for light in lights if light.split()[1] != own.time_of_day]
-    weather, time_of_day = lights[(index - 1) % len(lights)].split()
-    fixed = _without(own.conditions, _OF_WEATHER + _OF_HOUR)
-    return replace(busy, weather=weather, time_of_day=time_of_day, conditions=fixed)
-
-
-def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str], times_of_day: Sequence[str]) -> Site:
-    """A site in the light of its recording `index`, where its weather or hour is not among those that are asked for.
-
-    One that is asked for takes the place of one that is not: in turns from recording to recording, begun with one that
-    `seed` draws for each site. Without names, each is as planned.
-    """
-    turn = index + int(rng(seed, planned.name, 0, Stream.ASKED_LIGHT).integers(len(WEATHERS) * len(TIMES_OF_DAY)))
-    weather, time_of_day = planned.weather, planned.time_of_day
-    if weathers and weather not in weathers:
-        weather = weathers[turn % len(weathers)]
-    if times_of_day and time_of_day not in times_of_day:
-        # Weathers take their turns faster, so that each comes at each hour.
-        time_of_day = times_of_day[turn // max(len(weathers), 1) % len(times_of_day)]
-    other_weather = _OF_WEATHER if weather != planned.weather else ()
-    other_hour = _OF_HOUR if time_of_day != planned.time_of_day else ()
-    fixed = _without(planned.conditions, other_weather + other_hour)
-    return replace(planned, weather=weather, time_of_day=time_of_day, conditions=fixed)
-
-
-def _without(conditions: Mapping[str, Range], names: Sequence[str]) -> dict[str, Range]:
-    return {name: pair for name, pair in conditions.items() if name not in names}
-
-
-def _range_pairs(table: Mapping[str, list[float]]) -> dict[str, Range]:
-    return {name: (low, high) for name, (low, high) in table.items()}
-
-
-@cache
-def _tables() -> Mapping[str, Any]:
-    return tomllib.loads(resources.files("skope.gen.pipeline").joinpath("presets.toml").read_text(encoding="utf-8"))
-
-
-def presets() -> Mapping[str, Mapping[str, Any]]:
-    """The presets of `presets.toml` by name."""
-    presets: Mapping[str, Mapping[str, Any]] = _tables()["presets"]
-    return presets
 
 
 def from_preset(
@@ -309,8 +259,8 @@ def from_preset(
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
     for name in ("traffic", "distractors"):
         values[name] = tuple(row[name]) if name in row else None
-    values["settings"] = _range_pairs(row.get("settings", {})) | dict(settings or {})
-    values["cameras"] = _range_pairs(row.get("cameras", {}) | (_tables()["camera_jitter"] if camera_jitter else {}))
+    values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
+    values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
     parameters = Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)

@@ -30,7 +30,7 @@ SHAPES_S: Final = 5.0
 """Core time of a recording's vehicles where each has a shape of its own, seconds."""
 _LIGHT_PARTS: Final = 4
 """Of a light, that workers without a GPU share out."""
-_WET: Final = ("rain", "after_rain")
+_WET: Final = ("rain", "after_rain", "snow")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ _NIGHT_SKY: Final = 0.006
 than true ones too, and after exposure only the ratio of the two shows."""
 _DIM: Final = 0.24
 """Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is darker."""
+_SNOW_DIMS: Final = 1.4
+"""How much brighter than a street an automatic exposure finds one under snow, as a share."""
 _FULL_LIGHT: Final = 2.0
 """Irradiance on the ground from which on it does not."""
 
@@ -93,6 +95,7 @@ class Daylight:
         city = street_light * 0.00015 * np.array([1.0, 0.9, 0.8])
         # It is at its strongest when the sun has just set.
         sunset = math.exp(-((height / 4.0) ** 2)) * max(dusk, 0.02) * (1 - closed)
+        stops = 2**conditions.exposure_ev / (1 + _SNOW_DIMS * conditions.snow_cover)
         white = temperature_color(6500.0) / temperature_color(conditions.white_balance_k)
         return cls(
             sun_direction=np.array([0.0, 0.0, 1.0]) if overcast or dark else direction,
@@ -105,7 +108,7 @@ class Daylight:
             dark=dark,
             street_light=street_light,
             haze_density=-math.log(0.05) / conditions.visibility_m,
-            gains=2**conditions.exposure_ev * white / (white @ [0.2126, 0.7152, 0.0722]),
+            gains=stops * white / (white @ [0.2126, 0.7152, 0.0722]),
             vignetting=conditions.vignetting,
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
+from skope.gen.render.burning_lamps import burning
 from skope.gen.render.daylight import temperature_color
 from skope.gen.render.traffic_lights import lit_signals
 from skope.gen.render.vehicle_lamps import Lit, lit_lamps
@@ -26,6 +27,8 @@ HAZY: Final = 2000.0
 """Lamps glare by day too when the visibility is below this, metres."""
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
+_SMEARED: Final = 0.07
+"""Share of a lamp's glare that dirty glass spreads far around it."""
 _FULL: Final = 15.0
 """Distance up to which lamps glare at their strongest, metres."""
 _LEAST: Final = 0.006
@@ -42,14 +45,16 @@ class Glare:
         self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
         self.seen = self._dark or conditions.visibility_m < HAZY
-        self._strength = 1.0 if self._dark else 0.25
+        self._strength = conditions.glare * (1.0 if self._dark else 0.25)
+        self._dirt = conditions.lens_dirt
         self._scatter = 3.0 / conditions.visibility_m
         shape = (-(-camera.height // COARSE), -(-camera.width // COARSE), 3)
         self._still = np.zeros(shape, dtype=np.float32)
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
-            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in town.lamps]
+            lamps = burning(town.lamps, conditions.street_lights_lit)
+            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in lamps]
             self._add_lamps(self._still, lit, depth, None)
 
     def spread(
@@ -103,6 +108,8 @@ class Glare:
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
             _add_spread_light(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
+            if self._dirt:
+                _add_spread_light(light, pixels[i] / COARSE, 16.0 * scale, _SMEARED * self._dirt * strength * color)
 
     @staticmethod
     def _is_hidden(

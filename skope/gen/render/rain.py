@@ -40,17 +40,8 @@ class Rain:
         """The picture (H, W, 3) of a frame with rain."""
         if self._rate <= 0:
             return rgb
-        height, width = rgb.shape[:2]
         rng = self._recording.rng(Stream.RAIN_IN_FRAME, frame)
-        rows, columns = self._streaks.shape
-        y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
-        window = self._streaks[y : y + height, x : x + width]
-        # Drops show the light around them, which stands out before what is neither bright itself nor in the dark.
-        small = cv2.cvtColor(_smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
-        around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
-        light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
-        fallen = cv2.add(rgb, cv2.cvtColor(cv2.multiply(window, light, scale=1 / 255), cv2.COLOR_GRAY2RGB))
-        return self._put_drops_on_glass(np.asarray(fallen, dtype=np.uint8), frame)
+        return self._put_drops_on_glass(fallen(rgb, self._streaks, rng), frame)
 
     def _put_drops_on_glass(self, rgb: Image, frame: int) -> Image:
         """Drops on the glass show the street upside down, out of focus and small."""
@@ -67,6 +58,20 @@ class Rain:
             radius = width * (0.004 + 0.011 * size * size)
             _draw_drop(rgb, soft, (x * width, y * height), radius, 1 + 0.35 * flat)
         return rgb
+
+
+def fallen(rgb: Image, field: Image, rng: np.random.Generator) -> Image:
+    """The picture (H, W, 3) with what falls before it: a window, which `rng` draws, of a larger grey field (H', W')."""
+    height, width = rgb.shape[:2]
+    rows, columns = field.shape
+    y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
+    window = field[y : y + height, x : x + width]
+    # Drops show the light around them, which stands out before what is neither bright itself nor in the dark.
+    small = cv2.cvtColor(_smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
+    around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
+    light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
+    grey = cv2.multiply(window, light, scale=1 / 255)
+    return np.asarray(cv2.add(rgb, cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)), dtype=np.uint8)
 
 
 @lru_cache(maxsize=2)

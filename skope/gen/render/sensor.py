@@ -1,4 +1,4 @@
-"""What the camera adds to a clean picture: the lens' distortion, rain before it, noise, the stream's losses."""
+"""What the camera adds to a clean picture: the lens' distortion, rain, snow and dirt before it, noise, losses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
+from skope.gen.render.lens_dirt import LensDirt
 from skope.gen.render.rain import Rain
+from skope.gen.render.snowfall import Snowfall
 from skope.gen.render.stream_degradation import streamed
 from skope.gen.scene.conditions import DARK_DEG, Conditions
 from skope.gen.scene.random_streams import Stream
@@ -37,7 +39,7 @@ class Sensor:
             straight = None if photograph is None else self._lens.straightened(photograph)
             self._bent = None if straight is None else self._lens.bent(straight)
             seen = replace(recording, camera=self._lens.pinhole, photograph=straight)
-        self._rain = Rain(recording)
+        self._rain, self._snowfall, self._dirt = Rain(recording), Snowfall(recording), LensDirt(recording)
         self._clean = make(seen)
 
     def render(self, frame: int) -> RenderedFrame:
@@ -50,7 +52,7 @@ class Sensor:
             untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= _ROUNDING
             view = replace(view, rgb=np.where(untouched, self._recording.photograph, view.rgb))
         conditions = self._recording.conditions
-        rgb = self._rain.fall(view.rgb, frame)
+        rgb = self._dirt.soil(self._snowfall.fall(self._rain.fall(view.rgb, frame), frame))
         if grey(conditions):
             rgb = np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
         rgb = streamed(with_noise(rgb, self._recording, frame), self._recording, frame)

@@ -23,6 +23,7 @@ from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.palette import Palette
 from skope.gen.render.pixel_windows import NEAR, Window, hull_of, window_of
+from skope.gen.render.spray import Spray
 from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
@@ -180,6 +181,7 @@ class TinyRenderer:
         self._background, self._ground = self._draw_background()
         depth = self._background.depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
         self._glare = Glare(self._camera, recording.conditions, scenery(recording.town), depth)
+        self._spray = Spray(self._camera, recording.conditions)
 
     # ------------------------------------------------------------------------------------------------------ scenery
 
@@ -277,8 +279,9 @@ class TinyRenderer:
         middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
         coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
+        wet = self._spray.drift(np.rint(clean).astype(np.uint8), coarse, moment, frame)
         return RenderedFrame(
-            self._glare.spread(np.rint(clean).astype(np.uint8), coarse, middle, moment),
+            self._glare.spread(wet, coarse, middle, moment),
             coarse,
             _slope(depth),
             np.ascontiguousarray(middle),

@@ -77,6 +77,18 @@ class Conditions:
     """Factor on the strength of colours."""
     sharpening: float = 0.0
     """Share of the finest detail that the camera adds to its picture once more."""
+    glare: float = 1.0
+    """Light that lens and sensor spread around lamps, in amounts of a good lens."""
+    street_lights_lit: float = 1.0
+    """Share of the street lights that burn when it is dark; the others leave stretches without light."""
+    snowfall_mm_h: float = 0.0
+    """Snow that falls, as water."""
+    snow_cover: float = 0.0
+    """Share of level ground that snow lies on; carriageways have less of it."""
+    spray: float = 0.0
+    """Spray behind vehicles on a wet road; 1 for that of a closed film of water."""
+    lens_dirt: float = 0.0
+    """Dirt and dried drops on the glass before the lens, from 0 (clean) to 1 (much of the picture is soft)."""
 
     @classmethod
     def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
@@ -140,6 +152,12 @@ LIMITS: Final[Mapping[str, Range]] = {
     "black_level": (0.0, 100.0),
     "saturation": (0.0, 2.0),
     "sharpening": (0.0, 5.0),
+    "glare": (0.0, 20.0),
+    "street_lights_lit": (0.0, 1.0),
+    "snowfall_mm_h": (0.0, 20.0),
+    "snow_cover": (0.0, 1.0),
+    "spray": (0.0, 2.0),
+    "lens_dirt": (0.0, 1.0),
 }
 """Least and greatest value of each condition that can be set."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
@@ -150,7 +168,11 @@ _PLACE: Final[Mapping[str, Range]] = {
     "day": (1.0, 365.0),
     "street_lighting": (0.8, 1.25),
     "street_light_k": (2200.0, 4200.0),
+    "street_lights_lit": (1.0, 1.0),
     "lit_windows": (0.15, 0.5),
+    "snowfall_mm_h": (0.0, 0.0),
+    "snow_cover": (0.0, 0.0),
+    "spray": (0.0, 0.0),
 }
 _CAMERA: Final[Mapping[str, Range]] = {
     "exposure_ev": (-0.25, 0.25),
@@ -166,6 +188,8 @@ _CAMERA: Final[Mapping[str, Range]] = {
     "black_level": (0.0, 0.0),
     "saturation": (1.0, 1.0),
     "sharpening": (0.0, 0.0),
+    "glare": (1.0, 1.0),
+    "lens_dirt": (0.0, 0.0),
 }
 _DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
 _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
@@ -187,6 +211,14 @@ _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
         "puddles": (0.1, 0.4),
     },
     "fog": {**_DRY, "wetness": (0.0, 0.4), "clouds": (1.0, 1.0), "visibility_m": (120.0, 500.0)},
+    "snow": {
+        **_DRY,
+        "clouds": (1.0, 1.0),
+        "visibility_m": (250.0, 2e3),
+        "wetness": (0.2, 0.7),
+        "snowfall_mm_h": (0.3, 4.0),
+        "snow_cover": (0.1, 1.0),
+    },
 }
 _DAY: Final[Mapping[str, Range]] = {
     "white_balance_k": (6000.0, 7000.0),

@@ -9,8 +9,9 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
-from skope.gen.pipeline.config import DatasetRequest, from_preset, presets
+from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
+from skope.gen.pipeline.presets import presets
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import own_site
 from skope.gen.vehicles.fleet import fleet
@@ -64,7 +65,7 @@ def test_what_follows_from_a_light_goes_with_it_and_the_rest_of_a_site_file_stay
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"weather": ("snow",)}, "--weather: 'snow' is not one of clear, cloudy"),
+        ({"weather": ("hail",)}, "--weather: 'hail' is not one of clear, cloudy"),
         ({"weather": ("rain", "rain")}, "--weather: expected different names, got rain,rain"),
         ({"time_of_day": ("noon", "tea")}, "--time-of-day: 'tea' is not one of noon"),
         ({"vehicle_share": 0.2}, "--share: is that of the models of --vehicles"),

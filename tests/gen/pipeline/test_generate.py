@@ -111,7 +111,7 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path: Path) -> None:
         (["--vehicles", "suv"], ["--vehicles suv", "--share"]),
         (["--share", "0.2"], ["--share", "--vehicles"]),
         (["--vehicles", "suv", "--share", "2"], ["--share", "2"]),
-        (["--weather", "snow"], ["--weather", "snow", "after_rain"]),
+        (["--weather", "hail"], ["--weather", "hail", "after_rain"]),
         (["--time-of-day", "noon,"], ["--time-of-day", "low_sun"]),
         (["--site", "nowhere"], ["--site", "nowhere", "t01_mill_corner"]),
         (["--site", "t01_mill_corner", "--sites", "t01_mill_corner"], ["--site", "--sites"]),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
+from skope.gen.render.burning_lamps import burning
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
@@ -37,7 +38,7 @@ SCALE: Final = 2
 _MIRROR: Final = 128
 _LIGHT: Final = (
     "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
-    "street_lighting", "street_light_k", "lit_windows", "infrared",
+    "street_lighting", "street_light_k", "street_lights_lit", "lit_windows", "infrared", "snow_cover",
 )  # fmt: skip
 """Conditions that the scenery's light depends on."""
 _PARTS: Final = 4
@@ -81,7 +82,8 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
         conditions = replace(conditions, wetness=0.0, puddles=0.0)
         daylight = photograph.fitted(device, daylight, recording.town.road)
     size = (camera.width, camera.height)
-    stage = Stage(device, town.mesh, camera, conditions, town.lamps, daylight, Palette.of(recording.town))
+    lamps = burning(town.lamps, conditions.street_lights_lit)
+    stage = Stage(device, town.mesh, camera, conditions, lamps, daylight, Palette.of(recording.town))
     wet = conditions.wetness > 0
 
     geometry = device.target(size, ["4f4"])

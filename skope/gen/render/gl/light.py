@@ -88,6 +88,7 @@ class Stage:
             *(street_lights.OPTIONS if daylight.dark else ()),
             *(("WET",) if conditions.wetness > 0 else ()),
             *(("PATTERNS",) if palette.patterns else ()),
+            *(("SNOW",) if conditions.snow_cover > 0 else ()),
         )
         first, second = pattern_tables(palette)
         self._seen, self._casting = _scenery_parts(device, mesh, _Eye.of(camera))
@@ -117,6 +118,8 @@ class Stage:
             "u_puddles": conditions.puddles,
             "u_standing": STANDING,
             "u_lit_windows": conditions.lit_windows,
+            "u_all_lit": conditions.street_lights_lit >= 1,
+            "u_snow": conditions.snow_cover,
             **self.street_lights.uniforms,
         }
         self.pixels: dict[str, Any] = {

@@ -35,6 +35,7 @@ from skope.gen.render.pixel_windows import (
     tiles,
     union,
 )
+from skope.gen.render.spray import Spray
 from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
@@ -103,11 +104,15 @@ class GLRenderer:
                 "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
                 "u_plane": background.road.uniform,
             }
+        if recording.conditions.snow_cover > 0:
+            self._options += ("SNOW",)
+            self._uniforms["u_snow"] = recording.conditions.snow_cover
         if background.mirrored_depth:
             self._reflections = Reflections(
                 self._device, camera, background.road, background.mirrored_depth, *self._options
             )
         self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
+        self._spray = Spray(camera, recording.conditions)
         self._compose_picture([self._image])
         self._plain = self._read_display()
 
@@ -132,6 +137,7 @@ class GLRenderer:
                 silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
                 contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
         light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
+        rgb = self._spray.drift(rgb, depth, moment, frame)
         rgb = self._glare.spread(rgb, depth, ids, moment)
         return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 

@@ -2,6 +2,7 @@
 uniform vec3 u_street_light;             // radiant intensity of each
 uniform vec4 u_luminaires[MOST_LAMPS];        // where they are; w: 1
 uniform int u_lamp_count;
+uniform bool u_all_lit;                  // whether all street lights burn, not only these
 uniform mat4 u_lamp_map_from[SHADOWED_LAMPS];
 uniform int u_shadowed;                  // that many have shadow maps, side by side in one texture
 uniform sampler2DShadow u_lamp_maps;
@@ -36,7 +37,11 @@ vec3 lamplight(vec3 at, vec3 n) {
 }
 
 vec3 emission(vec3 p, vec3 n) {
-    if (v_material == M_LUMINAIRE) return u_street_light * 0.35;
+    if (v_material == M_LUMINAIRE) {
+        bool lit = u_all_lit;
+        for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
+        return lit ? u_street_light * 0.35 : vec3(0.0);
+    }
 #ifdef OTHERS
     bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;
     if (!shop && !cloth && v_material != M_WINDOW) return vec3(0.0);

@@ -1,6 +1,6 @@
 // One sample of the scenery's light: what one direction of the sky, one point of the sun's disc and the street lights
 // send to the camera. Averaged over many samples with jittered pixels this is anti-aliased, with soft shadows and true
-// sky occlusion. LAMPS when street lights burn, WET for wet ground, MIRRORED for what wet ground mirrors.
+// sky occlusion. LAMPS when street lights burn, WET for wet ground, SNOW when snow lies, MIRRORED for what wet ground mirrors.
 #version 430
 #include "leaves.glsl"
 #include "common.glsl"

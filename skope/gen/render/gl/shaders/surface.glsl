@@ -29,6 +29,30 @@ vec2 water_on(vec3 p, vec3 n) {
 }
 #endif
 
+#ifdef SNOW
+uniform float u_snow;
+
+// Share of a place that snow covers: level ground first, roads last, where wheels clear tracks; `bare` is what melts it.
+float snow_on(vec3 p, vec3 n, out float slush) {
+    float broad = noise(p.xy, 19.0).r, fine = noise(p.xy, 2.3).g, bare = 0.0;
+    slush = 0.0;
+#ifdef GROUND
+    if (between(M_ASPHALT, M_ASPHALT_OLD) || v_material == M_MARKING || v_material == M_GUTTER || v_material == M_COVER) {
+        bare = 0.62;
+        slush = smoothstep(0.35, 0.6, fine) * 0.55;
+    } else if (v_material == M_SIDEWALK || v_material == M_KERB || v_material == M_PAVING || v_material == M_TACTILE) {
+        bare = 0.3;
+    }
+#endif
+#ifdef LEAVES
+    n.z = 0.62;
+    bare = 0.25;
+#endif
+    float lies = u_snow * 1.25 - bare + 0.5 * (broad - 0.5) + 0.35 * (fine - 0.5);
+    return smoothstep(0.05, 0.3, lies) * smoothstep(0.45, 0.8, n.z);
+}
+#endif
+
 void leaf_color(vec3 p, inout vec3 color) {
     float tone = leaf_tone(v_local), clump = noise(p.xy + p.z * 0.7, 3.1).g, tree = noise(p.xy, 41.0).b;
     color *= (0.45 + 0.75 * tone) * (0.7 + 0.6 * clump);
@@ -200,6 +224,11 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
 #endif
 #ifdef PATTERNS
     if (v_material < MATERIAL_COUNT) color = patterned(at, footprint, color);
+#endif
+#ifdef SNOW
+    float slush, lies = snow_on(p, n, slush);
+    color = mix(color, mix(vec3(0.78, 0.80, 0.84), vec3(0.30, 0.28, 0.26), slush), lies * (1.0 - 0.3 * slush));
+    gloss *= 1.0 - lies;
 #endif
     return color;
 }

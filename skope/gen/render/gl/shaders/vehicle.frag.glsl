@@ -1,6 +1,7 @@
 // A vehicle's picture: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
 // SOLID is everything but the panes, PANES those alone, over what is seen through them; PEEL a plain picture of what
-// stands behind the vehicle shown; REFLECTION its light as wet ground mirrors it. LAMPS when street lights burn.
+// stands behind the vehicle shown; REFLECTION its light as wet ground mirrors it. LAMPS when street lights burn, SNOW when
+// snow lies.
 #version 430
 #include "common.glsl"
 #include "display.glsl"
@@ -16,6 +17,9 @@ uniform vec3 u_livery;          // second colour: stripe, box, lower half
 uniform int u_plate;            // what the plates' text is drawn from
 uniform int u_lamps;
 uniform float u_dirt;           // of the lower half of the body, 0 to 1
+#ifdef SNOW
+uniform float u_snow;           // share of level ground that it covers
+#endif
 uniform float u_id;
 uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the image shows
 uniform sampler2D u_mirror;     // octahedral map of what a mirror sees
@@ -125,6 +129,15 @@ void main() {
     // Wheels have axes of their own, about which they are evenly dirty.
     if (v_material >= M_TYRE && v_material <= M_DISC) dirt = 0.35 * u_dirt;
     base = mix(base, vec3(0.17, 0.145, 0.115), dirt);
+#ifdef SNOW
+    // Some drive with what fell on them while they stood; wind and warmth take it off hoods first.
+    float kept = u_snow * 1.3 * float(scrambled(uint(u_plate)) & 255u) / 255.0 - 0.45 - 0.35 * float(v_local.z < 1.2);
+    float flat_enough = smoothstep(0.8, 0.95, n.z) * float(v_material < M_TYRE || v_material > M_DISC);
+    float lies = flat_enough * smoothstep(0.0, 0.25, kept + 0.12 * sin(v_local.x * 5.0 + 2.0 * sin(v_local.y * 4.0)));
+    base = mix(base, vec3(0.78, 0.80, 0.84), lies);
+#else
+    const float lies = 0.0;
+#endif
     // The inside of the body, seen through its windows.
     if (!gl_FrontFacing) base = vec3(0.03);
 #ifdef LAMPS
@@ -156,7 +169,7 @@ void main() {
     if (v_material == M_CHROME || v_material == M_RIM) metal = 1.0;
     if (v_material == M_TRIM || v_material == M_GRILLE || v_material == M_BOX) coat = 0.25;
 
-    coat *= 1.0 - dirt;
+    coat *= (1.0 - dirt) * (1.0 - lies);
     metal *= 1.0 - dirt;
     if (!gl_FrontFacing) coat = metal = 0.0;
 

@@ -1,0 +1,121 @@
+"""Spray: the cloud of fine drops that wheels throw up from a wet road, drawn over a picture.
+
+It stands behind each vehicle that moves, the denser and longer the faster it goes and the wetter the road is, and hides
+what is behind it, the vehicle's own rear included. It is worked out on a grid coarser than the image.
+"""
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.recording import Moment
+from skope.gen.scene.road_user_bodies import body_of
+from skope.types import Array
+
+COARSE: Final = 4
+"""Pixels of the image per cell of the grid, on each axis."""
+_LEAST_SPEED: Final = 5.0
+"""Tyres throw up nothing that stays in the air below this, m/s."""
+_FULL_SPEED: Final = 18.0
+"""Speed at which spray is as dense as `_DENSITY` says, m/s."""
+_DENSITY: Final = 1.1
+"""Optical depth through the middle of a puff behind a car at that speed."""
+_LASTS_S: Final = 0.6
+"""Time in which spray thins out to a third."""
+_GONE_S: Final = 1.8
+"""Time after which it is not drawn."""
+_APART: Final = 0.6
+"""Distance between the puffs of a plume, in widths of the vehicle."""
+_WHITE: Final = 0.82
+"""Brightness of spray, as a share of the picture's bright parts."""
+_MOTTLED: Final = 0.55
+"""How far the density varies within a plume, as a share."""
+_TILE: Final = 128
+"""Size of the pattern that mottles plumes, cells."""
+
+
+class Spray:
+    """The spray of a recording's vehicles."""
+
+    def __init__(self, camera: Camera, conditions: Conditions) -> None:
+        self._camera = camera
+        self._amount = conditions.spray * conditions.wetness
+        noise = np.random.default_rng(23).standard_normal((_TILE, _TILE)).astype(np.float32)
+        soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[_TILE : 2 * _TILE, _TILE : 2 * _TILE]
+        self._mottle = np.asarray(np.clip(1 + _MOTTLED * soft / soft.std(), 0.1, 3.0), dtype=np.float32)
+
+    def drift(
+        self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], moment: Moment, frame: int
+    ) -> NDArray[np.uint8]:
+        """Put the spray of a moment into the picture (H, W, 3), and return it; `depth` (H, W) is the picture's."""
+        if self._amount <= 0:
+            return rgb
+        shown = np.ascontiguousarray(depth[::COARSE, ::COARSE])
+        thick = np.zeros(shown.shape, dtype=np.float32)
+        for i, (recorded, T) in enumerate(zip(moment.vehicles, moment.T_world_chassis, strict=True)):
+            speed = float(np.linalg.norm(moment.velocity[i]))
+            if recorded.labelled and speed > _LEAST_SPEED:
+                self._add_plume(thick, shown, T, body_of(recorded).size_lwh, speed)
+        if not thick.any():
+            return rgb
+        rows, columns = shown.shape
+        tiled = np.tile(self._mottle, (-(-rows // _TILE) + 1, -(-columns // _TILE) + 1))
+        # The pattern moves on from frame to frame.
+        y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
+        veil = 1 - np.exp(-thick * tiled[y : y + rows, x : x + columns])
+        veil = cv2.resize(veil, (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
+        cover = veil[: rgb.shape[0], : rgb.shape[1], None]
+        light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0).astype(np.float32)
+        return np.asarray(rgb + cover * (light - rgb), dtype=np.uint8)
+
+    def _add_plume(
+        self,
+        thick: NDArray[np.float32],
+        shown: NDArray[np.float32],
+        T: Array,
+        size: tuple[float, float, float],
+        speed: float,
+    ) -> None:
+        """Add one vehicle's plume to the optical depth on the grid."""
+        length, width, height = size
+        dense = self._amount * _DENSITY * min((speed - _LEAST_SPEED) / (_FULL_SPEED - _LEAST_SPEED), 1.5)
+        dense *= 1.0 + 0.6 * (height > 2.4)
+        behind = np.arange(0.0, speed * _GONE_S, _APART * width)
+        ages = behind / speed
+        heights = 0.35 + 0.55 * np.minimum(ages, 1.0)
+        back = np.column_stack([-0.42 * length - behind, np.zeros(len(ages)), heights])
+        radius = width * (0.50 + 0.45 * np.minimum(ages, 1.2)) * (1 + 0.25 * (height > 2.4))
+        wheels = np.array([[x * length, y * width, 0.28] for x in (0.30, -0.30) for y in (-0.55, 0.55)])
+        places = np.concatenate([back, wheels]) @ T[:3, :3].T + T[:3, 3]
+        radii = np.concatenate([radius, np.full(len(wheels), 0.34)])
+        depths = np.concatenate([dense * np.exp(-ages / _LASTS_S), np.full(len(wheels), 0.45 * dense)])
+        pixels, z, valid = self._camera.project(places)
+        focal = float(self._camera.K[0, 0])
+        for k in np.flatnonzero(valid & (z > 1.0)).tolist():
+            _add_puff(thick, shown, pixels[k] / COARSE, float(z[k]), float(radii[k]), focal / COARSE, float(depths[k]))
+
+
+def _add_puff(
+    thick: NDArray[np.float32],
+    shown: NDArray[np.float32],
+    center: Array,
+    z: float,
+    radius: float,
+    focal: float,
+    dense: float,
+) -> None:
+    """Add a round puff: less of it counts where the picture shows something that stands in it or before it."""
+    reach = max(focal * radius / z, 0.8)
+    rows, columns = thick.shape
+    x0, x1 = max(int(center[0] - 2.2 * reach), 0), min(int(center[0] + 2.2 * reach) + 2, columns)
+    y0, y1 = max(int(center[1] - 2.2 * reach), 0), min(int(center[1] + 2.2 * reach) + 2, rows)
+    if x0 >= x1 or y0 >= y1:
+        return
+    y, x = np.ogrid[y0:y1, x0:x1]
+    square = ((x + 0.5 - center[0]) ** 2 + (y + 0.5 - center[1]) ** 2) / (reach * reach)
+    before = np.clip((shown[y0:y1, x0:x1] - (z - radius)) / (2 * radius), 0, 1)
+    thick[y0:y1, x0:x1] += (dense * before * np.exp(-1.4 * square)).astype(np.float32)
