@@ -32,10 +32,10 @@ def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
         shell.draw(rectangle(middle - half, middle + half, low - 0.05, top), SIDE, "#eeeeee", layer=0.6)
         shell.draw(rectangle(middle - half, middle - 0.55 * half, low - 0.05, top), SIDE, color, layer=0.8)
         color = "#222222"
-    _draw_letters(shell, (middle - 0.45 * half, middle + 0.9 * half), (low, top - 0.05), color, int(s.length * 1e5))
+    draw_letters(shell, (middle - 0.45 * half, middle + 0.9 * half), (low, top - 0.05), color, int(s.length * 1e5))
 
 
-def _draw_letters(shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int) -> None:
+def draw_letters(shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int) -> None:
     """Two lines of blocks as wide as words look from afar."""
     rng = np.random.default_rng(seed)
     (start, end), (low, high) = along, up

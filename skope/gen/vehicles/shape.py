@@ -198,11 +198,21 @@ class VehicleStyle:
     bed: bool = False
     """An open cargo bed behind the cabin."""
     body: str = "box"
-    """Cargo body of a truck: "box", "flatbed", "tipper" or "curtain"."""
+    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", or one of `cargo_bodies.CARGO_BODIES`."""
     axles: tuple[float, ...] = ()
     """Middle axles' distances before the rearmost one, metres."""
+    steered: tuple[float, ...] = ()
+    """Second front axles' distances behind the foremost one, metres."""
     dual: bool = False
     """Twin tyres at the rear."""
+    cab_share: float = 0.0
+    """Height of a cab's roof, as a share of the vehicle's height; 0 for what follows from its body."""
+    deflector: bool = True
+    """A wind deflector over a cab that is lower than the body behind it."""
+    cooled: bool = False
+    """A cooling unit at the front of a box."""
+    arms: bool = False
+    """Mirrors that stand on arms."""
     soft_seams: bool = False
     """Panel gaps wide and pale enough to be whole lines 15 m away, and wheel arches without a
     painted lip."""
