@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from skope.gen.vehicles.box_bodies import box_body, curtain_body
+from skope.gen.vehicles.box_bodies import box_body, curtain_body, living_body, luton_body
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.flatbeds import crane_body, dropside_body, flatbed_body
 from skope.gen.vehicles.tank_bodies import mixer_body, tank_body
@@ -12,6 +12,8 @@ from skope.gen.vehicles.work_bodies import hook_body, recovery_body, refuse_body
 CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
     "panels": box_body,
     "sliding": curtain_body,
+    "luton": luton_body,
+    "living": living_body,
     "tank": tank_body,
     "mixer": mixer_body,
     "refuse": refuse_body,

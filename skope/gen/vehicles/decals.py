@@ -35,7 +35,9 @@ def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
     draw_letters(shell, (middle - 0.45 * half, middle + 0.9 * half), (low, top - 0.05), color, int(s.length * 1e5))
 
 
-def draw_letters(shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int) -> None:
+def draw_letters(
+    shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int, layer: float = 0.9
+) -> None:
     """Two lines of blocks as wide as words look from afar."""
     rng = np.random.default_rng(seed)
     (start, end), (low, high) = along, up
@@ -44,5 +46,5 @@ def draw_letters(shell: Surface, along: tuple[float, float], up: tuple[float, fl
         x = start
         while x < end - 0.04:
             wide = float(rng.uniform(0.35, 0.8)) * (top - bottom)
-            shell.draw(rectangle(x, min(x + wide, end), bottom, top), SIDE, color, layer=0.9)
+            shell.draw(rectangle(x, min(x + wide, end), bottom, top), SIDE, color, layer=layer)
             x += wide + gap

@@ -15,6 +15,8 @@ from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.chassis_cab import ChassisCabBody
+from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody
 from skope.gen.vehicles.details import styled
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
@@ -25,7 +27,16 @@ from skope.gen.vehicles.user_models import load
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.types import Array
 
-_BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
+_BODIES: Final[dict[str, Any]] = {
+    "car": CarBody,
+    "truck": TruckBody,
+    "bus": BusBody,
+    "chassis": ChassisCabBody,
+    "city_bus": CityBusBody,
+    "coach": CoachBody,
+    "double_deck": DoubleDeckBody,
+    "school_bus": SchoolBusBody,
+}
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,17 @@ from skope.types import Array
 
 
 def arm_mirror(
-    root: tuple[float, float, float], material: str, *, reach: float = 0.25, high: float = 0.62, ahead: float = 0.0
+    root: tuple[float, float, float], material: str, *, reach: float = 0.25, high: float = 0.62, upright: bool = True
 ) -> tuple[Mesh, Array]:
-    """A mirror whose arms stand at `root` on the body's side, `high` and `ahead` of there, and its outer tip."""
+    """A mirror `high` whose arms stand at `root` on the body's side, and its outer tip.
+
+    Its arms lie level on an `upright` side; else both stand at its foot.
+    """
     x, y, z = root
     inner, outer = y + reach - 0.2, y + reach
     middle = z + high / 2 - 0.05
     low, top = middle - high / 2, middle + high / 2
-    at = x + ahead
+    at = x
     housing = block((at - 0.06, inner, low), (at + 0.08, outer, top), material, 0.05)
     panes = [
         [
@@ -28,8 +31,9 @@ def arm_mirror(
         for a, b in ((low + 0.24 * high, top - 0.05), (low + 0.05, low + 0.22 * high))
     ]
     glass = quads(np.array(panes)[:, ::-1], "glass_mirror")
+    feet = (low + 0.08, top - 0.08) if upright else (z + 0.02, z + 0.07)
     arms = [
-        pipe((x, y - 0.06, level), (at + 0.01, inner + 0.06, level + lift), 0.018, "trim", sides=6)
-        for level, lift in ((low + 0.08, 0.0), (top - 0.08, 0.0))
+        pipe((x, y - 0.06, foot), (at + 0.01, inner + 0.06, level), 0.018, "trim", sides=6)
+        for foot, level in zip(feet, (low + 0.08, top - 0.14), strict=True)
     ]
     return merged([housing, glass, *arms]), np.array([at + 0.01, outer, middle])

@@ -89,6 +89,7 @@ PAINTS: Final[dict[str, Paint]] = dict(
         _livery("freight_green", 1, "green", (34, 80, 54), _CREAM),
         _livery("freight_yellow", 2, "yellow", (214, 164, 28), (72, 76, 82)),
         _livery("freight_orange", 1, "orange", (206, 96, 24), (214, 215, 212)),
+        _livery("school_yellow", 1, "yellow", (226, 160, 24), (226, 160, 24)),
         _livery("refuse_orange", 4, "orange", (214, 104, 22), (214, 104, 22)),
         _livery("refuse_white", 3, "white", _WHITE, (58, 128, 70)),
         _livery("refuse_green", 2, "green", (40, 110, 62), (222, 222, 218)),

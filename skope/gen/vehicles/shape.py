@@ -205,6 +205,10 @@ class VehicleStyle:
     """Second front axles' distances behind the foremost one, metres."""
     dual: bool = False
     """Twin tyres at the rear."""
+    cab_width: float = 1.0
+    """Width of a cab with its engine before it, as a share of the vehicle's width."""
+    skirts: bool = False
+    """A body that reaches down to the sills, and so hides frame, tank and guards."""
     cab_share: float = 0.0
     """Height of a cab's roof, as a share of the vehicle's height; 0 for what follows from its body."""
     deflector: bool = True

@@ -1,5 +1,6 @@
 """Trucks: a cab over the engine, a frame with its axles, and a box, curtain, flatbed or tipper behind."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -144,7 +145,7 @@ class TruckBody:
     def _build_frame(self) -> None:
         """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
-        low, high = s.box_height - 0.3, s.box_height + 0.01
+        low, high = s.box_height - (0.1 if style.skirts else 0.3), s.box_height + 0.01
         add = self._parts.append
         add(box((self.end + 0.06, 0.0, low), (self.cab_rear + 0.3, 0.45, high), "under"))
         wheel = steel_wheel(s.wheel_radius, s.wheel_width)
@@ -165,6 +166,13 @@ class TruckBody:
                         "trim",
                     )
                 )
+        if not style.skirts:
+            self._add_guards(axles, steered, low)
+        self._add_rear_bar()
+
+    def _add_guards(self, axles: list[float], steered: list[float], low: float) -> None:
+        """Tank and side guards between the axles, under rails at the height `low`."""
+        s, add = self.shape, self._parts.append
         ahead = max(axles) + s.wheel_radius + 0.12
         start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
@@ -175,12 +183,16 @@ class TruckBody:
             add(box((ahead, side - 0.04, z), (start - tank - 0.1, side, z + 0.11), "rail"))
         for x in np.linspace(ahead + 0.1, start - tank - 0.2, 3):
             add(box((x - 0.03, side - 0.07, s.clearance + 0.12), (x + 0.03, side - 0.041, s.box_height), "under"))
+
+    def _add_rear_bar(self) -> None:
+        """The bar behind with lamps and plate."""
+        s = self.shape
         bar = Plan(s.width / 2 - 0.02, self.end + 0.16, self.end, 0.0, 0.0, 0.02, 0.02)
         shell, w, _ = Tower(
             bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
         ).surface("trim")
-        self._parts += rear.draw_rear(shell, w, s, style, self.points)
-        add(shell.half)
+        self._parts += rear.draw_rear(shell, w, s, replace(self.style, family="truck"), self.points)
+        self._parts.append(shell.half)
         self.points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
 
     def _build_cargo(self) -> None:
