@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.cabin import Greenhouse
+from skope.gen.vehicles.canopy import canopy
 from skope.gen.vehicles.clipping import clipped, rear_wall
 from skope.gen.vehicles.decals import draw_decal
 from skope.gen.vehicles.interior import interior
@@ -81,6 +82,10 @@ class CarBody:
         self._draw_lower()
         self._add_parts()
         self.points |= self._greenhouse.points
+        if style.canopy:
+            hardtop, corners = canopy(shape)
+            self._parts.append(hardtop)
+            self.points |= corners
 
     @cached_property
     def mesh(self) -> Mesh:

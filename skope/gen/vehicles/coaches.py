@@ -65,6 +65,8 @@ DOUBLE_DECK: Final = BusLayout(
 )  # fmt: skip
 SCHOOL: Final = BusLayout(windows=0.62, pane=0.75, screen=0.45, rear_window=(1.25, 0.5), doors=((-0.08, 0.85),))
 
+STEP: Final = BusLayout(windows=0.55, pane=1.0, screen=0.5, rear_window=(1.4, 0.5), doors=())
+
 
 class LaidOutBus(BusBody):
     """A bus of a layout. `shape.belt_height` is the side windows' lower edge, `shape.hood_height` the windscreen's."""
@@ -266,6 +268,49 @@ class DoubleDeckBody(LaidOutBus):
     """A bus with two decks."""
 
     layout = DOUBLE_DECK
+
+
+class StepVanBody(LaidOutBus):
+    """A delivery van with an upright front, doors that slide, and a shutter behind."""
+
+    layout = STEP
+
+    def _draw_side_windows(self, shell: Surface) -> None:
+        """The window and the gaps of the door; graphics on the panels behind."""
+        s = self.shape
+        high = s.height - self.layout.windows
+        front, back = self.nose - 0.5, self.nose - 1.3
+        shell.paint(rectangle(back - 0.03, front + 0.03, s.belt_height - 0.03, high + 0.03), SIDE, "trim", facing=_LEFT)
+        shell.paint(rectangle(back, front, s.belt_height, high), SIDE, "glass", facing=_LEFT)
+        for x in (front + 0.12, back - 0.12):
+            shell.line([(x, s.clearance + 0.16), (x, high + 0.12)], SIDE, width=0.016, layer=3, facing=_LEFT)
+        for x in np.linspace(self.end + 0.35, back - 0.45, 5).tolist():
+            shell.draw(
+                rectangle(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25), SIDE, "rail", layer=1, facing=_LEFT
+            )
+        rng = np.random.default_rng(int(s.length * 1e4))
+        draw_graphics(shell, (self.end + 0.4, back - 0.3), (s.belt_height - 0.25, s.height - 0.3), rng)
+        shell.draw(
+            rectangle(self.end + 0.1, self.nose - 0.2, s.belt_height - 0.42, s.belt_height - 0.34),
+            SIDE,
+            "trim",
+            layer=8,
+            facing=_LEFT,
+        )
+        self.points["beltline"] = shell.place((back, s.belt_height), SIDE)[0]
+
+    def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
+        """A shutter in its frame, with a step below."""
+        s = self.shape
+        edge, low, high = corner + 0.22, s.clearance + 0.5, s.height - 0.42
+        shell.line([(end + 0.1, low), (edge, low), (edge, high), (end + 0.1, high)], WRAP, "rail", width=0.04, layer=2)
+        for z in np.arange(low + 0.2, high - 0.05, 0.22).tolist():
+            shell.line([(edge, z), (end + 0.1, z)], WRAP, width=0.014, layer=3)
+        shell.draw(rectangle(edge + 0.2, end + 0.1, high + 0.08, high + 0.13), WRAP, "brake_light", layer=2)
+        self.points |= {
+            "roof_rear": shell.place((edge, high), WRAP)[0],
+            "rear_window_base": shell.place((edge, low + 0.02), WRAP)[0],
+        }
 
 
 class SchoolBusBody(LaidOutBus):

@@ -16,7 +16,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.chassis_cab import ChassisCabBody
-from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody
+from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
 from skope.gen.vehicles.details import styled
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
@@ -36,6 +36,7 @@ _BODIES: Final[dict[str, Any]] = {
     "coach": CoachBody,
     "double_deck": DoubleDeckBody,
     "school_bus": SchoolBusBody,
+    "step_van": StepVanBody,
 }
 
 

@@ -197,6 +197,8 @@ class VehicleStyle:
     rails: bool = False
     bed: bool = False
     """An open cargo bed behind the cabin."""
+    canopy: bool = False
+    """A hardtop over the bed."""
     body: str = "box"
     """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", or one of `cargo_bodies.CARGO_BODIES`."""
     axles: tuple[float, ...] = ()
@@ -231,7 +233,7 @@ class VehicleStyle:
     mirror: str = ""
     """Material of the mirrors. Default: the body's paint, or dark trim with cladding or on a tall body."""
     load: str = ""
-    """What lies on the roof: "box", "bars", "ladder" or nothing."""
+    """What lies on the roof: "box", "bars", "ladder", "beacons" or nothing."""
     antenna: str = ""
     """"fin", "rod" or none."""
     front_plate: str = "plate"
@@ -246,4 +248,5 @@ class VehicleStyle:
     badge_size: float = 1.0
     """Size of the badges, 1 for the usual one."""
     decal: str = ""
-    """What is stuck on the sides: "stripe", "panel", "letters", or, on the hood, "racing"; or nothing."""
+    """What is stuck on the sides: "stripe", "panel", "letters", "checks", or, on the hood, "racing"; or
+    nothing."""
