@@ -97,8 +97,8 @@ def _rear(shell: Surface, space: CargoSpace, end: float, *, shutter: bool) -> No
         shell.line([(end, sill), (end, top)], WRAP, width=0.016)
         for share in (0.28, 0.6):
             bolt = rectangle(end - share - 0.012, end - share + 0.012, sill + 0.05, top - 0.05)
-            shell.draw(bolt, WRAP, "chrome", layer=8)
-            shell.draw(rectangle(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6), WRAP, "rail", layer=9)
+            shell.draw(bolt, WRAP, "chrome", layer=5)
+            shell.draw(rectangle(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6), WRAP, "rail", layer=7)
         for z in np.linspace(sill + 0.3, top - 0.3, 4):
             shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
     # Marker lamps, and the red and yellow plates of long and heavy lorries.

@@ -174,7 +174,11 @@ def _pipes(along: tuple[float, float], half: float, low: float, high: float, rng
             ]
     for x in np.linspace(along[0] + 0.6, along[1] - 0.6, 3).tolist():
         out.append(
-            box((x - 0.05, half - 0.06, low - 0.04), (x + 0.05, half + 0.03, low + 0.2 + 2 * radius * layers), "rail")
+            box(
+                (x - 0.05, half - 0.06, low - 0.04),
+                (x + 0.05, half + 0.03, min(low + 0.2 + 2 * radius * layers, high)),
+                "rail",
+            )
         )
     return out
 

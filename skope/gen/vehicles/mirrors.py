@@ -23,12 +23,12 @@ def arm_mirror(
     housing = block((at - 0.06, inner, low), (at + 0.08, outer, top), material, 0.05)
     panes = [
         [
-            (at - 0.0615, inner + 0.025, a),
-            (at - 0.0615, outer - 0.025, a),
-            (at - 0.0615, outer - 0.025, b),
-            (at - 0.0615, inner + 0.025, b),
+            (at - 0.0615, inner + 0.05, a),
+            (at - 0.0615, outer - 0.05, a),
+            (at - 0.0615, outer - 0.05, b),
+            (at - 0.0615, inner + 0.05, b),
         ]
-        for a, b in ((low + 0.24 * high, top - 0.05), (low + 0.05, low + 0.22 * high))
+        for a, b in ((low + 0.24 * high, top - 0.07), (low + 0.07, low + 0.22 * high))
     ]
     glass = quads(np.array(panes)[:, ::-1], "glass_mirror")
     feet = (low + 0.08, top - 0.08) if upright else (z + 0.02, z + 0.07)

@@ -103,7 +103,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
     s, rng, out = space.shape, space.rng(), Cargo()
     add, front, rear = out.parts.append, space.ahead - 0.75, space.end + 1.05
     length, top = front - rear, s.height
-    widest = min(space.half - 0.1, (top - space.floor) * 0.47)
+    widest = min(space.half - 0.1, (top - space.floor) * 0.44)
     base = space.floor + 0.16 + widest
 
     def section(share: float, radius: float) -> tuple[float, float, float, float]:

@@ -22,6 +22,8 @@ _GAP = 0.09
 """Gap between cab and body, metres."""
 _LIP = 0.06
 """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
+_GUARDED = 0.6
+"""Least room between the axles that is worth a tank and guards, metres."""
 _LEFT = (0.0, 1.0, 0.0)
 
 
@@ -176,6 +178,8 @@ class TruckBody:
         ahead = max(axles) + s.wheel_radius + 0.12
         start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
+        if start - ahead < _GUARDED:
+            return
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
         add(_tank(start - tank, start, side - 0.3, low - 0.05))
