@@ -105,7 +105,7 @@ def hook_body(space: CargoSpace) -> Cargo:
     end = float(w[-1])
     shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
     for a in (0.12, 0.5):
-        shell.draw(rectangle(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=7)
+        shell.draw(rectangle(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=5)
     shell.line([(end, low), (end, high)], WRAP, width=0.03)
     if rng.uniform() < 0.6:
         shell.draw(rectangle(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3), SIDE, "#e8e8e6", layer=0.5)
