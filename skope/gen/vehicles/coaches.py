@@ -102,13 +102,13 @@ class LaidOutBus(BusBody):
     def _mirror(self) -> tuple[Mesh, Array]:
         s = self.shape
         if not self.layout.flaps:
-            return arm_mirror((self.nose - 0.28, s.width / 2 - 0.05, 1.75), "trim", reach=0.25, high=0.5)
+            return arm_mirror((self.nose - 0.46, s.width / 2 - 0.05, 1.75), "trim", reach=0.25, high=0.5, sunk=0.1)
         # A coach's mirror hangs from an arm that stands high on the corner.
-        root = (self.nose - 0.36, s.width / 2 - 0.1, s.height - 1.4)
-        housing, tip = arm_mirror(root, "trim", reach=0.3, high=0.6)
+        root = (self.nose - 0.55, s.width / 2 - 0.1, s.height - 1.4)
+        housing, tip = arm_mirror(root, "trim", reach=0.3, high=0.6, sunk=0.12)
         elbow = (root[0] + 0.06, tip[1] - 0.09, s.height - 0.5)
         arms = [
-            pipe((root[0] - 0.35, s.width / 2 - 0.42, s.height - 0.32), elbow, 0.04, "trim"),
+            pipe((root[0] - 0.2, s.width / 2 - 0.42, s.height - 0.32), elbow, 0.04, "trim"),
             pipe(elbow, (root[0], tip[1] - 0.09, tip[2] + 0.25), 0.04, "trim"),
         ]
         return merged([housing, *arms]), tip

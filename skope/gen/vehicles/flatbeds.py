@@ -31,7 +31,7 @@ def flatbed_body(space: CargoSpace) -> Cargo:
 def crane_body(space: CargoSpace) -> Cargo:
     """A platform with sides, and a folded loading crane between it and the cab."""
     rng = space.rng()
-    out = _platform(space, rng, ("bricks", "timber", "")[int(rng.integers(3))], sides=True, ahead=0.95)
+    out = _platform(space, rng, ("bricks", "timber", "pipes", "")[int(rng.integers(4))], sides=True, ahead=0.95)
     x, z, top = space.ahead - 0.45, space.floor, space.shape.height
     tone = ("#e3bd1c", "#c8342b", "#e07b18", "#d9dad8")[int(rng.integers(4))]
     add = out.parts.append

@@ -9,11 +9,17 @@ from skope.types import Array
 
 
 def arm_mirror(
-    root: tuple[float, float, float], material: str, *, reach: float = 0.25, high: float = 0.62, upright: bool = True
+    root: tuple[float, float, float],
+    material: str,
+    *,
+    reach: float = 0.25,
+    high: float = 0.62,
+    upright: bool = True,
+    sunk: float = 0.06,
 ) -> tuple[Mesh, Array]:
     """A mirror `high` whose arms stand at `root` on the body's side, and its outer tip.
 
-    Its arms lie level on an `upright` side; else both stand at its foot.
+    Its arms lie level on an `upright` side, else both stand at its foot; they begin `sunk` inside of it.
     """
     x, y, z = root
     inner, outer = y + reach - 0.2, y + reach
@@ -33,7 +39,7 @@ def arm_mirror(
     glass = quads(np.array(panes)[:, ::-1], "glass_mirror")
     feet = (low + 0.08, top - 0.08) if upright else (z + 0.02, z + 0.07)
     arms = [
-        pipe((x, y - 0.06, foot), (at + 0.01, inner + 0.06, level), 0.018, "trim", sides=6)
+        pipe((x, y - sunk, foot), (at + 0.01, inner + 0.06, level), 0.018, "trim", sides=6)
         for foot, level in zip(feet, (low + 0.08, top - 0.14), strict=True)
     ]
     return merged([housing, glass, *arms]), np.array([at + 0.01, outer, middle])
