@@ -1,5 +1,6 @@
 """Cuts bodies across: what lies ahead of a plane, and the wall that closes it there."""
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -48,7 +49,7 @@ def rear_wall(mesh: Mesh, x: float, material: str) -> Mesh:
     turn, reach = np.arctan2(away[:, 1], away[:, 0]), np.hypot(*away.T)
     ring = [(0.0, edge[:, 1].min())]
     bounds = np.linspace(-np.pi / 2, np.pi / 2, _RAYS + 1)
-    for low, high in zip(bounds, bounds[1:], strict=False):
+    for low, high in pairwise(bounds):
         held = np.flatnonzero((turn >= low) & (turn <= high))
         if len(held):
             ring.append(tuple(edge[held[reach[held].argmax()]]))

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, merged
-from skope.gen.vehicles import front, parts, rear
+from skope.gen.vehicles import front, rear
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.liveries import draw_graphics
