@@ -129,7 +129,7 @@ def fleet_places() -> Array:
     Where rays meet best is near the place that most vehicles have, and far from the mean where lorries have another.
     """
     rows = []
-    for entry in fleet().values():
+    for entry in fleet(further=False).values():
         size = np.array(entry.vehicle.size_lwh)
         rows.append((entry.vehicle.points - [0, 0, size[2] / 2]) / (size / 2))
     return np.asarray(np.median(rows, axis=0))

@@ -35,12 +35,13 @@ def row(vehicle: Vehicle) -> Array:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=12, help="jittered shapes of each model")
+    parser.add_argument("--further", action="store_true", help="with the further models of the fleet too")
     parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
     options = parser.parse_args()
     rng = np.random.default_rng(0)
     kinds: dict[str, list[Array]] = {}
     shares: dict[str, float] = {}
-    for model, entry in fleet().items():
+    for model, entry in fleet(further=options.further).items():
         if entry.held_out:
             continue
         kind = entry.vehicle.vehicle_type

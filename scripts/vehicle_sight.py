@@ -57,11 +57,12 @@ def logistic(directions: Array, was_seen: Array) -> Array:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--azimuth-step", type=float, default=15, help="degrees between the eyes around a vehicle")
+    parser.add_argument("--further", action="store_true", help="with the further models of the fleet too")
     parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
     options = parser.parse_args()
     azimuths = np.radians(np.arange(0, 360, options.azimuth_step))
     kinds: dict[str, list[Vehicle]] = {}
-    for entry in fleet().values():
+    for entry in fleet(further=options.further).values():
         if not entry.held_out:
             kinds.setdefault(entry.vehicle.vehicle_type, []).append(entry.vehicle)
     lines = []

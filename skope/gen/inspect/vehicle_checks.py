@@ -99,10 +99,10 @@ def _lamps(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _class(vehicle: Vehicle) -> Iterator[str]:
-    for name, (low, high) in class_ranges(vehicle.vehicle_type).items():
+    for name, (low, high) in class_ranges(vehicle.size_class).items():
         value = getattr(vehicle.shape, name)
         if not low - 1e-9 <= value <= high + 1e-9:
-            yield f"shape.{name}: {value:.3f} m, expected {low:g} to {high:g} for a {vehicle.vehicle_type}"
+            yield f"shape.{name}: {value:.3f} m, expected {low:g} to {high:g} for a {vehicle.size_class}"
 
 
 def _size(vehicle: Vehicle) -> Iterator[str]:

@@ -88,7 +88,7 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
 def color_of(vehicle: Vehicle) -> str:
     """A paint that shows a model's shape, or its livery."""
     own = palette(vehicle)
-    return _CAR_COLOR if _CAR_COLOR in own else own[1]
+    return _CAR_COLOR if _CAR_COLOR in own else own[min(1, len(own) - 1)]
 
 
 def parked(vehicle: Vehicle, camera: Camera) -> Recording:

@@ -84,6 +84,8 @@ class Parameters:
     """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
     seasons: bool = False
     """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
+    further_models: bool = False
+    """Whether traffic also has the models of `further_fleet.toml`: more lorries, buses, vans and others."""
     randomised: float = 0.0
     """Share of the simulated traffics whose ground and walls have random colours and patterns, 0..1."""
     own: OwnSiteRecord | None = None
@@ -218,7 +220,7 @@ _RANGES: Final = ("traffic", "distractors")
 """Fields that hold a range or None."""
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
-_ASKED: Final = ("vehicle_share", *_NAMES)
+_ASKED: Final = ("vehicle_share", "further_models", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
@@ -230,7 +232,7 @@ _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("sites", *_NAMES), _TEXTS),
     "vehicle_share": _NUMBER_OR_NULL,
     "frames": _COUNT_BY_NAME,
-    **dict.fromkeys(("seasons", "shape_jitter", "town_jitter"), _SWITCH),
+    **dict.fromkeys(("further_models", "seasons", "shape_jitter", "town_jitter"), _SWITCH),
     "own": _OBJECT_OR_NULL,
     **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
 }

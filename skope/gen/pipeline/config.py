@@ -79,7 +79,7 @@ class DatasetRequest:
             if not 0 < p.vehicle_share <= 1:
                 raise UserError(f"--share: expected a share above 0, up to 1, got {p.vehicle_share:g}")
         for name in p.vehicles.keys() & fleet().keys():
-            if p.vehicle_share is None:
+            if p.vehicle_share is None and name in fleet(further=p.further_models):
                 raise UserError(
                     f"--vehicles {name}: is a model of the fleet, which drives by anyway; "
                     "say with --share how much of the traffic it makes"
@@ -156,6 +156,7 @@ class DatasetRequest:
             town_jitter=p.town_jitter,
             distractors=p.distractors,
             seasons=p.seasons,
+            further_models=p.further_models,
             randomised=p.randomised,
         )
 
@@ -186,7 +187,7 @@ class DatasetRequest:
         share = tables()["conditions"].get(planned.split, {}).get("heavy") if self.own is None else None
         if p.vehicles or share is None:
             return {"vehicles": tuple(p.vehicles), "vehicle_share": p.vehicle_share}
-        heavy = [name for name, entry in fleet().items() if entry.vehicle.vehicle_type in HEAVY]
+        heavy = [name for name, entry in fleet(further=p.further_models).items() if entry.vehicle.vehicle_type in HEAVY]
         return {"vehicles": tuple(heavy), "vehicle_share": share}
 
     def frames_of(self, name: str) -> int:

@@ -82,6 +82,8 @@ class RecordingPlan:
     """Range of the number of things around the cameras that resemble vehicles; None for none."""
     seasons: bool = False
     """Whether the season is drawn where what stands along the roads is."""
+    further_models: bool = False
+    """Whether traffic also has the fleet's further models."""
     randomised: float = 0.0
     """Share of simulated traffics whose ground and walls have random colours and patterns, 0..1."""
 

@@ -225,9 +225,10 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     With a share, the models that were asked for make it together, in equal parts, and the others make the rest.
     """
     train = plan.site.split == "train"
-    usual = {name: entry for name, entry in fleet().items() if not (train and entry.held_out)}
+    driving = fleet(further=plan.further_models)
+    usual = {name: entry for name, entry in driving.items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
-    asked = {name: models[name].vehicle if name in models else user_models.load(name) for name in plan.vehicles}
+    asked = {name: fleet()[name].vehicle if name in fleet() else user_models.load(name) for name in plan.vehicles}
     others = {name: entry for name, entry in models.items() if name not in asked}
     total = sum(entry.share for entry in others.values())
     if plan.vehicle_share is None:

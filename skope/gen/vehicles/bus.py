@@ -29,9 +29,13 @@ class BusBody:
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
-        self.nose, self.end = shape.length / 2, -shape.length / 2
+        self.nose, self.end = self._nose(), -shape.length / 2
         self._right = self._build_half(doors=True)
         self._left = self._build_half(doors=False)
+
+    def _nose(self) -> float:
+        """x of the front of what passengers sit in."""
+        return self.shape.length / 2
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -67,13 +71,20 @@ class BusBody:
         tower = Tower(plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, well=well, stations=9, levels=3)
         shell, w, _ = tower.surface("paint")
         out: list[Mesh] = []
-        for axle in (s.front_axle_x, s.rear_axle_x):
+        for axle in self._carved_axles():
             lining, rim = shell.carve_well(arch(axle, s), well)
             out += [lining, parts.arch_lip(rim, (axle, s.wheel_radius), "trim", shell.side)]
         out += self._draw_details(shell, w, doors)
-        root = (self.nose - 0.3, s.width / 2 - 0.03, 2.0)
-        mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
+        mirror, self.points["mirror"] = self._mirror()
         return merged([shell.half, mirror, *out])
+
+    def _carved_axles(self) -> tuple[float, ...]:
+        """x of the axles whose wheels stand in wells."""
+        return self.shape.front_axle_x, self.shape.rear_axle_x
+
+    def _mirror(self) -> tuple[Mesh, Array]:
+        """A mirror, and its outer tip."""
+        return parts.mirror((self.nose - 0.3, self.shape.width / 2 - 0.03, 2.0), True, "trim")
 
     def _draw_details(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
         """Livery, windows, doors, signs and lamps; returns what stands out."""

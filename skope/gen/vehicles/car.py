@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.cabin import Greenhouse
+from skope.gen.vehicles.canopy import canopy
+from skope.gen.vehicles.clipping import clipped, rear_wall
 from skope.gen.vehicles.decals import draw_decal
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.lofted_surfaces import (
@@ -26,6 +28,7 @@ from skope.gen.vehicles.lofted_surfaces import (
     Surface,
     along,
 )
+from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
@@ -61,6 +64,8 @@ _SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 
 _RIM, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
 _CROWN: Final = 0.035
+_CAB_END: Final = 0.06
+"""How far a cab without the rest of its body reaches behind its rear window, metres."""
 
 
 class CarBody:
@@ -77,11 +82,27 @@ class CarBody:
         self._draw_lower()
         self._add_parts()
         self.points |= self._greenhouse.points
+        if style.canopy:
+            hardtop, corners = canopy(shape)
+            self._parts.append(hardtop)
+            self.points |= corners
 
     @cached_property
     def mesh(self) -> Mesh:
         left = merged([self._lower.half, self._greenhouse.surface.half, *self._greenhouse.parts, *self._parts])
         return merged([left, left.mirrored()])
+
+    def front_half(self) -> Mesh:
+        """The left half of the cab alone, closed behind it."""
+        behind = self.shape.backlight_x - _CAB_END
+        shell = clipped(self._lower.half, behind)
+        house = self._greenhouse
+        parts_ahead = [clipped(part, behind) for part in self._parts]
+        return merged([shell, rear_wall(shell, behind, "paint"), *parts_ahead, house.surface.half, *house.parts])
+
+    def hood_half(self, behind: float) -> Mesh:
+        """The left half of what lies ahead of x = `behind` below the windows; open there."""
+        return merged([clipped(part, behind) for part in (self._lower.half, *self._parts[:-1])])
 
     @cached_property
     def interior(self) -> Mesh:
@@ -394,6 +415,10 @@ class CarBody:
         z = s.belt_height + (0.06 if tall else 0.035)
         y = self.side_y(x) - s.shoulder_inset - 0.03
         material = self.style.mirror or ("trim" if tall or self.style.cladding else "paint")
-        mirror, tip = parts.mirror((x, y, z), tall, material)
+        if self.style.arms:
+            beside = s.width / 2 * (1 / self.style.cab_width - 1)
+            mirror, tip = arm_mirror((x, y, z), material, reach=0.26 + beside, high=0.24 * s.width, upright=False)
+        else:
+            mirror, tip = parts.mirror((x, y, z), tall, material)
         self._parts.append(mirror)
         self.points["mirror"] = tip

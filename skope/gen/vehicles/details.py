@@ -37,7 +37,12 @@ def _is_any(style: VehicleStyle, vehicle_type: str) -> bool:
 
 
 def _may_carry(style: VehicleStyle, vehicle_type: str) -> bool:
-    return style.family == "car" and not style.sign and vehicle_type in {*_HATCHES, "sedan", "van"}
+    return (
+        style.family == "car"
+        and not style.sign
+        and style.load != "beacons"
+        and vehicle_type in {*_HATCHES, "sedan", "van"}
+    )
 
 
 def _is_hatch(style: VehicleStyle, vehicle_type: str) -> bool:

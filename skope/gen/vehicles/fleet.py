@@ -15,6 +15,8 @@ from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.chassis_cab import ChassisCabBody
+from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
 from skope.gen.vehicles.details import styled
 from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
@@ -25,7 +27,17 @@ from skope.gen.vehicles.user_models import load
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.types import Array
 
-_BODIES: Final[dict[str, Any]] = {"car": CarBody, "truck": TruckBody, "bus": BusBody}
+_BODIES: Final[dict[str, Any]] = {
+    "car": CarBody,
+    "truck": TruckBody,
+    "bus": BusBody,
+    "chassis": ChassisCabBody,
+    "city_bus": CityBusBody,
+    "coach": CoachBody,
+    "double_deck": DoubleDeckBody,
+    "school_bus": SchoolBusBody,
+    "step_van": StepVanBody,
+}
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,8 @@ class ParametricVehicle(Derived):
     """Kilograms, laden with a driver."""
     substituted: tuple[str, ...] = ()
     """Keypoints that stand for a part that this body lacks."""
+    size_class: str = ""
+    """The table of `classes.toml` whose ranges its dimensions stay within."""
     recurs: bool = field(default=False, compare=False)
     """Whether a shape that is not the model's own occurs in other recordings too, and so is worth keeping on disk."""
 
@@ -129,34 +143,47 @@ class FleetEntry:
     """Frequency of the model in traffic, relative to the others."""
     held_out: bool = False
     """Whether the model is kept for testing, and so never in a split `train`."""
+    further: bool = False
+    """Whether it drives only where `Parameters.further_models` says so."""
 
 
+@cache
 def _read_table(name: str) -> dict[str, Any]:
     return tomllib.loads(resources.files("skope.gen.vehicles").joinpath(name).read_text(encoding="utf-8"))
 
 
 @cache
-def class_ranges(vehicle_type: str) -> Mapping[str, tuple[float, float]]:
-    """Least and greatest value of each dimension of a vehicle type, metres; empty for a type without a class."""
-    ranges = _read_table("classes.toml").get(vehicle_type, {}).get("range", {})
+def class_ranges(size_class: str) -> Mapping[str, tuple[float, float]]:
+    """Least and greatest value of each dimension of a class of vehicles, metres; empty for one that has no table."""
+    ranges = _read_table("classes.toml").get(size_class, {}).get("range", {})
     return {name: (low, high) for name, (low, high) in ranges.items()}
 
 
 @cache
-def fleet() -> Mapping[str, FleetEntry]:
-    """All models of the package, by name; none is built yet."""
-    classes = _read_table("classes.toml")
+def fleet(*, further: bool = True) -> Mapping[str, FleetEntry]:
+    """All models of the package, by name, or only those without `FleetEntry.further`; none is built yet."""
+    tables = {"fleet.toml": False} | ({"further_fleet.toml": True} if further else {})
     return {
-        name: _fleet_entry(name, row, classes[row["vehicle_type"]]) for name, row in _read_table("fleet.toml").items()
+        name: _fleet_entry(name, row, belongs)
+        for table, belongs in tables.items()
+        for name, row in _read_table(table).items()
     }
 
 
-def _fleet_entry(name: str, row: Mapping[str, Any], of_type: Mapping[str, Any]) -> FleetEntry:
-    shape = Shape(**{**of_type["shape"], **row.get("shape", {})})
+def _fleet_entry(name: str, row: Mapping[str, Any], further: bool) -> FleetEntry:
+    size_class = row.get("class", row["vehicle_type"])
+    shape = Shape(**{**_read_table("classes.toml")[size_class]["shape"], **row.get("shape", {})})
     choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
-    style = VehicleStyle(**choices)
-    vehicle = ParametricVehicle(name, row["vehicle_type"], shape, style, row["mass"], tuple(row.get("substituted", ())))
-    return FleetEntry(vehicle, row["share"], row.get("held_out", False))
+    vehicle = ParametricVehicle(
+        model=name,
+        vehicle_type=row["vehicle_type"],
+        shape=shape,
+        style=VehicleStyle(**choices),
+        mass=row["mass"],
+        substituted=tuple(row.get("substituted", ())),
+        size_class=size_class,
+    )
+    return FleetEntry(vehicle, row["share"], row.get("held_out", False), further)
 
 
 def parametric(model: str) -> ParametricVehicle:

@@ -58,6 +58,10 @@ class Vehicle(Body, Protocol):
     def vehicle_type(self) -> str: ...
 
     @property
+    def size_class(self) -> str:
+        """The class of vehicles whose dimensions it should have; most have their type's."""
+
+    @property
     def shape(self) -> Dimensions: ...
 
     @property
@@ -92,6 +96,10 @@ def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
 
 class Derived:
     """Base of vehicle models: the properties that follow from dimensions, surfaces and keypoints."""
+
+    @property
+    def size_class(self: Vehicle) -> str:
+        return self.vehicle_type
 
     @property
     def size_lwh(self: Vehicle) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, box, grid, merged
 from skope.types import Array
 
-LOADS: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12}
+LOADS: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
 """How far each kind of load stands over the roof's highest point, metres."""
 _BAR: Final = LOADS["bars"]
 _BOX_RING: Final = ((0.0, 0.0), (0.9, 0.0), (1.0, 0.12), (1.0, 0.5), (0.9, 0.88), (0.7, 1.0), (0.0, 1.0))
@@ -31,6 +31,8 @@ def roof_load(
         top: The roof's highest point above the road.
         edge: Height of the roof's edge at x.
     """
+    if kind == "beacons":
+        return _beacons((front, rear), half_width, top, edge)
     high, length = top + _BAR, front - rear
     places = np.array([front - 0.25 * length, front - 0.72 * length])
     parts = []
@@ -45,6 +47,18 @@ def roof_load(
     if kind == "ladder":
         parts += _ladder((middle - reach - 0.2, middle + reach), high)
     return merged(parts)
+
+
+def _beacons(span: tuple[float, float], half_width: float, top: float, edge: Callable[[Array], Array]) -> Mesh:
+    """Bars of blue lamps across the roof, ahead and behind."""
+    out = []
+    for x in (span[0] - 0.28, span[1] + 0.25):
+        half, high = half_width - 0.12, top + LOADS["beacons"]
+        low = float(edge(np.array([x])).item())
+        out.append(box((x - 0.1, 0.0, low), (x + 0.1, half - 0.05, top + 0.03), "trim"))
+        for y, stop, material in ((0.0, 0.22, "#d8d8d8"), (0.22, half, "#1b52d8")):
+            out.append(box((x - 0.14, y, top + 0.02), (x + 0.14, stop, high), material))
+    return merged(out)
 
 
 def _ladder(span: tuple[float, float], low: float) -> list[Mesh]:

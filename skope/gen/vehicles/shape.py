@@ -197,12 +197,28 @@ class VehicleStyle:
     rails: bool = False
     bed: bool = False
     """An open cargo bed behind the cabin."""
+    canopy: bool = False
+    """A hardtop over the bed."""
     body: str = "box"
-    """Cargo body of a truck: "box", "flatbed", "tipper" or "curtain"."""
+    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", or one of `cargo_bodies.CARGO_BODIES`."""
     axles: tuple[float, ...] = ()
     """Middle axles' distances before the rearmost one, metres."""
+    steered: tuple[float, ...] = ()
+    """Second front axles' distances behind the foremost one, metres."""
     dual: bool = False
     """Twin tyres at the rear."""
+    cab_width: float = 1.0
+    """Width of a cab with its engine before it, as a share of the vehicle's width."""
+    skirts: bool = False
+    """A body that reaches down to the sills, and so hides frame, tank and guards."""
+    cab_share: float = 0.0
+    """Height of a cab's roof, as a share of the vehicle's height; 0 for what follows from its body."""
+    deflector: bool = True
+    """A wind deflector over a cab that is lower than the body behind it."""
+    cooled: bool = False
+    """A cooling unit at the front of a box."""
+    arms: bool = False
+    """Mirrors that stand on arms."""
     soft_seams: bool = False
     """Panel gaps wide and pale enough to be whole lines 15 m away, and wheel arches without a
     painted lip."""
@@ -217,7 +233,7 @@ class VehicleStyle:
     mirror: str = ""
     """Material of the mirrors. Default: the body's paint, or dark trim with cladding or on a tall body."""
     load: str = ""
-    """What lies on the roof: "box", "bars", "ladder" or nothing."""
+    """What lies on the roof: "box", "bars", "ladder", "beacons" or nothing."""
     antenna: str = ""
     """"fin", "rod" or none."""
     front_plate: str = "plate"
@@ -232,4 +248,5 @@ class VehicleStyle:
     badge_size: float = 1.0
     """Size of the badges, 1 for the usual one."""
     decal: str = ""
-    """What is stuck on the sides: "stripe", "panel", "letters", or, on the hood, "racing"; or nothing."""
+    """What is stuck on the sides: "stripe", "panel", "letters", "checks", or, on the hood, "racing"; or
+    nothing."""

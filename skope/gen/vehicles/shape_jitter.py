@@ -27,10 +27,10 @@ _STRETCH: Final = 0.025
 
 
 def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
-    """Shape parameters near a model's, within the ranges of its type: stretched along each axis, and slightly bent."""
+    """Shape parameters near a model's, within the ranges of its class: stretched along each axis, and slightly bent."""
     one_of("model", model, tuple(fleet()))
     vehicle = parametric(model)
-    ranges = class_ranges(vehicle.vehicle_type)
+    ranges = class_ranges(vehicle.size_class)
     whole = vehicle.shape.to_dict()
     scales = []
     for names in (_ALONG, _ACROSS, _UP):

@@ -1,13 +1,17 @@
 """Trucks: a cab over the engine, a frame with its axles, and a box, curtain, flatbed or tipper behind."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles import front, parts, rear
+from skope.gen.vehicles.cargo import CargoSpace
+from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
@@ -18,6 +22,8 @@ _GAP = 0.09
 """Gap between cab and body, metres."""
 _LIP = 0.06
 """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
+_GUARDED = 0.6
+"""Least room between the axles that is worth a tank and guards, metres."""
 _LEFT = (0.0, 1.0, 0.0)
 
 
@@ -34,6 +40,8 @@ class TruckBody:
         self.cab_height = min(shape.height - (0.35 if high_body else 0.0), 3.05 if heavy else 2.35)
         if not high_body:
             self.cab_height = shape.height
+        if style.cab_share:
+            self.cab_height = style.cab_share * shape.height
         self._parts: list[Mesh] = []
         self._build_cab()
         self._build_frame()
@@ -121,14 +129,17 @@ class TruckBody:
         """Mirrors, a visor over the windscreen, a deflector before a high body."""
         s = self.shape
         root = (self.nose - 0.3, s.width / 2 - 0.03, base + 0.28)
-        mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
+        if self.style.arms:
+            mirror, self.points["mirror"] = arm_mirror(root, "trim")
+        else:
+            mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
         self._parts.append(mirror)
         edge = self.nose - 0.035 - s.screen_run
         if s.wheel_radius > 0.45:
             low, high = (edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)
             self._parts.append(box(low, high, "gap"))
         over = s.height - self.cab_height
-        if over > 0.25:
+        if over > 0.25 and self.style.deflector:
             self._parts.append(
                 parts.deflector(edge - 0.35, self.cab_rear + 0.1, s.width / 2 - 0.2, self.cab_height, over)
             )
@@ -136,17 +147,18 @@ class TruckBody:
     def _build_frame(self) -> None:
         """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
-        low, high = s.box_height - 0.3, s.box_height + 0.01
+        low, high = s.box_height - (0.1 if style.skirts else 0.3), s.box_height + 0.01
         add = self._parts.append
         add(box((self.end + 0.06, 0.0, low), (self.cab_rear + 0.3, 0.45, high), "under"))
         wheel = steel_wheel(s.wheel_radius, s.wheel_width)
         y = s.track / 2
+        steered = [s.front_axle_x - behind for behind in style.steered]
         axles = [s.rear_axle_x, *(s.rear_axle_x + ahead for ahead in style.axles)]
-        for x in axles:
+        for x in [*axles, *steered]:
             add(box((x - 0.06, 0.0, s.wheel_radius - 0.06), (x + 0.06, y - 0.1, s.wheel_radius + 0.06), "under"))
             if x != axles[0]:
                 add(wheel.moved((x, y, s.wheel_radius)))
-            if style.dual:
+            if style.dual and x in axles:
                 add(wheel.moved((x, y - s.wheel_width * 1.06, s.wheel_radius)))
             if s.box_height - 2 * s.wheel_radius > 0.1:
                 add(
@@ -156,9 +168,18 @@ class TruckBody:
                         "trim",
                     )
                 )
+        if not style.skirts:
+            self._add_guards(axles, steered, low)
+        self._add_rear_bar()
+
+    def _add_guards(self, axles: list[float], steered: list[float], low: float) -> None:
+        """Tank and side guards between the axles, under rails at the height `low`."""
+        s, add = self.shape, self._parts.append
         ahead = max(axles) + s.wheel_radius + 0.12
-        start = s.front_axle_x - s.wheel_radius - 0.3
+        start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
+        if start - ahead < _GUARDED:
+            return
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
         add(_tank(start - tank, start, side - 0.3, low - 0.05))
@@ -166,16 +187,26 @@ class TruckBody:
             add(box((ahead, side - 0.04, z), (start - tank - 0.1, side, z + 0.11), "rail"))
         for x in np.linspace(ahead + 0.1, start - tank - 0.2, 3):
             add(box((x - 0.03, side - 0.07, s.clearance + 0.12), (x + 0.03, side - 0.041, s.box_height), "under"))
+
+    def _add_rear_bar(self) -> None:
+        """The bar behind with lamps and plate."""
+        s = self.shape
         bar = Plan(s.width / 2 - 0.02, self.end + 0.16, self.end, 0.0, 0.0, 0.02, 0.02)
         shell, w, _ = Tower(
             bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
         ).surface("trim")
-        self._parts += rear.draw_rear(shell, w, s, style, self.points)
-        add(shell.half)
+        self._parts += rear.draw_rear(shell, w, s, replace(self.style, family="truck"), self.points)
+        self._parts.append(shell.half)
         self.points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
 
     def _build_cargo(self) -> None:
         s, body = self.shape, self.style.body
+        if body in CARGO_BODIES:
+            space = CargoSpace(s, self.style, self.cab_rear - _GAP, self.end, self.cab_height)
+            cargo = CARGO_BODIES[body](space)
+            self._parts += cargo.parts
+            self.points |= cargo.points
+            return
         open_top = {"flatbed": s.box_height + 0.5, "tipper": s.box_height + 1.25}
         high = open_top.get(body, s.height)
         closed = body not in open_top

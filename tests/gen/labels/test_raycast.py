@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from skope.camera.model import Camera
 from skope.gen.labels.annotate import locate
@@ -7,9 +8,23 @@ from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing
 
 
-def test_first_hits_are_those_of_every_triangle_of_every_vehicle() -> None:
+@pytest.mark.parametrize(
+    "models",
+    [
+        ("sedan", "van", "suv"),
+        ("truck_mixer", "truck_refuse", "truck_platform"),
+        ("truck_tanker", "bus_school", "coach_three_axle"),
+        ("box_truck_luton", "truck_container", "truck_crane"),
+    ],
+)
+def test_first_hits_are_those_of_every_triangle_of_every_vehicle(models: tuple[str, ...]) -> None:
     camera = Camera.looking([300.0, -190.0, 5.0], yaw=0.7, pitch_down=0.3, size=(640, 360))
-    places = [("sedan", 306.0, -184.0, 0.3), ("van", 311.0, -182.0, 1.9), ("suv", 290.0, -200.0, 0.0)]
+    # Lorries are longer than cars: they stand farther apart.
+    spread = 1.0 if models[0] == "sedan" else 2.0
+    around = ((6.0, 6.0, 0.3), (11.0, 8.0, 1.9), (-10.0, -10.0, 0.0))
+    places = [
+        (model, 300.0 + spread * x, -190.0 + spread * y, yaw) for model, (x, y, yaw) in zip(models, around, strict=True)
+    ]
     moment = standing(camera, places).moment(0)
     triangles = np.concatenate([vehicle_triangles(moment, i) for i in range(3)])
     rng = np.random.default_rng(4)

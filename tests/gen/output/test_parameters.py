@@ -36,6 +36,7 @@ PARAMETERS = Parameters(
     shape_jitter=True,
     distractors=(0, 25),
     seasons=True,
+    further_models=True,
     randomised=0.25,
     own=OWN,
     encoding=Encoding(image="png", depth=False),
@@ -61,13 +62,15 @@ def test_folders_of_before_lack_what_there_was_not() -> None:
         del values[name]
     made = Parameters.from_dict(values)
     assert (made.distractors, made.randomised, made.seasons) == (None, 0.0, False)
+    del values["further_models"]
+    assert not Parameters.from_dict(values).further_models
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
 
 
 def test_what_was_not_asked_for_is_not_written() -> None:
     """Cards of datasets without these options are the bytes that they were before there were any."""
-    asked = {"vehicle_share", "weather", "time_of_day"}
-    plain = replace(PARAMETERS, vehicle_share=None, weather=(), time_of_day=())
+    asked = {"vehicle_share", "further_models", "weather", "time_of_day"}
+    plain = replace(PARAMETERS, vehicle_share=None, further_models=False, weather=(), time_of_day=())
     assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
     assert Parameters.from_dict(through_json(plain.to_dict())) == plain
 

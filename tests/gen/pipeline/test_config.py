@@ -94,6 +94,17 @@ def test_models_that_are_held_out_are_for_test_sites_only() -> None:
         asked(sites=("t01_main_west", "t01_mill_corner"), **changes)
 
 
+def test_further_models_belong_to_one_preset() -> None:
+    """Datasets of the others stay as they were."""
+    assert {name for name in presets() if asked(name).parameters.further_models} == {"world"}
+    for name in presets():
+        assert all(plan.further_models == (name == "world") for plan in asked(name, frames=1).plans())
+    # There they drive by anyway; elsewhere they need not be given a share.
+    with pytest.raises(UserError, match="--vehicles truck_mixer: is a model of the fleet, which drives by anyway"):
+        asked("world", vehicles={"truck_mixer": ""})
+    assert asked("varied", vehicles={"truck_mixer": ""}).parameters.vehicle_share is None
+
+
 def test_a_photograph_has_one_light() -> None:
     own = own_site("--site", str(EXAMPLE / "site.toml"))
     with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml shows a photograph"):

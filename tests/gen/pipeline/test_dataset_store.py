@@ -85,6 +85,7 @@ COMMANDS = {
 }
 OPTIONAL = {
     "distractors",
+    "further_models",
     "keypoint_edition",
     "licence",
     "randomised",

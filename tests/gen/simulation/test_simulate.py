@@ -1,6 +1,8 @@
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +17,12 @@ from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder
 from skope.gen.simulation.simulate import _models, simulate
 from skope.gen.simulation.smooth_paths import Driven
+from skope.gen.towns.parking import BAY
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
-from skope.gen.traffic.demand import trips
+from skope.gen.traffic.demand import RIDERS, Trip, in_town, trips
 from skope.gen.traffic.sumo import STEP, Traffic
-from skope.gen.vehicles.fleet import fleet
+from skope.gen.vehicles.fleet import FleetEntry, fleet
 from tests.gen.scenes import driven
 
 SEDAN = fleet()["sedan"].vehicle
@@ -265,6 +268,59 @@ def test_models_that_were_asked_for_make_their_share_of_the_traffic(share: float
     usual = _models(replace(plan, vehicles=(), vehicle_share=None))
     if share < 1:  # what the others are to each other stays as it was
         assert models["van"].share / models["sedan"].share == usual["van"].share / usual["sedan"].share
+
+
+def planned(**changes: Any) -> RecordingPlan:
+    values = {"index": 0, "frames": 1, "interval": 0.5, "size": (640, 360), "fov_deg": 60.0, "seed": 0}
+    return RecordingPlan(**{"site": site("t01_main_west"), **values, **changes})
+
+
+def test_further_models_drive_only_where_they_are_asked_for() -> None:
+    plain, more = _models(planned()), _models(planned(further_models=True))
+    assert plain == in_town(fleet(further=False), "town01")
+    assert plain.keys() < more.keys() == fleet().keys()
+    for models in (plain, more):
+        # What a type has of the traffic does not depend on how many models it has.
+        total = sum(entry.share for entry in models.values())
+        trucks = sum(entry.share for entry in models.values() if entry.vehicle.vehicle_type == "truck")
+        assert trucks / total == pytest.approx(0.02, abs=0.001)
+
+
+def test_further_models_that_are_held_out_never_drive_past_sites_for_training() -> None:
+    train, test = (
+        _models(planned(site=site(name), further_models=True)) for name in ("t01_mill_corner", "t01_main_west")
+    )
+    held_out = {name for name, entry in fleet().items() if entry.held_out}
+    assert not train.keys() & held_out
+    assert test.keys() - train.keys() == held_out
+    assert train.keys() & {name for name, entry in fleet().items() if entry.further}
+
+
+def test_traffic_without_further_models_sets_out_as_before_there_were_any() -> None:
+    """The trips that are drawn from the fleet's first part, with one seed."""
+    plan = planned()
+
+    def drawn(models: Mapping[str, FleetEntry]) -> list[Trip]:
+        rng = np.random.default_rng(4)
+        return list(trips(plan.site.town.network, models, vehicles_per_hour=600.0, duration=3600.0, rng=rng))
+
+    assert drawn(_models(plan)) == drawn(in_town(fleet(further=False), "town01"))
+    more = drawn(_models(replace(plan, further_models=True)))
+    assert {trip.model for trip in more} - set(RIDERS) - fleet(further=False).keys()
+
+
+def test_a_further_model_can_be_asked_for_where_others_do_not_drive() -> None:
+    models = _models(planned(vehicles=("truck_mixer",), vehicle_share=0.25))
+    assert models.keys() - fleet(further=False).keys() == {"truck_mixer"}
+    assert models["truck_mixer"].share / sum(entry.share for entry in models.values()) == pytest.approx(0.25)
+
+
+def test_some_further_models_park() -> None:
+    town = Town("town01")
+    models = {name: entry for name, entry in fleet().items() if entry.further}
+    standing = {one.model for one in parked(town, bays_of(town) * 3, models, np.random.default_rng(0), most=200)}
+    assert standing
+    assert all(models[name].vehicle.size_lwh[0] < BAY[0] + 0.2 for name in standing)
 
 
 def test_where_all_vehicles_are_too_long_for_a_bay_none_is_parked() -> None:

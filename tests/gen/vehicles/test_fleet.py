@@ -7,7 +7,7 @@ from skope.errors import UserError
 from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
-from skope.gen.vehicles.fleet import build, class_ranges, fleet
+from skope.gen.vehicles.fleet import build, class_ranges, fleet, parametric
 from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.shape_jitter import jittered
@@ -15,6 +15,8 @@ from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
 
 MODELS = sorted(fleet())
+OPEN = ("tipper", "flatbed", "hook", "platform", "crane", "recovery", "dropside")
+"""Cargo bodies without a roof."""
 RAYS = 25
 """Parallel rays in each direction."""
 
@@ -58,7 +60,7 @@ def test_keypoints_are_mirror_images(model: str) -> None:
     assert points[keypoints.INDEX["front_logo"], 1] == 0
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if fleet()[name].vehicle.vehicle_type == "bus"])
+@pytest.mark.parametrize("model", ["bus", "bus_midi"])
 def test_roof_points_of_buses_are_the_windows_upper_corners(model: str) -> None:
     vehicle = fleet()[model].vehicle
     below = {
@@ -74,8 +76,9 @@ def test_keypoints_are_where_their_names_say(model: str) -> None:
     length, width, height = vehicle.size_lwh
     assert p["front_logo"][0] == pytest.approx(length / 2, abs=0.08)
     assert p["bumper_rear_left"][0] == pytest.approx(-length / 2, abs=0.25)
-    roof = p["roof_front_left"] if vehicle.vehicle_type not in ("box_truck", "truck") else p["roof_rear_left"]
-    assert roof[2] == pytest.approx(height, abs=0.35) or vehicle.style.body in ("tipper", "flatbed")
+    roof = p["roof_rear_left"] if parametric(model).style.family in ("truck", "chassis") else p["roof_front_left"]
+    under = 0.65 if fleet()[model].further else 0.35
+    assert roof[2] == pytest.approx(height, abs=under) or parametric(model).style.body in OPEN
     assert p["roof_front_left"][0] < p["windscreen_base_left"][0] < p["hood_front_left"][0]
     assert p["roof_rear_left"][0] >= p["rear_window_base_left"][0] - 0.01
     assert p["rear_window_base_left"][0] >= p["trunk_rear_left"][0] - 0.08
@@ -204,18 +207,60 @@ def test_sidecar_survives_json() -> None:
 
 
 def test_the_fleet_covers_the_body_types() -> None:
-    entries = fleet().values()
+    entries = fleet(further=False).values()
     assert {entry.vehicle.vehicle_type for entry in entries} == set(VEHICLE_TYPES) - {"other"}
     assert len(entries) >= 24
     held_out = [entry.vehicle.vehicle_type for entry in entries if entry.held_out]
     assert len(held_out) == len(set(held_out)) >= 4
 
 
+def test_further_models_are_many_heavy_ones_of_which_some_are_held_out() -> None:
+    further = {name: entry for name, entry in fleet().items() if entry.further}
+    assert fleet().keys() == fleet(further=False).keys() | further.keys()
+    assert not fleet(further=False).keys() & further.keys()
+    heavy = [name for name, entry in further.items() if entry.vehicle.vehicle_type in ("truck", "box_truck", "bus")]
+    assert len(heavy) >= 13
+    held_out = {name for name, entry in further.items() if entry.held_out}
+    assert {"truck_tanker", "coach_three_axle", "truck_refuse_small", "motorhome"} <= held_out
+    assert len(held_out) < len(further) / 4
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_wheels_of_all_axles_stand_on_the_ground(model: str) -> None:
+    """Tyres touch the road under each axle, middle ones too, and nothing lies lower."""
+    vehicle = parametric(model)
+    shape, style, mesh = vehicle.shape, vehicle.style, whole(vehicle)
+    tyres = mesh.vertices[np.unique(mesh.triangles[mesh.material == mesh.materials.index("tyre")])]
+    axles = [shape.front_axle_x, shape.rear_axle_x]
+    axles += [shape.rear_axle_x + ahead for ahead in style.axles] + [
+        shape.front_axle_x - back for back in style.steered
+    ]
+    assert mesh.vertices[:, 2].min() > -0.01
+    for x in axles:
+        near = tyres[np.abs(tyres[:, 0] - x) < 0.05]
+        assert near[:, 2].min() == pytest.approx(0, abs=0.01)
+        assert np.abs(near[:, 1]).max() == pytest.approx(shape.track / 2 + shape.wheel_width / 2, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "model", [name for name in MODELS if fleet()[name].further and fleet()[name].vehicle.vehicle_type == "bus"]
+)
+def test_roof_points_of_further_buses_are_the_highest_corners_of_glass(model: str) -> None:
+    vehicle = fleet()[model].vehicle
+    mesh = vehicle.mesh
+    panes = np.isin(mesh.material, [k for k, name in enumerate(mesh.materials) if name in ("glass", "glass_tinted")])
+    glass = mesh.vertices[np.unique(mesh.triangles[panes])]
+    for end in ("front", "rear"):
+        point = vehicle.points[keypoints.INDEX[f"roof_{end}_left"]]
+        near = glass[np.abs(glass[:, 0] - point[0]) < 0.4]
+        assert -0.06 < point[2] - near[:, 2].max() < 0.36
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_models_measure_what_their_class_does(model: str) -> None:
     vehicle = fleet()[model].vehicle
     shape = vehicle.shape.to_dict()
-    for name, (low, high) in class_ranges(vehicle.vehicle_type).items():
+    for name, (low, high) in class_ranges(vehicle.size_class).items():
         assert low <= shape[name] <= high, name
 
 
@@ -224,7 +269,7 @@ def test_lamps_are_parts_of_their_own(model: str) -> None:
     mesh = fleet()[model].vehicle.mesh
     used = {mesh.materials[i] for i in np.unique(mesh.material)}
     lamps = {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"}
-    assert lamps <= used <= {*MATERIALS, "paint"}
+    assert lamps <= {name for name in used if not name.startswith("#")} <= {*MATERIALS, "paint"}
     for name, side in (("indicator_left", 1), ("indicator_right", -1)):
         at = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]].mean(axis=1)
         assert (at[:, 1] * side > 0).all()
@@ -239,7 +284,7 @@ def test_jittered_shapes_keep_their_keypoints(model: str) -> None:
     assert shape == build(model, shape).shape.to_dict()
     assert shape != fleet()[model].vehicle.shape.to_dict()
     vehicle = build(model, shape)
-    for name, (low, high) in class_ranges(vehicle.vehicle_type).items():
+    for name, (low, high) in class_ranges(vehicle.size_class).items():
         assert low - 1e-9 <= shape[name] <= high + 1e-9, name
     points = vehicle.points
     np.testing.assert_allclose(points[list(keypoints.FLIP)], points * [1, -1, 1], atol=1e-12)

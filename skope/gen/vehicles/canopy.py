@@ -1,0 +1,42 @@
+"""Hardtops over the beds of pickups: a shell of its own behind the cabin, with panes and a glass hatch."""
+
+from typing import Final
+
+from skope.gen.mesh import Mesh
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan
+from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.shape import Shape
+from skope.gen.vehicles.upright_shells import Tower
+from skope.types import Array
+
+_GAP: Final = 0.07
+"""Gap between cabin and hardtop at the bed's edge, metres."""
+_ABOVE: Final = 0.005
+"""How far the hardtop's foot stands over the bed's edge, metres."""
+_LEFT: Final = (0.0, 1.0, 0.0)
+
+
+def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
+    """The left half of a hardtop, and the rear roof's and rear window's corners."""
+    front, rear = s.backlight_x - _GAP, -s.length / 2 + s.tail_lean + 0.14
+    low, high = s.deck_height + _ABOVE, s.height - 0.012
+    plan = Plan(s.width / 2 - 0.085, front, rear, 0.0, 0.03, 0.06, 0.1)
+    lean = [(0.0, 0.0, 0.0, 0.0), (0.12, 0.012, 0.0, 0.01), (1.0, 0.11, 0.05, 0.2)]
+    shell, w, _ = Tower(plan, low, high, lean, edge=0.07, crown=0.03, stations=5, levels=4).surface("paint")
+    tall, length = high - low, front - rear
+    shell.draw(rectangle(-1, 99, 0, low + 0.045), WRAP, "trim", layer=2)
+    base, top = low + 0.16 * tall, low + 0.74 * tall
+    start, stop = rear + 0.17 * length + 0.05, front - 0.1 * length
+    for a, b in ((start, start + 0.42 * length), (start + 0.45 * length, stop)):
+        shell.paint(rectangle(a - 0.025, b + 0.025, base - 0.025, top + 0.025), SIDE, "trim", facing=_LEFT)
+        shell.paint(rectangle(a, b, base, top), SIDE, "glass_tinted", facing=_LEFT)
+    end = float(w[-1])
+    corner = end - s.width / 2 + 0.23
+    shell.paint(rectangle(corner - 0.03, end + 0.1, base - 0.03, top + 0.06), WRAP, "trim")
+    shell.paint(rectangle(corner, end + 0.1, base, top + 0.03), WRAP, "glass_tinted")
+    shell.draw(rectangle(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP, "brake_light", layer=2)
+    points = {
+        "roof_rear": shell.place((corner, top + 0.03), WRAP)[0],
+        "rear_window_base": shell.place((corner, base), WRAP)[0],
+    }
+    return shell.half, points

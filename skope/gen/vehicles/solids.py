@@ -1,0 +1,102 @@
+"""Left halves of simple solids that heavy bodies are made of: prisms, barrels, pipes, mudguards, ladders."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.gen.mesh import Mesh, box, flat, grid, merged, tube
+from skope.types import Array
+
+_AROUND: Final = 12
+"""Intervals around half a barrel."""
+
+
+def prism(outline: ArrayLike, half_width: float, material: str, *, inner: float = 0.0) -> Mesh:
+    """A convex outline (N, 2), x and z, stretched from y = `inner` to `half_width`; open in the middle if that is 0."""
+    p = np.asarray(outline, dtype=np.float64)
+    if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() > 0:
+        p = p[::-1]
+    # Clockwise in x and z, which is counter-clockwise seen from the left.
+    near, far = (np.column_stack([p[:, 0], np.full(len(p), y), p[:, 1]]) for y in (inner, half_width))
+    ends = [far] if inner == 0 else [far, near[::-1]]
+    sides = [np.array([near[i], near[j], far[j], far[i]]) for i, j in _pairs(len(p))]
+    return flat([*ends, *sides], material)
+
+
+def _pairs(count: int) -> list[tuple[int, int]]:
+    return [(i, (i + 1) % count) for i in range(count)]
+
+
+def barrel(sections: ArrayLike, materials: Sequence[str] | str, *, square: float = 2.0, sharp: bool = False) -> Mesh:
+    """The left half of what has superellipses for sections, along x.
+
+    Args:
+        sections: (N, 4) with rising x: x, height of the middle, half width, half height; ends without extent close it.
+        materials: One for all, or one for each of the N - 1 parts between two sections.
+        square: Exponent of the superellipse: 2 for an ellipse, more for a box with round edges.
+        sharp: Whether an edge runs around it at each section.
+    """
+    s = np.asarray(sections, dtype=np.float64)
+    names = [materials] * (len(s) - 1) if isinstance(materials, str) else list(materials)
+    rings = np.stack([ring(*section, square=square) for section in s])
+    if not sharp:
+        return grid(rings, [[name] * _AROUND for name in names])
+    return merged([grid(rings[k : k + 2], [[name] * _AROUND]) for k, name in enumerate(names)])
+
+
+def ring(x: float, z: float, half_width: float, half_height: float, *, square: float = 2.0) -> Array:
+    """(13, 3) the left half of a barrel's section, from below upwards."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, _AROUND + 1)
+    c, s = np.cos(turn).clip(0), np.sin(turn)
+    up = np.sign(s) * np.abs(s) ** (2 / square)
+    return np.column_stack([np.full(len(turn), x), half_width * c ** (2 / square), z + half_height * up])
+
+
+def pipe(start: ArrayLike, end: ArrayLike, radius: float, material: str, *, sides: int = 8) -> Mesh:
+    """A round bar with flat ends."""
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    bar = tube([a, b], (radius, radius), material, sides)
+    rims = bar.vertices.reshape(2, sides + 1, 3)[:, :-1]
+    return merged([bar, flat([rims[0][::-1], rims[1]], material)])
+
+
+def beam(start: ArrayLike, end: ArrayLike, half_width: float, half_height: float, material: str) -> Mesh:
+    """A bar of rectangular section from one point to another in a plane of constant y."""
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    along = (b - a)[[0, 2]] / np.hypot(*(b - a)[[0, 2]])
+    across = np.array([-along[1], along[0]]) * half_height
+    outline = [a[[0, 2]] - across, b[[0, 2]] - across, b[[0, 2]] + across, a[[0, 2]] + across]
+    low = a[1] - half_width
+    return prism(outline, a[1] + half_width, material, inner=low if low > 1e-6 else 0.0)
+
+
+def mudguard(
+    center: tuple[float, float], radius: float, y: tuple[float, float], material: str, *, reach_deg: float = 78.0
+) -> Mesh:
+    """A curved guard over a wheel about x, z, between two y, as far as `reach_deg` to either side of its top."""
+    turn = np.radians(np.linspace(-reach_deg, reach_deg, 9))
+    arcs = [
+        np.column_stack([center[0] + r * np.sin(turn), 0 * turn, center[1] + r * np.cos(turn)])
+        for r in (radius, radius + 0.03)
+    ]
+    inner, outer = ([arc + [0, at, 0] for at in y] for arc in arcs)
+    skins = [
+        grid([outer[0], outer[1]], [[material] * 8]),
+        grid([inner[1], inner[0]], [[material] * 8]),
+        grid([outer[1], inner[1]], [[material] * 8]),
+        grid([inner[0], outer[0]], [[material] * 8]),
+    ]
+    ends = [[outer[0][k], outer[1][k], inner[1][k], inner[0][k]] for k in (0, -1)]
+    return merged([*skins, flat([ends[0], ends[1][::-1]], material)])
+
+
+def ladder(x: float, y: tuple[float, float], low: float, high: float, material: str) -> Mesh:
+    """An upright ladder across the vehicle at x, between two y; from the middle it is half of one."""
+    rails = [box((x - 0.02, at - 0.02, low), (x + 0.02, at + 0.02, high), material) for at in y if at > 0]
+    rungs = [
+        box((x - 0.015, y[0], z), (x + 0.015, y[1], z + 0.03), material)
+        for z in np.arange(low + 0.15, high - 0.05, 0.3).tolist()
+    ]
+    return merged([*rails, *rungs])

@@ -1,0 +1,170 @@
+"""Bodies of lorries that work in towns: refuse collectors, hook lifts with containers, car transporters' decks."""
+
+from typing import Final
+
+import numpy as np
+
+from skope.gen.mesh import box
+from skope.gen.vehicles.cargo import Cargo, CargoSpace
+from skope.gen.vehicles.liveries import TONES, draw_graphics
+from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
+from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.parts import block
+from skope.gen.vehicles.solids import beam, ladder, pipe, prism
+from skope.gen.vehicles.tank_bodies import guards
+from skope.gen.vehicles.upright_shells import Tower
+
+_LEFT: Final = (0.0, 1.0, 0.0)
+_HOPPER: Final = 1.55
+"""Length of a refuse collector's hopper, metres."""
+BEACON: Final = "#e8861a"
+
+
+def refuse_body(space: CargoSpace) -> Cargo:
+    """A compacting body with ribs, and behind it a hopper: cheeks, the bin's edge, the comb that lifts, steps."""
+    rng, out = space.rng(), Cargo()
+    add, half, floor = out.parts.append, space.half - 0.03, space.floor
+    start, high = space.end + _HOPPER, space.shape.height - 0.12
+    tower = Tower(
+        Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08, edge=0.16, crown=0.05,
+        stations=3, levels=3,
+    )  # fmt: skip
+    shell, _, _ = tower.surface("livery")
+    draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)
+    shell.draw(rectangle(-1, 99, 0, floor + 0.14), WRAP, "trim")
+    add(shell.half)
+    for x in (space.ahead - 0.06, start + 0.02):
+        add(box((x - 0.06, half - 0.05, floor + 0.02), (x + 0.06, half + 0.012, high - 0.26), "livery"))
+    # The hopper's outline from its roof down the back to the bin, and forward under it; the opening lies between.
+    roof, lip = (space.end + 0.62, high), (space.end + 0.02, floor + 0.42)
+    under = max(floor - 0.14, space.shape.taillight_high + 0.09)
+    cheek = [(start, high), roof, (space.end + 0.2, floor + 1.35), lip, (space.end + 0.06, under), (start, under)]
+    add(prism(cheek, half, "livery", inner=half - 0.14))
+    inside = half - 0.139
+    add(
+        prism(
+            [(start, high), roof, (space.end + 0.45, high - 0.75), (start - 0.2, high - 0.75), (start, high - 0.6)],
+            inside,
+            "livery",
+        )
+    )
+    add(
+        prism(
+            [(start, high - 0.7), (start - 0.2, high - 0.76), (start - 0.55, floor + 0.5), (start, floor)],
+            inside,
+            "under",
+        )
+    )
+    add(
+        prism(
+            [(space.end + 0.08, floor + 0.4), (space.end + 0.1, under), (start, under), (start, floor + 0.1)],
+            inside,
+            "livery",
+        )
+    )
+    add(box((space.end + 0.02, 0.0, floor + 0.36), (space.end + 0.2, inside, floor + 0.46), "rail"))
+    for y in np.linspace(0.1, inside - 0.15, 5).tolist():
+        add(box((space.end + 0.0, y - 0.03, floor + 0.2), (space.end + 0.09, y + 0.03, floor + 0.6), "trim"))
+    # Hazard stripes and lamps on the cheeks, rails to hold on to, steps to stand on, the beacon.
+    for k, z in enumerate(np.linspace(floor + 0.5, floor + 1.2, 6).tolist()):
+        x = float(np.interp(z, [lip[1], floor + 1.35], [lip[0], space.end + 0.2]))
+        add(box((x - 0.012, half - 0.13, z), (x + 0.1, half - 0.01, z + 0.115), TONES[0] if k % 2 else "#f0f0ee"))
+    for z, lamp in ((high - 0.34, "brake_light"), (high - 0.5, "indicator_left")):
+        x = float(np.interp(z, [floor + 1.35, high], [space.end + 0.2, roof[0]]))
+        add(box((x - 0.03, half - 0.125, z), (x + 0.08, half - 0.015, z + 0.12), lamp))
+    add(
+        pipe(
+            (space.end + 0.5, half + 0.012, floor + 0.4), (space.end + 0.62, half + 0.012, floor + 1.5), 0.02, "#e3bd1c"
+        )
+    )
+    add(box((space.end + 0.12, half - 0.42, 0.42), (space.end + 0.5, half - 0.02, 0.47), "rail"))
+    add(box((space.end + 0.42, half - 0.3, 0.45), (space.end + 0.47, half - 0.24, under), "rail"))
+    add(block((roof[0] + 0.1, 0.62, high - 0.03), (roof[0] + 0.26, 0.78, space.shape.height), BEACON, 0.05))
+    out.parts += guards(space)
+    out.mark(
+        np.array([roof[0], half, roof[1]]),
+        np.array([space.end + 0.45, inside, high - 0.75]),
+        np.array([space.end + 0.06, half, under]),
+    )
+    return out
+
+
+def hook_body(space: CargoSpace) -> Cargo:
+    """A container with ribs, open or closed above, on the rails of a hook lift whose arm stands behind the cab."""
+    rng, out = space.rng(), Cargo()
+    add, half, low = out.parts.append, space.half - 0.04, space.floor + 0.2
+    room = space.shape.height - low
+    high = low + float(rng.choice([0.55, 0.75, 0.96])) * room
+    front = space.ahead - 0.75
+    tower = Tower(
+        Plan(half - 0.07, front, space.end, 0.0, 0.0, 0.04, 0.035), low, high, edge=0.03, crown=0.0, hollow=low + 0.2,
+        stations=3, levels=2,
+    )  # fmt: skip
+    tone = ("livery", "#2f5b3c", "#24508c", "#6f3b20", "#8a8d90")[int(rng.integers(5))]
+    shell, w, _ = tower.surface(tone)
+    end = float(w[-1])
+    shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
+    for a in (0.12, 0.5):
+        shell.draw(rectangle(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=5)
+    shell.line([(end, low), (end, high)], WRAP, width=0.03)
+    if rng.uniform() < 0.6:
+        shell.draw(rectangle(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3), SIDE, "#e8e8e6", layer=0.5)
+    add(shell.half)
+    for x in np.linspace(front - 0.06, space.end + 0.06, max(7, round((front - space.end) / 0.7))).tolist():
+        add(
+            prism(
+                [(x - 0.06, low + 0.05), (x + 0.06, low + 0.05), (x + 0.06, high - 0.06), (x - 0.06, high - 0.06)],
+                half,
+                tone,
+                inner=half - 0.08,
+            )
+        )
+    for z in (low, high - 0.1):
+        add(box((space.end, half - 0.1, z), (front + 0.01, half + 0.01, z + 0.12), tone))
+    add(box((space.end + 0.1, 0.3, space.floor), (front + 0.3, 0.45, low + 0.01), "trim"))
+    # The hook's arm before the container.
+    top = min(high, low + 1.35)
+    add(box((front + 0.22, 0.0, space.floor), (front + 0.42, 0.14, top), BEACON))
+    add(beam((front + 0.32, 0.0, top - 0.04), (front - 0.05, 0.0, top + 0.0), 0.12, 0.07, BEACON))
+    add(ladder(front + 0.06, (half - 0.45, half - 0.15), low + 0.1, high - 0.1, "rail"))
+    out.parts += guards(space)
+    corner = end - half + 0.07
+    out.mark(
+        np.array([space.end, half + 0.01, high + 0.02]),
+        shell.place((corner + 0.12, high - 0.12), WRAP)[0],
+        np.array([space.end, half + 0.01, low]),
+    )
+    return out
+
+
+def recovery_body(space: CargoSpace) -> Cargo:
+    """A deck that slides and tilts, low rails along it, a winch behind the cab, ramps and a bar of beacons."""
+    out = Cargo()
+    add, half, floor = out.parts.append, space.half - 0.02, space.floor
+    front = space.ahead - 0.4
+    deck = [
+        (space.end, floor + 0.02),
+        (space.end, floor + 0.1),
+        (space.end + 0.5, floor + 0.16),
+        (front, floor + 0.16),
+        (front, floor + 0.02),
+    ]
+    add(prism(deck, half, "rail"))
+    for start, stop in ((space.end + 0.55, front),):
+        add(box((start, half - 0.09, floor + 0.155), (stop, half - 0.005, floor + 0.26), "livery"))
+    for x in np.arange(space.end + 0.7, front - 0.3, 0.32).tolist():
+        add(box((x, 0.35, floor + 0.155), (x + 0.1, 0.8, floor + 0.175), "trim"))
+    add(box((front - 0.02, 0.0, floor + 0.1), (front + 0.14, half - 0.05, floor + 0.95), "livery"))
+    add(box((front - 0.03, 0.15, floor + 0.35), (front + 0.15, half - 0.3, floor + 0.75), "trim"))
+    add(pipe((front + 0.28, 0.0, floor + 0.3), (front + 0.28, 0.4, floor + 0.3), 0.16, "trim"))
+    # Ramps, folded up behind; boxes for tools below the deck.
+    add(box((space.end + 0.01, 0.5, floor - 0.1), (space.end + 0.08, half - 0.08, floor + 0.1), "trim"))
+    chest = space.rear_axle + space.shape.wheel_radius + 0.25
+    add(block((chest, half - 0.5, floor - 0.5), (chest + 0.9, half - 0.02, floor), "livery", 0.02))
+    out.parts += guards(space)
+    out.mark(
+        np.array([space.end + 0.55, half - 0.005, floor + 0.26]),
+        np.array([space.end + 0.5, half, floor + 0.16]),
+        np.array([space.end, half, floor + 0.02]),
+    )
+    return out
