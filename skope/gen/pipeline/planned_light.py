@@ -13,7 +13,7 @@ _OF_HOUR: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _OF_WEATHER: Final = ("clouds", "visibility_m")
 """Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
 _TURNS: Final = 30
-"""Turns that a site may begin with among the weathers and hours that are asked for."""
+"""Turns that a site may begin with among lights."""
 
 
 def in_its_light(
@@ -22,14 +22,17 @@ def in_its_light(
     """A site with the weather, hour and traffic of its recording `index`.
 
     Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
-    and a share of the site's vehicles an hour that `seed` draws. `lights` and `traffic` replace what the table says.
+    and a share of the site's vehicles an hour that `seed` draws. `traffic` replaces what the table says, `lights` too:
+    each site begins with another one of these, which `seed` draws, so that few recordings show all of them.
     """
     splits = tables()["splits"]
     split = splits.get(own.split, splits["train"])
     busy = _busy(own, index, seed, traffic or split["traffic"])
     if index == 0:
         return busy if traffic else own
-    lights = lights or split["light"]
+    if lights:
+        return _under(busy, lights[(index + _begun(own, seed, 0)) % len(lights)])
+    lights = split["light"]
     if own.road:
         # The site file decides the first recording's light: the others are at other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
@@ -46,8 +49,7 @@ def in_its_split(own: Site, index: int, seed: int, splits: Sequence[str]) -> Sit
     table = tables()["conditions"][splits[place]]
     busy = _busy(replace(own, split=splits[place]), index, seed, table["traffic"])
     lights = table["light"]
-    begun = int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(_TURNS))
-    lit = _under(busy, lights[(begun + turn) % len(lights)])
+    lit = _under(busy, lights[(turn + _begun(own, seed, place)) % len(lights)])
     return replace(lit, conditions={**lit.conditions, **range_pairs(table.get("settings", {}))})
 
 
@@ -57,7 +59,7 @@ def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str]
     One that is asked for takes the place of one that is not: in turns from recording to recording, begun with one that
     `seed` draws for each site. Without names, each is as planned.
     """
-    turn = index + int(rng(seed, planned.name, 0, Stream.ASKED_LIGHT).integers(_TURNS))
+    turn = index + _begun(planned, seed, 0)
     weather, time_of_day = planned.weather, planned.time_of_day
     if weathers and weather not in weathers:
         weather = weathers[turn % len(weathers)]
@@ -75,6 +77,11 @@ def varied(planned: Site) -> Site:
     table: Mapping[str, Any] = tables()["varied_light"]
     wide = {**table.get(planned.time_of_day, {}), **table.get(planned.weather, {})}
     return replace(planned, conditions={**range_pairs(wide), **planned.conditions})
+
+
+def _begun(own: Site, seed: int, place: int) -> int:
+    """Which of the lights a site begins with; `place` tells apart those that begin on their own."""
+    return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(_TURNS))
 
 
 def _busy(own: Site, index: int, seed: int, traffic: Range) -> Site:

@@ -79,3 +79,8 @@ def test_a_site_s_own_values_win_over_what_varies() -> None:
     own = in_its_light(site(next(iter(sites()))), 0, 0)
     fixed = varied(own).conditions
     assert {name: fixed[name] for name in own.conditions} == dict(own.conditions)
+
+
+def test_few_recordings_of_world_show_most_of_its_lights() -> None:
+    lights = {f"{plan.site.weather} {plan.site.time_of_day}" for plan in asked("world", frames=96).plans()}
+    assert len(lights) > 0.7 * len(set(presets()["world"]["light"]))
