@@ -13,6 +13,7 @@ from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
 from skope.gen.render.lens_dirt import LensDirt
 from skope.gen.render.rain import Rain
+from skope.gen.render.screen_graphics import ScreenGraphics
 from skope.gen.render.snowfall import Snowfall
 from skope.gen.render.stream_degradation import streamed
 from skope.gen.scene.conditions import DARK_DEG, Conditions
@@ -40,6 +41,7 @@ class Sensor:
             self._bent = None if straight is None else self._lens.bent(straight)
             seen = replace(recording, camera=self._lens.pinhole, photograph=straight)
         self._rain, self._snowfall, self._dirt = Rain(recording), Snowfall(recording), LensDirt(recording)
+        self._graphics = ScreenGraphics(recording)
         self._clean = make(seen)
 
     def render(self, frame: int) -> RenderedFrame:
@@ -55,7 +57,8 @@ class Sensor:
         rgb = self._dirt.soil(self._snowfall.fall(self._rain.fall(view.rgb, frame), frame))
         if grey(conditions):
             rgb = np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
-        rgb = streamed(with_noise(rgb, self._recording, frame), self._recording, frame)
+        rgb = self._graphics.draw(with_noise(rgb, self._recording, frame))
+        rgb = streamed(rgb, self._recording, frame)
         return replace(view, rgb=rgb, contrast=view.contrast / max(sigma_of(conditions), LEAST_NOISE))
 
 

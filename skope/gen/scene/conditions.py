@@ -87,6 +87,8 @@ class Conditions:
     """Share of level ground that snow lies on; carriageways have less of it."""
     spray: float = 0.0
     """Spray behind vehicles on a wet road; 1 for that of a closed film of water."""
+    screen_graphics: float = 0.0
+    """Number of logos, letters, clocks, arrows and the like that are drawn into the picture."""
     lens_dirt: float = 0.0
     """Dirt and dried drops on the glass before the lens, from 0 (clean) to 1 (much of the picture is soft)."""
 
@@ -157,12 +159,13 @@ LIMITS: Final[Mapping[str, Range]] = {
     "snowfall_mm_h": (0.0, 20.0),
     "snow_cover": (0.0, 1.0),
     "spray": (0.0, 2.0),
+    "screen_graphics": (0.0, 8.0),
     "lens_dirt": (0.0, 1.0),
 }
 """Least and greatest value of each condition that can be set."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _CLOCK: Final = ("latitude_deg", "day", "hour")
-_WHOLE: Final = ("day", "infrared", "screen_text", "fisheye")
+_WHOLE: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
 _PLACE: Final[Mapping[str, Range]] = {
     "latitude_deg": (35.0, 55.0),
     "day": (1.0, 365.0),
@@ -189,6 +192,7 @@ _CAMERA: Final[Mapping[str, Range]] = {
     "saturation": (1.0, 1.0),
     "sharpening": (0.0, 0.0),
     "glare": (1.0, 1.0),
+    "screen_graphics": (0.0, 0.0),
     "lens_dirt": (0.0, 0.0),
 }
 _DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}

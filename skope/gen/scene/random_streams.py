@@ -43,6 +43,7 @@ class Stream(Enum):
     """Takes the frame."""
     DROPS_ON_GLASS = auto()
     LENS_DIRT = auto()
+    SCREEN_GRAPHICS = auto()
     SENSOR_NOISE = auto()
     """Takes the frame."""
 
@@ -66,9 +67,17 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.RAIN_IN_FRAME: (12,),
     Stream.DROPS_ON_GLASS: (13,),
     Stream.LENS_DIRT: (17,),
+    Stream.SCREEN_GRAPHICS: (18,),
     Stream.SENSOR_NOISE: (),
 }
-_IN_PICTURES: Final = (Stream.RAIN, Stream.RAIN_IN_FRAME, Stream.DROPS_ON_GLASS, Stream.LENS_DIRT, Stream.SENSOR_NOISE)
+_IN_PICTURES: Final = (
+    Stream.RAIN,
+    Stream.RAIN_IN_FRAME,
+    Stream.DROPS_ON_GLASS,
+    Stream.LENS_DIRT,
+    Stream.SCREEN_GRAPHICS,
+    Stream.SENSOR_NOISE,
+)
 """Streams that are seeded with the letters of the site's name; the others are seeded with its CRC-32."""
 
 

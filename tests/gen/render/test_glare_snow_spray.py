@@ -1,4 +1,4 @@
-"""Glare, street lights that are out, snow, spray and dirt on the glass: pictures show them, labels know nothing."""
+"""Glare, street lights that are out, snow, spray, dirt, graphics: pictures show them, labels know nothing of them."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from skope.gen.render.burning_lamps import burning
 from skope.gen.render.frame import RenderedFrame
+from skope.gen.render.screen_graphics import _KINDS
 from skope.gen.render.spray import Spray
 from skope.gen.scene.lamps import LAMPS
 from tests.gen.render.test_weather import CAMERA, SIZE, in_studio, luminance, scene, view
@@ -116,6 +117,23 @@ def test_dirt_stays_where_it_is_and_takes_detail(day: RenderedFrame) -> None:
     detail = [float(np.abs(np.diff(shown.rgb.astype(int), axis=1)).mean()) for shown in (day, dirty)]
     assert detail[1] < detail[0]
     assert abs(luminance(dirty) - luminance(day)) < 25
+
+
+def test_graphics_stay_in_place_and_cover_what_is_behind_them(day: RenderedFrame) -> None:
+    recording = in_studio(screen_graphics=6.0)
+    drawn = view(recording)
+    same_labels(drawn, day)
+    np.testing.assert_array_equal(drawn.rgb, view(recording).rgb)
+    changed = (np.abs(drawn.rgb.astype(int) - day.rgb) > 20).any(axis=-1).mean()
+    assert 0.005 < changed < 0.6
+
+
+def test_every_kind_of_graphics_is_drawn_on_images_of_any_size() -> None:
+    for draw in _KINDS:
+        for size in ((180, 320), (64, 48), (1080, 1920)):
+            ink, mark = np.zeros((*size, 3), dtype=np.uint8), np.zeros(size, dtype=np.uint8)
+            draw(ink, mark, np.random.default_rng(4))
+            assert mark.any()
 
 
 def test_the_fallback_draws_them_too(day: RenderedFrame) -> None:

@@ -1,0 +1,137 @@
+"""What operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows, bars."""
+
+from collections.abc import Callable
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.scene.random_streams import Stream
+from skope.gen.scene.recording import Recording
+
+Image = NDArray[np.uint8]
+_Draw = Callable[[Image, Image, np.random.Generator], None]
+
+_FONTS: Final = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_PLAIN)
+_LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
+_LEAST_OPAQUE: Final = 0.25
+"""Opacity of the faintest watermark."""
+
+
+class ScreenGraphics:
+    """The graphics in the pictures of one recording; they stay as they are from frame to frame."""
+
+    def __init__(self, recording: Recording) -> None:
+        count, camera = round(recording.conditions.screen_graphics), recording.camera
+        self._ink: NDArray[np.float32] | None = None
+        if count:
+            rng = recording.rng(Stream.SCREEN_GRAPHICS)
+            ink = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
+            cover = np.zeros((camera.height, camera.width), dtype=np.uint8)
+            for draw in rng.choice(np.array(_KINDS, dtype=object), count):
+                mark = np.zeros_like(cover)
+                draw(ink, mark, rng)
+                opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
+                cover = np.maximum(cover, (mark * np.float32(opaque)).astype(np.uint8))
+            self._cover = (cover / np.float32(255)).astype(np.float32)[..., None]
+            self._ink = np.asarray(ink * self._cover, dtype=np.float32)
+
+    def draw(self, rgb: Image) -> Image:
+        """The picture (H, W, 3) with the graphics over it; the very same array where there are none."""
+        if self._ink is None:
+            return rgb
+        return np.asarray(rgb * (1 - self._cover) + self._ink, dtype=np.uint8)
+
+
+def _color(rng: np.random.Generator) -> tuple[int, int, int]:
+    """White more often than not, black, or a bright colour."""
+    kind = rng.random()
+    if kind < 0.7:
+        return (245, 245, 245) if kind < 0.5 else (12, 12, 12)
+    red, green, blue = (rng.permutation([255, int(rng.integers(256)), 0])).tolist()
+    return red, green, blue
+
+
+def _word(rng: np.random.Generator, least: int, most: int) -> str:
+    return "".join(rng.choice(list(_LETTERS), int(rng.integers(least, most + 1))))
+
+
+def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
+    """Where something of a size (width, height) begins that stands near a corner or an edge."""
+    height, width = shape[:2]
+    free_x, free_y = max(width - size[0], 0), max(height - size[1], 0)
+    x = rng.choice([rng.uniform(0.01, 0.06), rng.uniform(0.94, 0.99), rng.uniform(0.2, 0.8)]) * free_x
+    y = rng.choice([rng.uniform(0.01, 0.06), rng.uniform(0.94, 0.99)]) * free_y
+    return int(x), int(y)
+
+
+def _text(ink: Image, mark: Image, words: str, at: tuple[int, int], scale: float, rng: np.random.Generator) -> None:
+    """Write words with their lower left corner at a place."""
+    font, thick = int(rng.choice(_FONTS)), max(1, round(scale * rng.uniform(1.2, 3.0)))
+    cv2.putText(ink, words, at, font, scale, _color(rng), thick, cv2.LINE_AA)
+    cv2.putText(mark, words, at, font, scale, 255, thick, cv2.LINE_AA)
+
+
+def _letters(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """Large letters, such as the name of a direction, somewhere in the picture."""
+    height, width = mark.shape
+    scale = width / 1920 * rng.uniform(1.5, 6.0)
+    at = int(rng.uniform(0.05, 0.85) * width), int(rng.uniform(0.15, 0.95) * height)
+    _text(ink, mark, _word(rng, 1, 4), at, scale, rng)
+
+
+def _boxed(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """A clock or a name on a plain box."""
+    scale = mark.shape[1] / 1920 * rng.uniform(0.7, 1.8)
+    size = int(scale * 320), int(scale * 48)
+    x, y = _corner(mark.shape, size, rng)
+    for canvas, color in ((ink, _color(rng)), (mark, (255, 255, 255))):
+        cv2.rectangle(canvas, (x, y), (x + size[0], y + size[1]), color, -1)
+    clock = ":".join(f"{int(n):02d}" for n in rng.integers(0, 60, 3))
+    _text(ink, mark, str(rng.choice([clock, _word(rng, 5, 12)])), (x + size[1] // 4, y + size[1] * 3 // 4), scale, rng)
+
+
+def _logo(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """A round or square badge with another shape or a word in it."""
+    side = int(mark.shape[1] * rng.uniform(0.03, 0.1))
+    x, y = _corner(mark.shape, (side, side), rng)
+    middle, is_round = (x + side // 2, y + side // 2), rng.random() < 0.5
+    for canvas, color in ((ink, _color(rng)), (mark, (255, 255, 255))):
+        if is_round:
+            cv2.circle(canvas, middle, side // 2, color, -1, cv2.LINE_AA)
+        else:
+            cv2.rectangle(canvas, (x, y), (x + side, y + side), color, -1)
+    corners = [[x + int(a * side), y + int(b * side)] for a, b in rng.uniform(0.15, 0.85, (int(rng.integers(3, 6)), 2))]
+    cv2.fillPoly(ink, [cv2.convexHull(np.array(corners, dtype=np.int32))], _color(rng), cv2.LINE_AA)
+
+
+def _watermark(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """A wide line of text over the middle."""
+    height, width = mark.shape
+    at = int(0.15 * width), int(rng.uniform(0.35, 0.7) * height)
+    _text(ink, mark, " ".join(_word(rng, 3, 8) for _ in range(2)), at, width / 1920 * rng.uniform(2.0, 4.5), rng)
+
+
+def _arrow(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """An arrow that says where a lane goes."""
+    height, width = mark.shape
+    x, y = rng.uniform(0.1, 0.9) * width, rng.uniform(0.2, 0.9) * height
+    way = width * rng.uniform(0.03, 0.12) * np.array([np.cos(turn := rng.uniform(0, 2 * np.pi)), np.sin(turn)])
+    start, end = (int(x), int(y)), (int(x + way[0]), int(y + way[1]))
+    thick = max(1, int(width / 1920 * rng.uniform(3, 14)))
+    for canvas, color in ((ink, _color(rng)), (mark, (255, 255, 255))):
+        cv2.arrowedLine(canvas, start, end, color, thick, cv2.LINE_AA, tipLength=0.35)
+
+
+def _bar(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+    """A bar along the upper or lower rim."""
+    height, width = mark.shape
+    deep = int(height * rng.uniform(0.03, 0.08))
+    y = 0 if rng.random() < 0.5 else height - deep
+    for canvas, color in ((ink, _color(rng)), (mark, (255, 255, 255))):
+        cv2.rectangle(canvas, (0, y), (width, y + deep), color, -1)
+    _text(ink, mark, _word(rng, 6, 20), (int(0.02 * width), y + int(0.8 * deep)), deep / 38, rng)
+
+
+_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)
