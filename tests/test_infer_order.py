@@ -38,7 +38,7 @@ def script() -> ModuleType:
 def annotations() -> list[Annotation]:
     """Vehicles of the whole fleet in turn, at random places before the camera; points on the far side are hidden."""
     rng = np.random.default_rng(1)
-    entries = list(fleet().values())
+    entries = list(fleet(further=False).values())
     out: list[Annotation] = []
     while len(out) < 240:
         vehicle = entries[len(out) % len(entries)].vehicle

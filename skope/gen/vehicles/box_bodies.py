@@ -29,7 +29,7 @@ def box_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, high - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=8, facing=_LEFT)
+        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
         shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, "indicator_left", layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
@@ -60,7 +60,7 @@ def curtain_body(space: CargoSpace) -> Cargo:
         shell.draw(rectangle(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=_LEFT)
         shell.draw(rectangle(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=_LEFT)
     for x in (space.ahead - 0.05, space.end + 0.05):
-        shell.draw(rectangle(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=8, facing=_LEFT)
+        shell.draw(rectangle(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     _rear(shell, space, end, shutter=False)
     out.parts.append(shell.half)
     _mark(out, shell, space, end)
@@ -124,7 +124,7 @@ def luton_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.15), (sill + 0.05, top), rng)
     for x in (space.ahead - 0.04, space.end + 0.04):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=8, facing=_LEFT)
+        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     _rear(shell, space, end, shutter=rng.uniform() < 0.6)
     out.parts += [shell.half, _peak(space, "livery")]
     _mark(out, shell, space, end)

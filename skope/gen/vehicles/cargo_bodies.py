@@ -7,7 +7,7 @@ from skope.gen.vehicles.box_bodies import box_body, curtain_body, living_body, l
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.flatbeds import crane_body, dropside_body, flatbed_body
 from skope.gen.vehicles.tank_bodies import mixer_body, tank_body
-from skope.gen.vehicles.work_bodies import hook_body, recovery_body, refuse_body
+from skope.gen.vehicles.work_bodies import fire_body, hook_body, recovery_body, refuse_body, skip_body
 
 CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
     "panels": box_body,
@@ -18,6 +18,8 @@ CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
     "mixer": mixer_body,
     "refuse": refuse_body,
     "hook": hook_body,
+    "skip": skip_body,
+    "fire": fire_body,
     "recovery": recovery_body,
     "platform": flatbed_body,
     "crane": crane_body,

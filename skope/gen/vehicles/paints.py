@@ -92,6 +92,8 @@ PAINTS: Final[dict[str, Paint]] = dict(
         _livery("emergency_white", 5, "white", _WHITE, (200, 40, 36)),
         _livery("emergency_yellow", 2, "yellow", (214, 200, 28), (40, 130, 60)),
         _livery("emergency_red", 2, "red", (176, 26, 26), _WHITE),
+        _livery("fire_red", 4, "red", (172, 24, 24), (226, 227, 224)),
+        _livery("fire_yellow", 1, "yellow", (210, 196, 30), (226, 227, 224)),
         _livery("school_yellow", 1, "yellow", (226, 160, 24), (226, 160, 24)),
         _livery("refuse_orange", 4, "orange", (214, 104, 22), (214, 104, 22)),
         _livery("refuse_white", 3, "white", _WHITE, (58, 128, 70)),

@@ -217,6 +217,9 @@ class VehicleStyle:
     """A wind deflector over a cab that is lower than the body behind it."""
     cooled: bool = False
     """A cooling unit at the front of a box."""
+    face: str = ""
+    """Between the headlights and windscreen of a cab over the engine: one large grille, or "slots", "mask", "shield" or
+    "ladder"; "any" for one of these that the vehicle's length draws."""
     arms: bool = False
     """Mirrors that stand on arms."""
     soft_seams: bool = False

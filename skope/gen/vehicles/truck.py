@@ -14,6 +14,7 @@ from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Pl
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.truck_faces import draw_face
 from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
@@ -22,6 +23,10 @@ _GAP = 0.09
 """Gap between cab and body, metres."""
 _LIP = 0.06
 """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
+_CREW_CAB = 2.5
+"""Length above which a cab has a second row of seats, metres."""
+_SCREEN = 1.45
+"""Greatest height of a windscreen, metres."""
 _GUARDED = 0.6
 """Least room between the axles that is worth a tank and guards, metres."""
 _LEFT = (0.0, 1.0, 0.0)
@@ -82,17 +87,27 @@ class TruckBody:
         lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
         self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
+        if self.style.face:
+            # Under a high roof the windscreen ends where it would end under a low one.
+            top = min(top, base + _SCREEN)
+            for at in (0.25, 0.6) if self.cab_height - top > 0.4 else ():
+                cab.draw(
+                    rectangle(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
+                    WRAP,
+                    "#e8a030",
+                    layer=3,
+                )
         screen = corner_w(w) - 0.05
         cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
         cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
         for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
             cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
-        cab.draw(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
+        # Painted it also is clean from afar, where what hovers over the shell flickers.
+        lay = cab.paint if self.style.face else cab.draw
+        lay(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
         self._cab_doors(cab, base, top)
         self._parts += front.draw_front(cab, w, s, self.style, self.points)
-        grille = rectangle(-screen + 0.2, screen - 0.2, s.headlight_high + 0.1, base - 0.16)
-        cab.paint(grown(grille, 0.02), WRAP, "trim")
-        cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
+        draw_face(cab, self.style.face, (screen - 0.2, s.headlight_high + 0.1, base - 0.16), s)
         self._parts.append(cab.half)
         self._add_cab_parts(screen, base, top)
         self.points |= {
@@ -112,6 +127,10 @@ class TruckBody:
         ]  # fmt: skip
         cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=_LEFT)
         cab.paint(window, SIDE, "glass", facing=_LEFT)
+        if s.cab_length > _CREW_CAB:
+            second = rectangle(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
+            cab.paint(grown(second, 0.035), SIDE, "trim", facing=_LEFT)
+            cab.paint(second, SIDE, "glass", facing=_LEFT)
         sill = s.wheel_radius * (1 + ARCH) + 0.04
         for x in (ahead - 0.02, behind):
             cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=_LEFT)

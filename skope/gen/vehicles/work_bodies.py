@@ -7,12 +7,12 @@ import numpy as np
 from skope.gen.mesh import box
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import TONES, draw_graphics
-from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, TOP, WRAP, Plan
 from skope.gen.vehicles.panels import rectangle
-from skope.gen.vehicles.parts import block
-from skope.gen.vehicles.solids import beam, ladder, pipe, prism
+from skope.gen.vehicles.parts import arch_lip, block
+from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism
 from skope.gen.vehicles.tank_bodies import guards
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.upright_shells import Tower, arch
 
 _LEFT: Final = (0.0, 1.0, 0.0)
 _HOPPER: Final = 1.55
@@ -133,6 +133,118 @@ def hook_body(space: CargoSpace) -> Cargo:
         np.array([space.end, half + 0.01, high + 0.02]),
         shell.place((corner + 0.12, high - 0.12), WRAP)[0],
         np.array([space.end, half + 0.01, low]),
+    )
+    return out
+
+
+def skip_body(space: CargoSpace) -> Cargo:
+    """A skip between the two arms that lift it, hung on chains, with rubble in it."""
+    rng, out = space.rng(), Cargo()
+    add, half, floor = out.parts.append, space.half - 0.05, space.floor
+    front, low = space.ahead - 0.5, floor + 0.1
+    add(
+        prism(
+            [(space.end + 0.1, floor - 0.02), (front + 0.2, floor - 0.02), (front + 0.2, low), (space.end + 0.1, low)],
+            half,
+            "trim",
+        )
+    )
+    base, top, tone = space.end + 0.9, low + 1.35, TONES[int(rng.integers(len(TONES)))]
+    stop, wide = front - 0.45, half - 0.32
+    hull = [
+        (base + 0.35, low),
+        (stop - 0.35, low),
+        (stop, low + 0.75),
+        (stop - 0.1, top),
+        (base + 0.1, top),
+        (base, low + 0.75),
+    ]
+    add(prism(hull, wide, tone))
+    add(box((base + 0.06, 0.0, top - 0.05), (stop - 0.06, wide + 0.04, top + 0.02), tone))
+    add(box((base + 0.16, 0.0, top), (stop - 0.16, wide - 0.05, top + 0.025), "under"))
+    if rng.uniform() < 0.7:
+        middle, reach = (base + stop) / 2, (stop - base) / 2 - 0.2
+        heap = ((-1.0, 0.0), (-0.6, 0.7), (0.1, 1.0), (0.6, 0.6), (1.0, 0.0))
+        add(barrel([(middle + reach * x, top, (wide - 0.1) * size**0.3, 0.3 * size) for x, size in heap], "soil"))
+    # The arms, bent over the skip, and the bar across between them; chains to the hull.
+    knee, hand = (
+        (space.end + 1.1, half - 0.09, space.shape.height - 0.12),
+        (front - 0.9, half - 0.09, space.shape.height - 0.25),
+    )
+    add(beam((front - 0.1, half - 0.09, low), hand, 0.08, 0.1, BEACON if tone != TONES[3] else "rail"))
+    add(beam(hand, knee, 0.08, 0.09, BEACON if tone != TONES[3] else "rail"))
+    add(box((knee[0] - 0.08, 0.0, knee[2] - 0.08), (knee[0] + 0.08, half - 0.02, knee[2] + 0.1), "rail"))
+    for x, z in ((base + 0.2, top - 0.1), (stop - 0.3, top - 0.1)):
+        add(pipe((knee[0] + 0.3, half - 0.14, knee[2] - 0.02), (x, wide + 0.02, z), 0.02, "chrome", sides=6))
+    # Stabilisers, and the boxes over the rear axles.
+    add(box((space.end + 0.3, half - 0.3, 0.55), (space.end + 0.5, half - 0.08, floor), "rail"))
+    out.parts += guards(space)
+    out.mark(
+        np.array([knee[0] - 0.08, half - 0.02, knee[2] + 0.1]),
+        np.array([base + 0.06, wide + 0.04, top + 0.02]),
+        np.array([space.end + 0.1, half, floor - 0.02]),
+    )
+    return out
+
+
+def fire_body(space: CargoSpace) -> Cargo:
+    """A fire engine's body: shutters along the sides, a ladder on the roof, reflecting bands, lamps of its own."""
+    out = Cargo()
+    add, floor, high = out.parts.append, space.floor, space.shape.height - 0.3
+    well = space.shape.track / 2 - space.shape.wheel_width * 1.7
+    tower = Tower(
+        Plan(space.half - 0.01, space.ahead + 0.02, space.end + 0.02, 0.0, 0.0, 0.06, 0.05), floor, high, edge=0.06,
+        crown=0.02, well=well, stations=9, levels=3,
+    )  # fmt: skip
+    shell, w, _ = tower.surface("paint")
+    lining, rim = shell.carve_well(arch(space.rear_axle, space.shape), well)
+    out.parts += [lining, arch_lip(rim, (space.rear_axle, space.shape.wheel_radius), "trim", shell.side)]
+    end = float(w[-1])
+    sill, top = max(floor + 0.12, space.shape.wheel_radius * 2.2), high - 0.3
+    start, stop = space.end + 0.35, space.ahead - 0.2
+    count = 3
+    for k in range(count):
+        a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
+        shell.paint(rectangle(a, b, sill, top), SIDE, "cladding_grey", facing=_LEFT)
+        for z in np.arange(sill + 0.07, top, 0.09).tolist():
+            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=_LEFT)
+        shell.draw(rectangle(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=_LEFT)
+    band = rectangle(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
+    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=_LEFT)
+    edge = end - space.half + 0.3
+    shell.paint(rectangle(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
+    for z in np.arange(sill + 0.07, top, 0.09).tolist():
+        shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)
+    for z, lamp in ((high - 0.2, "brake_light"), (high - 0.36, "indicator_left")):
+        shell.draw(rectangle(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
+    add(shell.half)
+    # The ladder on its gantry, boxes beside it, and blue lamps over the cab and behind.
+    top = space.shape.height
+    for z in (high + 0.08, top - 0.07):
+        add(box((space.end + 0.2, 0.3, z), (space.ahead + 0.9, 0.36, z + 0.07), "chrome"))
+    for x in np.arange(space.end + 0.35, space.ahead + 0.8, 0.35).tolist():
+        add(box((x, 0.0, top - 0.06), (x + 0.04, 0.31, top - 0.02), "chrome"))
+    add(box((space.end + 0.6, 0.55, high - 0.04), (space.ahead - 0.6, space.half - 0.2, high + 0.2), "rail"))
+    bar = space.ahead + 0.45 * space.shape.cab_length
+    add(
+        box(
+            (bar - 0.15, 0.42, space.cab_height - 0.08),
+            (bar + 0.15, space.half - 0.25, space.cab_height + 0.12),
+            "#1b52d8",
+        )
+    )
+    add(
+        box(
+            (space.end + 0.1, space.half - 0.35, high - 0.04),
+            (space.end + 0.3, space.half - 0.15, high + 0.12),
+            "#1b52d8",
+        )
+    )
+    corner = end - space.half
+    out.mark(
+        shell.place((corner, high - 0.085), WRAP)[0],
+        shell.place((edge, sill), WRAP)[0],
+        shell.corner(BOTTOM, rear=True),
     )
     return out
 

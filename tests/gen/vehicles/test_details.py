@@ -1,7 +1,7 @@
 """Details of jittered vehicles: other fronts, rears, tones and loads than their model's."""
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -117,8 +117,8 @@ def test_dimensions_do_not_depend_on_details() -> None:
 
 @pytest.mark.parametrize(("load", "over"), LOADS.items())
 def test_loads_count_for_the_height(load: str, over: float) -> None:
-    number = next(i for i, (_, option) in enumerate(DETAILS["roof_load"].options) if option.get("load") == load)
-    vehicle = with_details("wagon", roof_load=float(number))
+    wagon = parametric("wagon")
+    vehicle = replace(wagon, style=replace(wagon.style, load=load))
     assert vehicle.size_lwh[2] == pytest.approx(vehicle.shape.height + over)
     assert vehicle.mesh.vertices[:, 2].max() == pytest.approx(vehicle.size_lwh[2], abs=0.01)
 
