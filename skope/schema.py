@@ -25,7 +25,7 @@ CATEGORY_ID: Final = 1
 
 VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
-    "other",
+    "articulated_truck", "articulated_bus", "other",
 )  # fmt: skip
 COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",

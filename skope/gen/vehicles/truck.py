@@ -5,13 +5,13 @@ from functools import cached_property
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
-from skope.gen.vehicles import front, parts, rear
+from skope.gen.vehicles import front, parts
+from skope.gen.vehicles.cargo import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
-from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
 _GAP = 0.09
@@ -139,92 +139,22 @@ class TruckBody:
         low, high = s.box_height - 0.3, s.box_height + 0.01
         add = self._parts.append
         add(box((self.end + 0.06, 0.0, low), (self.cab_rear + 0.3, 0.45, high), "under"))
-        wheel = steel_wheel(s.wheel_radius, s.wheel_width)
-        y = s.track / 2
         axles = [s.rear_axle_x, *(s.rear_axle_x + ahead for ahead in style.axles)]
         for x in axles:
-            add(box((x - 0.06, 0.0, s.wheel_radius - 0.06), (x + 0.06, y - 0.1, s.wheel_radius + 0.06), "under"))
-            if x != axles[0]:
-                add(wheel.moved((x, y, s.wheel_radius)))
-            if style.dual:
-                add(wheel.moved((x, y - s.wheel_width * 1.06, s.wheel_radius)))
-            if s.box_height - 2 * s.wheel_radius > 0.1:
-                add(
-                    box(
-                        (x - s.wheel_radius * 0.95, y - 0.36, 2 * s.wheel_radius + 0.04),
-                        (x + s.wheel_radius * 0.95, y + 0.14, 2 * s.wheel_radius + 0.075),
-                        "trim",
-                    )
-                )
+            self._parts += axle(s, x, wheel=x != axles[0], dual=style.dual)
         ahead = max(axles) + s.wheel_radius + 0.12
         start = s.front_axle_x - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
         add(_tank(start - tank, start, side - 0.3, low - 0.05))
-        for z in (s.clearance + 0.12, s.clearance + 0.42):
-            add(box((ahead, side - 0.04, z), (start - tank - 0.1, side, z + 0.11), "rail"))
-        for x in np.linspace(ahead + 0.1, start - tank - 0.2, 3):
-            add(box((x - 0.03, side - 0.07, s.clearance + 0.12), (x + 0.03, side - 0.041, s.box_height), "under"))
-        bar = Plan(s.width / 2 - 0.02, self.end + 0.16, self.end, 0.0, 0.0, 0.02, 0.02)
-        shell, w, _ = Tower(
-            bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
-        ).surface("trim")
-        self._parts += rear.draw_rear(shell, w, s, style, self.points)
-        add(shell.half)
-        self.points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
+        self._parts += side_guard(s, start - tank, ahead, side)
+        self._parts += underrun_bar(s, style, self.points)
 
     def _build_cargo(self) -> None:
-        s, body = self.shape, self.style.body
-        open_top = {"flatbed": s.box_height + 0.5, "tipper": s.box_height + 1.25}
-        high = open_top.get(body, s.height)
-        closed = body not in open_top
-        ahead = self.cab_rear - _GAP
-        tower = Tower(
-            Plan(s.width / 2, ahead, self.end, 0.0, 0.0, 0.05, 0.035),
-            s.box_height,
-            high,
-            [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
-            edge=0.05 if body != "tipper" else 0.02,
-            crown=0.015,
-            hollow=None if closed else s.box_height + 0.1,
-            stations=3,
-            levels=2,
-        )
-        shell, w, _ = tower.surface("livery")
-        end = float(w[-1])
-        corner = end - s.width / 2
-        sill, inset = s.box_height + 0.12, 0.11
-        frame_material = "rail" if closed else "trim"
-        shell.draw(rectangle(-1, 99, 0, sill - 0.03), WRAP, frame_material)
-        top = high - (0.16 if closed else 0.12)
-        edge = corner + inset
-        shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP, width=0.02)
-        if closed:
-            self._cargo_doors(shell, end, edge, sill, top)
-            shell.draw(rectangle(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
-        count, wide = {"box": (6, 0.014), "curtain": (9, 0.03), "flatbed": (4, 0.05), "tipper": (7, 0.09)}[body]
-        for x in np.linspace(ahead - 0.25, self.end + 0.25, count):
-            rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
-            shell.draw(rib, SIDE, "rail" if body != "tipper" else "trim", facing=_LEFT)
-        if not closed:
-            shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
-        self._parts.append(shell.half)
-        self.points |= {
-            "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP)[0],
-            "rear_window_base": shell.place((edge, top), WRAP)[0],
-            "trunk_rear": shell.place((corner, BOTTOM), ROWS)[0],
-        }
-
-    def _cargo_doors(self, shell: Surface, end: float, edge: float, low: float, top: float) -> None:
-        """The gap between two doors, their bolts and hinges."""
-        shell.line([(end, low), (end, top)], WRAP, width=0.016)
-        for share in (0.28, 0.6):
-            shell.draw(
-                rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
-            )
-        for z in np.linspace(low + 0.3, top - 0.3, 4):
-            shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+        half, points = cargo_body(self.shape, self.style.body, self.cab_rear - _GAP)
+        self._parts.append(half)
+        self.points |= points
 
 
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:
