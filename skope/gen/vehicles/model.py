@@ -1,6 +1,6 @@
 """Interfaces and base of all vehicle models, wherever their surfaces come from."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Protocol
@@ -30,10 +30,8 @@ class Trailer:
     Its frame has its origin on the road under the hinge, x forward, y left, z up.
     """
 
-    mesh: Mesh
-    """Its body, with all wheels but the outer ones of the rearmost axle."""
-    interior: Mesh | None
-    """Seats that are seen through its windows."""
+    surfaces: Callable[[], tuple[Mesh, Mesh | None]]
+    """Builds `mesh` and `interior`, which takes time."""
     hinge: Array
     """(3,) the hinge in the vehicle's frame, metres."""
     size_lwh: tuple[float, float, float]
@@ -46,6 +44,20 @@ class Trailer:
     """(2, 3) wheels of the rearmost axle, right and left, metres."""
     bend: float
     """Largest angle between it and the vehicle, radians."""
+
+    @cached_property
+    def _built(self) -> tuple[Mesh, Mesh | None]:
+        return self.surfaces()
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its body, with all wheels but the outer ones of the rearmost axle."""
+        return self._built[0]
+
+    @property
+    def interior(self) -> Mesh | None:
+        """Seats that are seen through its windows."""
+        return self._built[1]
 
     @property
     def corners(self) -> Array:
