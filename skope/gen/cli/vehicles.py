@@ -27,6 +27,7 @@ NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One m
 def list_models(console: Console) -> None:
     """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
     from skope.gen.vehicles.fleet import fleet
+    from skope.gen.vehicles.model import straight_lwh
 
     total = sum(entry.share for entry in fleet().values())
     models, damaged = _readable(_names())
@@ -37,9 +38,9 @@ def list_models(console: Console) -> None:
             [
                 name,
                 vehicle.vehicle_type,
-                " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh),
+                " x ".join(f"{metres:.2f}" for metres in straight_lwh(vehicle)),
                 f"{vehicle.shape.wheelbase:.2f}",
-                len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles),
+                sum(len(part.triangles) for part in vehicle.parts),
                 f"{entry.share / total:.1%}" if entry else "added",
                 "held out for test sites" if entry and entry.held_out else "",
             ]

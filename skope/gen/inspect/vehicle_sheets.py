@@ -13,7 +13,7 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording
 from skope.gen.scenery.build import STUDIO
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import palette
 from skope.pictures import draw
 
@@ -47,7 +47,7 @@ def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)
     columns = len(VIEWS) // 2
     rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
     cells = [picture for row in rows for which in (0, 1) for picture in (pair[which] for pair in row)]
-    length, width, height = vehicle.size_lwh
+    length, width, height = straight_lwh(vehicle)
     text = f"{vehicle.model}: {vehicle.vehicle_type}, {length:.2f} x {width:.2f} x {height:.2f} m"
     return draw.caption(draw.contact_sheet(cells, columns), text)
 
@@ -67,16 +67,16 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
     toward = np.array(
         [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
     )
-    middle = np.array([0.0, 0.0, vehicle.shape.height / 2])
+    length, _, height = straight_lwh(vehicle)
+    middle = np.array([(vehicle.shape.length - length) / 2, 0.0, height / 2])
 
     def at(distance: float) -> Camera:
         place = middle + distance * toward
         return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_FOV)
 
     distance = 60.0
-    body, *wheels = vehicle.parts
-    placed = zip(wheels, vehicle.shape.wheel_centers(), strict=True)
-    corners = np.concatenate([body.vertices, *(wheel.vertices + center for wheel, center in placed)])
+    placed = zip(vehicle.parts, parked(vehicle, at(distance)).moment(0).part_poses(0), strict=False)
+    corners = np.concatenate([part.vertices @ T[:3, :3].T + T[:3, 3] for part, T in placed])
     for _ in range(4):
         camera = at(distance)
         pixels, _, _ = camera.project(corners)
@@ -113,6 +113,7 @@ def parked(vehicle: Vehicle, camera: Camera) -> Recording:
         vehicle=np.zeros(1, dtype=np.int32),
         T_world_chassis=np.eye(4)[None],
         T_world_wheels=wheels,
+        T_world_trailer=vehicle.trailer.at_rest[None] if vehicle.trailer else None,
         velocity=np.zeros((1, 3)),
         lamps=np.zeros(1, dtype=np.uint8),
     )

@@ -150,8 +150,8 @@ class _Way:
         return DrivenTrailer(self._trailer.yaw, height, self._trailer.rolled)
 
     def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road; (stop - start, 5)
-        with the height under the trailer where there is one.
+        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road; of an
+        articulated vehicle (stop - start, 5), with the height under its trailer.
 
         Places are averaged over time; height and slope are those of the road at the averaged place. Before the first
         and after the last known step the vehicle is assumed to drive on evenly.

@@ -16,7 +16,7 @@ _RIBS = {
     "curtain": (9, 0.03),
     "flatbed": (4, 0.05),
     "tipper": (7, 0.09),
-    "container": (36, 0.05),
+    "container": (0, 0.0),
 }
 """Number and width of the ribs along each kind of cargo body's side."""
 _OPEN = {"flatbed": 0.5, "tipper": 1.25}

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, box, merged
+from skope.gen.mesh import Mesh, box, merged, quads
 from skope.gen.vehicles import front, parts
 from skope.gen.vehicles.cargo import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.interior import interior
@@ -29,9 +29,10 @@ class TruckBody:
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2
         self.cab_rear = self.nose - shape.cab_length
-        high_body = style.body in ("box", "curtain")
+        high_body = style.body in ("box", "curtain", "tractor")
         heavy = shape.wheel_radius > 0.45
-        self.cab_height = min(shape.height - (0.35 if high_body else 0.0), 3.05 if heavy else 2.35)
+        highest = 3.5 if style.body == "tractor" else 3.05 if heavy else 2.35
+        self.cab_height = min(shape.height - (0.35 if high_body else 0.0), highest)
         if not high_body:
             self.cab_height = shape.height
         self._parts: list[Mesh] = []
@@ -74,6 +75,8 @@ class TruckBody:
         lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
         self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
+        if self.style.body == "tractor":  # over the windscreen there is room for a bed
+            top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05
         cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
         cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
@@ -152,9 +155,38 @@ class TruckBody:
         self._parts += underrun_bar(s, style, self.points)
 
     def _build_cargo(self) -> None:
+        if self.style.body == "tractor":
+            self._build_fifth_wheel()
+            return
         half, points = cargo_body(self.shape, self.style.body, self.cab_rear - _GAP)
         self._parts.append(half)
         self.points |= points
+
+    def _build_fifth_wheel(self) -> None:
+        """The plate that carries a semi-trailer, guards over the rear wheels, panels behind the cab, steps."""
+        s, add = self.shape, self._parts.append
+        x, z, frame = s.hinge_x, s.hinge_height, s.box_height
+        add(box((x - 0.5, 0.0, z - 0.09), (x + 0.42, 0.46, z - 0.02), "under"))
+        add(box((x - 0.25, 0.0, frame - 0.02), (x + 0.25, 0.42, z - 0.08), "under"))
+        y, radius, top = s.track / 2, s.wheel_radius, 2 * s.wheel_radius + 0.03
+        inner, outer = y - 0.42, y + 0.15
+        add(box((s.rear_axle_x - 0.32, inner, top), (s.rear_axle_x + 0.32, outer, top + 0.03), "trim"))
+        for sign in (-1, 1):
+            start, stop = s.rear_axle_x + sign * 0.32, s.rear_axle_x + sign * (radius + 0.1)
+            face = [(start, top + 0.03), (stop, top - 0.26), (stop, top - 0.29), (start, top)]
+            add(_sheet(face[::-sign], inner, outer))
+        side, behind = s.width / 2 - 0.03, self.cab_rear - 0.36
+        add(
+            box((behind, side - 0.04, s.clearance + 0.55), (self.cab_rear + 0.05, side, self.cab_height - 0.3), "paint")
+        )
+        add(box((behind - 0.45, 0.0, frame), (self.cab_rear - 0.02, 0.62, frame + 0.05), "rail"))
+
+
+def _sheet(face: list[tuple[float, float]], inner: float, outer: float) -> Mesh:
+    """A prism from y = `inner` to y = `outer` over a convex polygon (x, z), counter-clockwise seen from the right."""
+    near, far = ([np.array([x, y, z]) for x, z in face] for y in (inner, outer))
+    around = [[near[i], far[i], far[j], near[j]] for i, j in ((k, (k + 1) % len(face)) for k in range(len(face)))]
+    return quads(np.array([near, far[::-1], *around]), "trim")
 
 
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:
