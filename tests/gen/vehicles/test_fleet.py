@@ -9,7 +9,7 @@ from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
 from skope.gen.vehicles.fleet import build, class_ranges, fleet
 from skope.gen.vehicles.keypoint_separation import Sidecar
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
 from skope.gen.vehicles.shape_jitter import jittered
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
@@ -21,7 +21,8 @@ RAYS = 25
 
 def assert_on_the_surface(vehicle: Vehicle) -> None:
     """All keypoints but the wheels' centres lie within 1 cm of a triangle."""
-    corners = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    mesh = straight_mesh(vehicle)
+    corners = mesh.vertices[mesh.triangles]
     low, high = corners.min(axis=1) - 0.01, corners.max(axis=1) + 0.01
     for k in set(range(keypoints.K)) - set(keypoints.WHEELS):
         point = vehicle.points[k]
@@ -38,7 +39,7 @@ def test_keypoints_lie_on_the_surface(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_corners_of_bumpers_lie_farthest_out(model: str) -> None:
     vehicle = fleet()[model].vehicle
-    surface = vehicle.mesh.vertices
+    surface = straight_mesh(vehicle).vertices
     for name in ("bumper_front_left", "bumper_rear_left", "bumper_front_right", "bumper_rear_right"):
         marker = vehicle.points[keypoints.INDEX[name]]
         outwards = np.sign(marker[:2]) / np.sqrt(2)
@@ -71,11 +72,14 @@ def test_roof_points_of_buses_are_the_windows_upper_corners(model: str) -> None:
 def test_keypoints_are_where_their_names_say(model: str) -> None:
     vehicle = fleet()[model].vehicle
     p = {name: vehicle.points[i] for name, i in keypoints.INDEX.items()}
-    length, width, height = vehicle.size_lwh
-    assert p["front_logo"][0] == pytest.approx(length / 2, abs=0.08)
-    assert p["bumper_rear_left"][0] == pytest.approx(-length / 2, abs=0.25)
-    roof = p["roof_front_left"] if vehicle.vehicle_type not in ("box_truck", "truck") else p["roof_rear_left"]
-    assert roof[2] == pytest.approx(height, abs=0.35) or vehicle.style.body in ("tipper", "flatbed")
+    length, width, height = straight_lwh(vehicle)
+    front = vehicle.shape.length / 2
+    assert p["front_logo"][0] == pytest.approx(front, abs=0.08)
+    assert p["bumper_rear_left"][0] == pytest.approx(front - length, abs=0.25)
+    lorry = vehicle.vehicle_type in ("box_truck", "truck", "articulated_truck")
+    roof = p["roof_rear_left"] if lorry else p["roof_front_left"]
+    low_rear = vehicle.style.body in ("tipper", "flatbed") or vehicle.style.trailer == "tank"
+    assert roof[2] == pytest.approx(height, abs=0.35) or low_rear
     assert p["roof_front_left"][0] < p["windscreen_base_left"][0] < p["hood_front_left"][0]
     assert p["roof_rear_left"][0] >= p["rear_window_base_left"][0] - 0.01
     assert p["rear_window_base_left"][0] >= p["trunk_rear_left"][0] - 0.08
@@ -91,9 +95,9 @@ def test_keypoints_are_where_their_names_say(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_meshes_are_as_large_as_their_dimensions(model: str) -> None:
     vehicle = fleet()[model].vehicle
-    length, width, height = vehicle.size_lwh
-    body = vehicle.mesh.vertices
-    assert np.ptp(body[:, 0]) == pytest.approx(length, abs=0.01)
+    length, width, height = straight_lwh(vehicle)
+    body = straight_mesh(vehicle).vertices
+    assert np.ptp(body[:, 0]) == pytest.approx(length, abs=0.015)
     assert np.ptp(body[:, 1]) == pytest.approx(width + 0.3, abs=0.17)  # with mirrors
     assert body[:, 2].max() == pytest.approx(height, abs=0.02)
     assert np.abs(vehicle.wheel.vertices[:, [0, 2]]).max() == pytest.approx(vehicle.shape.wheel_radius, abs=0.005)
@@ -133,16 +137,20 @@ def whole(vehicle: Vehicle) -> Mesh:
     """Body and wheels."""
     sides = (vehicle.wheel.mirrored(), vehicle.wheel) * 2
     wheels = [mesh.moved(at) for mesh, at in zip(sides, vehicle.shape.wheel_centers(), strict=True)]
-    return merged([vehicle.mesh, *wheels])
+    if vehicle.trailer:
+        hindmost = zip(sides[2:], vehicle.trailer.at_rest[1:, :3, 3], strict=True)
+        wheels += [mesh.moved(at) for mesh, at in hindmost]
+    return merged([straight_mesh(vehicle), *wheels])
 
 
 def backs_seen(vehicle: Vehicle, rng: np.random.Generator, directions: int) -> int:
     """Of rays from all around, from above, to places in a vehicle's box, those that meet a triangle's back first."""
-    size, mesh, back, hit = np.array(vehicle.size_lwh), whole(vehicle), 0, 0
+    size, mesh, back, hit = np.array(straight_lwh(vehicle)), whole(vehicle), 0, 0
+    middle = [(vehicle.shape.length - size[0]) / 2, 0, size[2] / 2]
     for _ in range(directions):
         direction = rng.normal(size=3) * [1, 1, 0.7]
         direction[2] = -abs(direction[2])
-        points = rng.uniform(-0.5, 0.5, (RAYS, 3)) * size + [0, 0, size[2] / 2]
+        points = rng.uniform(-0.5, 0.5, (RAYS, 3)) * size + middle
         reach, front = first_hits(mesh, direction / np.linalg.norm(direction), points)
         back += int((~front).sum())
         hit += int(np.isfinite(reach).sum())
@@ -176,10 +184,11 @@ def test_trilateration_equals_the_rigid_transform(model: str) -> None:
     poses[:, :3, :3] = Rotation.random(64, rng=rng).as_matrix()
     poses[:, :3, 3] = rng.uniform(-2000, 2000, (64, 3))
     rigid = transform(poses, np.tile(vehicle.points, (64, 1, 1)))
+    wheels = transform(poses, np.tile(vehicle.shape.wheel_centers(), (64, 1, 1)))
+    if vehicle.trailer is None:
+        np.testing.assert_allclose(rigid[:, list(keypoints.WHEELS)], wheels, atol=1e-9)
     sidecar = vehicle.sidecar
-    free = trilaterate(
-        rigid[:, list(keypoints.WHEELS)], np.tile(sidecar.distances, (64, 1, 1)), np.tile(sidecar.side, (64, 1))
-    )
+    free = trilaterate(wheels, np.tile(sidecar.distances, (64, 1, 1)), np.tile(sidecar.side, (64, 1)))
     assert np.abs(free - rigid).max() < 1e-3
 
 
@@ -221,7 +230,7 @@ def test_models_measure_what_their_class_does(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_lamps_are_parts_of_their_own(model: str) -> None:
-    mesh = fleet()[model].vehicle.mesh
+    mesh = straight_mesh(fleet()[model].vehicle)
     used = {mesh.materials[i] for i in np.unique(mesh.material)}
     lamps = {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"}
     assert lamps <= used <= {*MATERIALS, "paint"}
