@@ -86,6 +86,8 @@ class TrailerDimensions:
 
     hinge_setback: float = 0.0
     """Hinge behind the front axle."""
+    hinge_gap: float = 0.0
+    """Rear end of a bus's front half ahead of the hinge."""
     hinge_height: float = 0.0
     """Hinge above the road."""
     trailer_front: float = 0.0

@@ -1,4 +1,4 @@
-"""Trailers of lorries: box, curtain, container or tank on a frame, behind a kingpin or at a drawbar."""
+"""Trailers: box, curtain, container or tank on a frame, behind a kingpin or at a drawbar; the rear half of a bus."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -8,9 +8,11 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box, grid, merged, tube
 from skope.gen.vehicles import parts
+from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.cargo import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.panels import Points
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.types import Array
 
 _FRAME: Final = 0.42
 """Depth of a trailer's frame under its floor, metres."""
@@ -24,8 +26,10 @@ _WAVE: Final = 0.278
 """Distance between a container's corrugations, metres."""
 _DOME: Final = 0.34
 """Depth of a tank's ends, metres."""
-_RINGS: Final = ((0.0, 0.0), (0.35, 0.55), (0.72, 0.85), (0.92, 0.98), (1.0, 1.0))
+_RINGS: Final = ((0.0, 0.0), (0.3, 0.05), (0.55, 0.16), (0.78, 0.37), (0.93, 0.64), (1.0, 1.0))
 """A tank's ends, from the tip: size of the cross-section, and way from the tip, as shares."""
+_BULGE: Final = ((1.0, 0.0), (0.95, 0.3), (0.85, 0.53), (0.65, 0.76), (0.37, 0.93), (0.0, 1.0))
+"""Directions in which a tank's ends face there: along it and outwards."""
 
 
 class TrailerBody:
@@ -35,8 +39,6 @@ class TrailerBody:
     It is built with its middle at x = 0, as vehicles are, and then moved behind the hinge.
     """
 
-    interior: Mesh | None = None
-
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         length = shape.trailer_length
         self.shape = replace(shape, length=length, height=shape.trailer_height, box_height=shape.trailer_floor)
@@ -44,6 +46,13 @@ class TrailerBody:
         self._offset = shape.trailer_front - length / 2
         self._parts: list[Mesh] = []
         self._points: Points = {}
+        self._bus: BusBody | None = None
+        if style.trailer == "bus":
+            overhang = length / 2 + self._offset + shape.trailer_axle
+            own = replace(self.shape, front_overhang=overhang, wheelbase=0.0, hinge_gap=-shape.trailer_front)
+            self._bus = BusBody(own, style, rear_half=True)
+            self._points = self._bus.points
+            return
         self._build_frame()
         if style.trailer == "tank":
             self._build_tank()
@@ -52,8 +61,15 @@ class TrailerBody:
 
     @cached_property
     def mesh(self) -> Mesh:
+        if self._bus:
+            return self._bus.mesh.moved([self._offset, 0.0, 0.0])
         left = merged(self._parts)
         return merged([left, left.mirrored()]).moved([self._offset, 0.0, 0.0])
+
+    @property
+    def interior(self) -> Mesh | None:
+        """Seats, where there are windows."""
+        return self._bus.interior.moved([self._offset, 0.0, 0.0]) if self._bus else None
 
     @property
     def points(self) -> Points:
@@ -107,20 +123,10 @@ class TrailerBody:
         front, end = s.length / 2, -s.length / 2
         low, high = s.box_height - 0.12, s.height - 0.12
         middle, tall, wide = (low + high) / 2, (high - low) / 2, s.width / 2 - 0.02
-        turn = np.radians(np.arange(-90, 91, 10))
-        across = np.column_stack([wide * np.cos(turn) ** 0.9, tall * np.sin(turn)])
-        across[[0, -1], 0] = 0.0
-        # Both ends have the same rings, from tip to tube.
-        rings = [(end + _DOME * deep, size) for size, deep in _RINGS]
-        rings += [(-x, size) for x, size in reversed(rings)]
-        surface = np.stack([np.column_stack([np.full(len(turn), x), size * across]) for x, size in rings])
-        surface[..., 2] += middle
-        # Counter-clockwise from outside: rows go down on the left side, columns forward.
-        skin = grid(surface.swapaxes(0, 1)[::-1], [["livery"] * (len(rings) - 1)] * (len(turn) - 1))
-        self._parts.append(_without_flat(skin))
-        at = {stem: surface[ring, column] for stem, ring, column in
-              (("roof_rear", 4, 14), ("rear_window_base", 2, 13), ("trunk_rear", 2, 5))}  # fmt: skip
-        self._points |= at
+        skin, surface = _tank(s.length / 2, (wide, tall))
+        self._parts.append(skin.moved([0.0, 0.0, middle]))
+        for stem, ring, column in (("roof_rear", 5, 14), ("rear_window_base", 3, 13), ("trunk_rear", 3, 5)):
+            self._points[stem] = surface[ring, column] + [0.0, 0.0, middle]
         self._parts += [
             box((end + 0.7, 0.0, high - 0.05), (front - 0.7, 0.32, high + 0.03), "under"),
             box((end + 0.7, 0.28, high + 0.03), (front - 0.7, 0.32, high + 0.12), "rail"),
@@ -135,10 +141,27 @@ class TrailerBody:
         self._parts.append(parts.block((front - 4.9, hose - 0.5, 0.55), (front - 4.0, hose + 0.1, 1.05), "trim", 0.05))
 
 
-def _without_flat(mesh: Mesh) -> Mesh:
-    """The mesh without triangles that have no area."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
-    return mesh.taken(np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9)
+def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
+    """The left half of an elliptic tank along x, with half its width and height.
+
+    Returns its mesh and (rings, columns, 3) points on it: from the rear's tip to the front's, from below upwards.
+    """
+    turn = np.radians(np.arange(-90, 91, 10))
+    unit = np.column_stack([np.cos(turn), np.sin(turn)])
+    unit[[0, -1], 0] = 0.0
+    outwards = unit / size / np.linalg.norm(unit / size, axis=1, keepdims=True)
+    rings, normals = [], []
+    for (share, deep), (along, across) in zip(_RINGS, _BULGE, strict=True):
+        rings.append(np.column_stack([np.full(len(turn), _DOME * deep - half_length), share * unit * size]))
+        normals.append(np.column_stack([np.full(len(turn), -along), across * outwards]))
+    flip = np.array([-1.0, 1.0, 1.0])
+    surface = np.stack([*rings, *(ring * flip for ring in rings[::-1])])
+    directions = np.stack([*normals, *(normal * flip for normal in normals[::-1])])
+    # Counter-clockwise from outside: rows go down on the left side, columns forward.
+    skin = grid(surface.swapaxes(0, 1)[::-1], [["livery"] * (len(surface) - 1)] * (len(turn) - 1))
+    skin = replace(skin, normals=directions.swapaxes(0, 1)[::-1].reshape(-1, 3))
+    a, b, c = np.moveaxis(skin.vertices[skin.triangles], 1, 0)
+    return skin.taken(np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9), surface
 
 
 def _landing_legs(x: float, floor: float) -> list[Mesh]:
