@@ -43,7 +43,7 @@ class PlacedVehicle:
     matrices: dict[str, bytes]
     """Poses of its parts: in the camera frame, and in world axes relative to the camera."""
     distance: float
-    """Distance from the camera, metres."""
+    """Distance from the camera, of an articulated vehicle that of its nearer part, metres."""
     look: dict[str, Any]
     """Paint and lamps."""
     hull: Array
@@ -65,10 +65,14 @@ class Placer:
     def place(self, moment: Moment) -> list[PlacedVehicle]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
         camera, out = self._camera, []
+        bodies = [body_of(recorded) for recorded in moment.vehicles]
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
+        for i, body in enumerate(bodies):
+            if body.trailer:
+                middle = moment.T_world_trailer[i, 0] @ [*body.trailer.corners.mean(axis=0), 1.0]
+                away[i] = min(away[i], np.linalg.norm(middle[:3] - camera.position))
         for i in away.argsort(kind="stable").tolist():
-            recorded, parts = moment.vehicles[i], moment.part_poses(i)
-            vehicle = body_of(recorded)
+            recorded, vehicle, parts = moment.vehicles[i], bodies[i], moment.part_poses(i)
             # Its surfaces take longer to build than to draw.
             if not may_be_seen(vehicle, parts, camera):
                 continue
