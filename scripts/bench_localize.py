@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=50, help="of skope's, whose median time counts")
     options = parser.parse_args()
     rng = np.random.default_rng(0)
-    models = [entry.vehicle for entry in fleet().values()]
+    models = [entry.vehicle for entry in fleet().values() if not entry.vehicle.trailer]
     chosen = [models[i] for i in rng.integers(len(models), size=options.vehicles)]
     T = np.tile(np.eye(4), (len(chosen), 1, 1))
     T[:, :3, :3] = Rotation.from_euler(

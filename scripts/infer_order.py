@@ -130,6 +130,8 @@ def fleet_places() -> Array:
     """
     rows = []
     for entry in fleet().values():
+        if entry.vehicle.trailer:  # not in the box of its front part
+            continue
         size = np.array(entry.vehicle.size_lwh)
         rows.append((entry.vehicle.points - [0, 0, size[2] / 2]) / (size / 2))
     return np.asarray(np.median(rows, axis=0))

@@ -41,7 +41,7 @@ def main() -> None:
     kinds: dict[str, list[Array]] = {}
     shares: dict[str, float] = {}
     for model, entry in fleet().items():
-        if entry.held_out:
+        if entry.held_out or entry.vehicle.trailer:  # a shape is one rigid body
             continue
         kind = entry.vehicle.vehicle_type
         samples = [row(entry.vehicle)] + [row(build(model, jittered(model, rng))) for _ in range(options.samples)]

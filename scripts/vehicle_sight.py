@@ -62,7 +62,7 @@ def main() -> None:
     azimuths = np.radians(np.arange(0, 360, options.azimuth_step))
     kinds: dict[str, list[Vehicle]] = {}
     for entry in fleet().values():
-        if not entry.held_out:
+        if not entry.held_out and not entry.vehicle.trailer:
             kinds.setdefault(entry.vehicle.vehicle_type, []).append(entry.vehicle)
     lines = []
     for kind, models in sorted(kinds.items()):

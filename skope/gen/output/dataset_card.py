@@ -34,6 +34,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     """
     parameters = plan.parameters
     own, solid = parameters.own, parameters.renderer == "pybullet"
+    models = {name: entry for name, entry in fleet().items() if not entry.further or name in parameters.vehicles}
     return {
         "version": schema.VERSION,
         **keypoints.SKOPE33.fields(),
@@ -54,9 +55,9 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         "renderer": parameters.renderer,
         "foliage": "solid in depth and visibility" if solid else "cut out leaf by leaf",
         "fleet": {
-            "held_out": sorted(name for name, entry in fleet().items() if entry.held_out),
+            "held_out": sorted(name for name, entry in models.items() if entry.held_out),
             "substituted": {
-                name: list(entry.vehicle.substituted) for name, entry in fleet().items() if entry.vehicle.substituted
+                name: list(entry.vehicle.substituted) for name, entry in models.items() if entry.vehicle.substituted
             },
         },
         "versions": dict(parameters.versions),
