@@ -102,7 +102,15 @@ class TrailerDimensions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Details, TrailerDimensions, Dimensions):
+class NoseDimensions:
+    """Dimensions of a lorry's long nose, metres; 0 where the cab stands over the engine."""
+
+    hood_length: float = 0.0
+    """The cab's front behind the vehicle's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
     """A point in the shape space: heights above the road, positions along the vehicle from its own parts, so that a
     shape stays whole when it is stretched."""
 
@@ -154,7 +162,7 @@ class Shape(Details, TrailerDimensions, Dimensions):
     """A truck's floor above the road."""
 
     def to_dict(self) -> dict[str, float]:
-        """All parameters by name, without details that are the model's own and without a trailer that is not there."""
+        """All parameters by name, without details that are the model's own, a trailer or a nose that are not there."""
         return {name: value for name, value in super().to_dict().items() if value or name not in _LEFT_OUT}
 
     @property
@@ -174,7 +182,7 @@ class Shape(Details, TrailerDimensions, Dimensions):
 
 
 DETAIL_NAMES: Final = frozenset(f.name for f in fields(Details))
-_LEFT_OUT: Final = DETAIL_NAMES | {f.name for f in fields(TrailerDimensions)}
+_LEFT_OUT: Final = DETAIL_NAMES | {f.name for kind in (TrailerDimensions, NoseDimensions) for f in fields(kind)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from skope.gen.vehicles.shape import Shape
 
 _ALONG: Final = frozenset((
     "length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length", "cab_length",
-    "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
+    "hood_length", "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
 ))  # fmt: skip
 """Dimensions along a vehicle, which are stretched together."""
 _ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))

@@ -9,6 +9,7 @@ from skope.gen.vehicles import front, parts
 from skope.gen.vehicles.cargo import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
@@ -28,6 +29,8 @@ class TruckBody:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2
+        self.face = self.nose - shape.hood_length
+        """x of the cab's front: the vehicle's own, but for a long nose before it."""
         self.cab_rear = self.nose - shape.cab_length
         high_body = style.body in ("box", "curtain", "tractor")
         heavy = shape.wheel_radius > 0.45
@@ -49,19 +52,19 @@ class TruckBody:
     def interior(self) -> Mesh:
         s = self.shape
         return interior(
-            cowl=self.nose - 0.22,
+            cowl=self.face - 0.22,
             floor=s.belt_height - 0.42,
             belt=s.belt_height,
             roof=self.cab_height,
             half_width=s.width / 2 - 0.2,
-            driver=self.nose - 1.1,
+            driver=self.face - 1.1,
             rows=1,
             ground=(self.cab_rear + 0.08, s.width / 2 - 0.1, s.belt_height - 0.44),
         )
 
     def _build_cab(self) -> None:
         s = self.shape
-        plan = Plan(s.width / 2, self.nose, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
+        plan = Plan(s.width / 2, self.face, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
@@ -72,8 +75,9 @@ class TruckBody:
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well, stations=7, levels=5)
         cab, w, _ = tower.surface("paint")
-        lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
-        self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
+        if not s.hood_length:
+            lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
+            self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
         if self.style.body == "tractor":  # over the windscreen there is room for a bed
             top = min(top, base + 1.05)
@@ -84,23 +88,30 @@ class TruckBody:
             cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
         cab.draw(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
         self._cab_doors(cab, base, top)
-        self._parts += front.draw_front(cab, w, s, self.style, self.points)
-        grille = rectangle(-screen + 0.2, screen - 0.2, s.headlight_high + 0.1, base - 0.16)
-        cab.paint(grown(grille, 0.02), WRAP, "trim")
-        cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
+        if s.hood_length:
+            self._parts += long_hood(s, self.style, self.points)
+            self._parts += exhaust_stack(self.cab_rear - 0.16, s.width / 2 - 0.3, s.box_height, self.cab_height + 0.35)
+        else:
+            self._parts += front.draw_front(cab, w, s, self.style, self.points)
+            grille = rectangle(-screen + 0.2, screen - 0.2, s.headlight_high + 0.1, base - 0.16)
+            cab.paint(grown(grille, 0.02), WRAP, "trim")
+            cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
         self._parts.append(cab.half)
         self._add_cab_parts(screen, base, top)
         self.points |= {
             "roof_front": cab.place((screen, top), WRAP)[0],
             "windscreen_base": cab.place((screen, base), WRAP)[0],
-            "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
-            "bumper_front": cab.corner(_LIP),
         }
+        if not s.hood_length:
+            self.points |= {
+                "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
+                "bumper_front": cab.corner(_LIP),
+            }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
         """Side windows, gaps around the doors, handles, steps."""
         s = self.shape
-        ahead, behind = self.nose - 0.2, self.nose - min(1.35, s.cab_length - 0.32)
+        ahead, behind = self.face - 0.2, self.face - min(1.35, s.cab_length - 0.32)
         window = [
             (ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02),
             (behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02),
@@ -114,19 +125,19 @@ class TruckBody:
         x, z = behind + 0.14, base - 0.16
         self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
         step = s.front_axle_x + ARCH * s.wheel_radius
-        if self.nose - step > 0.5:
+        if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
-                tread = rectangle(step + 0.06, self.nose - 0.22, z, z + 0.1)
+                tread = rectangle(step + 0.06, self.face - 0.22, z, z + 0.1)
                 cab.draw(tread, SIDE, "gap", facing=_LEFT)
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
 
     def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
         """Mirrors, a visor over the windscreen, a deflector before a high body."""
         s = self.shape
-        root = (self.nose - 0.3, s.width / 2 - 0.03, base + 0.28)
+        root = (self.face - 0.3, s.width / 2 - 0.03, base + 0.28)
         mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
         self._parts.append(mirror)
-        edge = self.nose - 0.035 - s.screen_run
+        edge = self.face - 0.035 - s.screen_run
         if s.wheel_radius > 0.45:
             low, high = (edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)
             self._parts.append(box(low, high, "gap"))
@@ -176,9 +187,9 @@ class TruckBody:
             face = [(start, top + 0.03), (stop, top - 0.26), (stop, top - 0.29), (start, top)]
             add(_sheet(face[::-sign], inner, outer))
         side, behind = s.width / 2 - 0.03, self.cab_rear - 0.36
-        add(
-            box((behind, side - 0.04, s.clearance + 0.55), (self.cab_rear + 0.05, side, self.cab_height - 0.3), "paint")
-        )
+        low, high = s.clearance + 0.55, self.cab_height - 0.3
+        if not s.hood_length:
+            add(box((behind, side - 0.04, low), (self.cab_rear + 0.05, side, high), "paint"))
         add(box((behind - 0.45, 0.0, frame), (self.cab_rear - 0.02, 0.62, frame + 0.05), "rail"))
 
 
