@@ -372,7 +372,7 @@ def _tested_places(annotation: Annotation) -> Array:
     left = np.cos(bends) * R[:, 1] - np.sin(bends) * R[:, 0]
     side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
     places = []
-    for out, turn in itertools.product((0.09, 0.11, 0.13), (-0.6, -0.3, 0.0, 0.3, 0.6)):
+    for out, turn in itertools.product((0.09, 0.11, 0.13, 0.15), (-0.6, -0.3, 0.0, 0.3, 0.6)):
         points = annotation.keypoints_3d.copy()
         points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
         places.append(points)
