@@ -9,8 +9,9 @@ import pytest
 
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.smooth_paths import Driven, drivable
+from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import write_types
-from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoTrailer, SumoVehicle
+from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoTrailer, SumoVehicle, Traffic
 from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import straight_lwh
@@ -157,6 +158,26 @@ def test_sumo_knows_the_whole_length(tmp_path: Path) -> None:
     assert lengths["sedan.calm"] == pytest.approx(fleet()["sedan"].vehicle.size_lwh[0], abs=1e-3)
     for model in MODELS:
         assert lengths[f"{model}.calm"] == pytest.approx(straight_lwh(fleet()[model].vehicle)[0], abs=1e-3)
+
+
+def test_trailers_follow_before_anybody_watches() -> None:
+    """In SUMO's own curves they hang bent from the first step that is reported, towards where the vehicle came from."""
+    models = {"articulated_bus": fleet()["articulated_bus"]}
+    rng = np.random.default_rng(1)
+    begun = False
+    with Traffic(
+        Town("town01").network, models, vehicles_per_hour=1500, duration=60, rng=rng, watched=lambda x, y: begun
+    ) as traffic:
+        traffic.warm_up(round(45 / STEP))
+        begun = True
+        first = {}
+        for snapshot in traffic.steps(round(15 / STEP)):
+            for name, state in snapshot.vehicles.items():
+                first.setdefault(name, state)
+    bends = [math.remainder(state.trailer.yaw - state.yaw, 2 * math.pi) for state in first.values()]
+    assert len(bends) > 5
+    assert max(map(abs, bends)) > math.radians(10)
+    assert min(map(abs, bends)) < math.radians(1)
 
 
 def test_what_has_no_trailer_has_poses_of_none() -> None:
