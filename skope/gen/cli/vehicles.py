@@ -29,7 +29,7 @@ def list_models(console: Console) -> None:
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.model import straight_lwh
 
-    total = sum(entry.share for entry in fleet().values())
+    total = sum(entry.share for entry in fleet().values() if not entry.further)
     models, damaged = _readable(_names())
     rows = []
     for name, vehicle in models.items():
@@ -41,7 +41,7 @@ def list_models(console: Console) -> None:
                 " x ".join(f"{metres:.2f}" for metres in straight_lwh(vehicle)),
                 f"{vehicle.shape.wheelbase:.2f}",
                 sum(len(part.triangles) for part in vehicle.parts),
-                f"{entry.share / total:.1%}" if entry else "added",
+                "added" if entry is None else "when asked for" if entry.further else f"{entry.share / total:.1%}",
                 "held out for test sites" if entry and entry.held_out else "",
             ]
         )
