@@ -25,7 +25,7 @@ CATEGORY_ID: Final = 1
 
 VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
-    "other",
+    "articulated_truck", "articulated_bus", "other",
 )  # fmt: skip
 COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
@@ -164,6 +164,8 @@ class Annotation:
     box_3d: Box3D | None = None
     box_3d_pixels: Array | None = None
     """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
+    articulation: float | None = None
+    """Of an articulated vehicle: heading of the trailer minus that of the vehicle before it, radians."""
     velocity: Array | None = None
     """(3,) velocity in the world, m/s."""
     distance: float | None = None
@@ -207,6 +209,10 @@ class Annotation:
                 continue
             if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
                 raise UserError(f"{name}: expected a number from 0, got {value!r}")
+        if self.articulation is not None:
+            angle = self.articulation
+            if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
+                raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
         _share("occlusion", self.occlusion)
         _share("truncation", self.truncation)
         _choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)

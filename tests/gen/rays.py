@@ -36,7 +36,8 @@ def cast(origins: Array, directions: Array, triangles: Array) -> tuple[Array, ND
 def vehicle_triangles(moment: Moment, i: int) -> Array:
     """(T, 3, 3) world triangles of the i-th vehicle with its wheels."""
     body = body_of(moment.vehicles[i])
-    parts = zip(body.parts, [moment.T_world_chassis[i], *moment.T_world_wheels[i]], strict=True)
+    poses = [moment.T_world_chassis[i], *moment.T_world_wheels[i], *moment.T_world_trailer[i]]
+    parts = zip(body.parts, poses[: len(body.parts)], strict=True)
     return np.concatenate([(m.vertices @ T[:3, :3].T + T[:3, 3])[m.triangles] for m, T in parts])
 
 

@@ -13,7 +13,9 @@ from skope.gen.scene.recording import RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
+from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import fleet
+from skope.gen.vehicles.trailer_motion import DrivenTrailer
 
 
 def conditions(weather: str = "clear", **fields: float) -> Conditions:
@@ -28,14 +30,20 @@ def pose(x: float, y: float, yaw: float) -> np.ndarray:
     return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
-def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], weather: str = "clear") -> Recording:
-    """One frame of vehicles (model, x, y, yaw) standing in town 01."""
+def standing(
+    camera: Camera, vehicles: list[tuple[str, float, float, float]], weather: str = "clear", bend: float = 0.0
+) -> Recording:
+    """One frame of vehicles (model, x, y, yaw) standing in town 01, with their trailers bent by `bend` radians."""
     chassis = np.array([pose(x, y, yaw) for _, x, y, yaw in vehicles]).reshape(-1, 4, 4)
     models = [fleet()[model].vehicle for model, *_ in vehicles]
     wheels = np.tile(np.eye(4), (len(vehicles), 4, 1, 1))
     for i, vehicle in enumerate(models):
         wheels[i, :, :3, :3] = chassis[i, :3, :3]
         wheels[i, :, :3, 3] = vehicle.shape.wheel_centers() @ chassis[i, :3, :3].T + chassis[i, :3, 3]
+    trailers = [
+        trailer_motion.pose(vehicle, DrivenTrailer(yaw + bend, 0.0, 0.0), T)
+        for vehicle, (*_, yaw), T in zip(models, vehicles, chassis, strict=True)
+    ]
     count = len(vehicles)
     return Recording(
         town=Town("town01"),
@@ -57,6 +65,7 @@ def standing(camera: Camera, vehicles: list[tuple[str, float, float, float]], we
         vehicle=np.arange(count, dtype=np.int32),
         T_world_chassis=chassis,
         T_world_wheels=wheels,
+        T_world_trailer=np.array(trailers).reshape(-1, 3, 4, 4),
         velocity=np.zeros((count, 3)),
         lamps=np.zeros(count, dtype=np.uint8),
     )
@@ -77,6 +86,7 @@ def with_people(recording: Recording, places: list[tuple[float, float, float]]) 
         vehicle=np.arange(before + count, dtype=np.int32),
         T_world_chassis=np.concatenate([recording.T_world_chassis, chassis]),
         T_world_wheels=np.concatenate([recording.T_world_wheels, chassis[:, None] @ body.pose(0.0)]),
+        T_world_trailer=None,
         velocity=np.zeros((before + count, 3)),
         lamps=np.zeros(before + count, dtype=np.uint8),
     )

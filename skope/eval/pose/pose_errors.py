@@ -17,6 +17,8 @@ from skope.types import Array
 
 DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
 OCCLUSIONS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
+BENDS_DEG: Final = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
+"""Bands of the angle between an articulated vehicle and its trailer."""
 QUANTILES: Final = (50, 90, 99)
 
 
@@ -38,6 +40,8 @@ class PoseErrors:
     """Distance of the true box from the camera, metres."""
     occlusion: Array
     """Share of the vehicle's silhouette that something else hides, 0 to 1."""
+    bend: Array
+    """Angle between an articulated vehicle and its trailer, whichever way, degrees; NaN for vehicles without one."""
 
     def where(self, mask: NDArray[np.bool_]) -> "PoseErrors":
         """Errors of the vehicles that `mask` (N,) selects."""
@@ -69,7 +73,8 @@ def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:
     box, poses = truth.box_3d, located.poses
     assert box is not None
     distance = float(np.linalg.norm(box.center - located.camera.position))
-    ends = (distance, truth.occlusion or 0.0)
+    bend = math.nan if truth.articulation is None else abs(math.degrees(truth.articulation))
+    ends = (distance, truth.occlusion or 0.0, bend)
     if poses.refusal[i] is not None:
         return (*(math.nan,) * 5, *ends)
     size, T = poses.size_lwh[i], poses.T_world_vehicle[i]
@@ -101,12 +106,15 @@ def _outline(box: Box3D) -> Any:
 
 
 def summary(errors: PoseErrors) -> dict[str, Any]:
-    """Counts and quantiles over all, by distance and by occlusion; null where there is nothing."""
+    """Counts and quantiles over all, by distance and by occlusion; null where there is nothing.
+
+    Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
+    """
     out: dict[str, Any] = {"all": _cell(errors)}
-    for name, bands, values in (
-        ("distance", DISTANCES, errors.distance),
-        ("occlusion", OCCLUSIONS, errors.occlusion),
-    ):
+    groups = [("distance", DISTANCES, errors.distance), ("occlusion", OCCLUSIONS, errors.occlusion)]
+    if np.isfinite(errors.bend).any():
+        groups.append(("articulation", BENDS_DEG, errors.bend))
+    for name, bands, values in groups:
         out[name] = {_band(low, high): _cell(errors.where((values >= low) & (values < high))) for low, high in bands}
     return out
 
@@ -130,6 +138,7 @@ def table(title: str, summary: dict[str, Any]) -> list[str]:
     cells = {"all": summary["all"]}
     cells |= {f"{band} m": cell for band, cell in summary["distance"].items()}
     cells |= {f"hid {band}": cell for band, cell in summary["occlusion"].items()}
+    cells |= {f"bent {band} deg": cell for band, cell in summary.get("articulation", {}).items()}
     head = ["", "vehicles", "refused", "position, m", "heading, deg", "mod 180", "size, m", "3D IoU"]
     return [title, *text_table(head, [[name, *_shown(cell)] for name, cell in cells.items() if cell["vehicles"]])]
 

@@ -43,6 +43,10 @@ class Bystander:
     def interior(self) -> None:
         return None
 
+    @property
+    def trailer(self) -> None:
+        return None
+
     @cached_property
     def coarse(self) -> tuple[Mesh, ...]:
         """The parts for pictures from afar."""

@@ -27,8 +27,9 @@ NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One m
 def list_models(console: Console) -> None:
     """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
     from skope.gen.vehicles.fleet import fleet
+    from skope.gen.vehicles.model import straight_lwh
 
-    total = sum(entry.share for entry in fleet().values())
+    total = sum(entry.share for entry in fleet().values() if not entry.further)
     models, damaged = _readable(_names())
     rows = []
     for name, vehicle in models.items():
@@ -37,10 +38,10 @@ def list_models(console: Console) -> None:
             [
                 name,
                 vehicle.vehicle_type,
-                " x ".join(f"{metres:.2f}" for metres in vehicle.size_lwh),
+                " x ".join(f"{metres:.2f}" for metres in straight_lwh(vehicle)),
                 f"{vehicle.shape.wheelbase:.2f}",
-                len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles),
-                f"{entry.share / total:.1%}" if entry else "added",
+                sum(len(part.triangles) for part in vehicle.parts),
+                "added" if entry is None else "when asked for" if entry.further else f"{entry.share / total:.1%}",
                 "held out for test sites" if entry and entry.held_out else "",
             ]
         )

@@ -29,7 +29,10 @@ from skope.schema import Annotation, Box3D, Image
 from skope.terminal.console import Console
 from skope.types import Array
 
-TYPES: Final = {"bus": "Bus", "truck": "Truck", "box_truck": "Truck", "van": "Van", "minivan": "Van", "other": "Misc"}
+TYPES: Final = {
+    "bus": "Bus", "articulated_bus": "Bus", "truck": "Truck", "articulated_truck": "Truck", "box_truck": "Truck",
+    "van": "Van", "minivan": "Van", "other": "Misc",
+}  # fmt: skip
 """Names of vehicle types in KITTI's files; every other type is a Car."""
 OCCLUSIONS: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""

@@ -37,6 +37,10 @@ DEPTH_LIMIT = 250.0
 """Depth files end soon after this, metres."""
 ACCELERATION = 10.0
 """More than any vehicle brakes or corners with, m/s^2."""
+TURN_LEVER_M = 4.0
+"""Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
+BEND_RAD = 0.01
+"""Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains, radians."""
 SPEED_DOUBT = 0.3
 """Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
 SHARP_PX = 40.0
@@ -198,15 +202,33 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
         for (start, _, a), (end, image, b) in itertools.pairwise(rows):
             if end <= start or a.velocity is None or b.velocity is None or a.box_3d is None or b.box_3d is None:
                 continue
-            came = (b.box_3d.center - a.box_3d.center) / (end - start)
+            (here, lever), (there, _) = _measured_place(a), _measured_place(b)
+            came = (there - here) / (end - start)
             wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
+            turn = abs(float(_wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
             # At most so far apart is the mean of two velocities from the mean velocity between them.
-            if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT:
+            if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
                     f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far the vehicle has come",
                     image.file_name,
                 )
+
+
+def _measured_place(annotation: Annotation) -> tuple[Array, float]:
+    """A place (3,) on a vehicle that moves with its velocity, and how far at most it is from where that is measured.
+
+    The box around both parts of an articulated vehicle grows and shrinks while it bends: its front axle is taken.
+    """
+    assert annotation.box_3d is not None
+    if annotation.articulation is None or annotation.keypoints_3d is None:
+        return annotation.box_3d.center, 0.0
+    return annotation.keypoints_3d[list(keypoints.WHEELS[:2])].mean(axis=0), TURN_LEVER_M
+
+
+def _wrapped(angle: Any) -> Any:
+    """An angle brought into -pi to pi, radians."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
 
 
 def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) -> Iterator[tuple[str, str]]:
@@ -269,7 +291,7 @@ def _check_box_3d(camera: Camera | None, annotation: Annotation) -> Iterator[str
         yield "box_3d.R: is no rotation"
         return
     turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
-    if abs(np.arctan2(np.sin(turned), np.cos(turned))) > 1e-4:
+    if abs(_wrapped(turned)) > 1e-4:
         yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
     if camera is not None and annotation.distance is not None:
         away = float(np.linalg.norm(camera.to_camera(box.center)))
@@ -279,6 +301,12 @@ def _check_box_3d(camera: Camera | None, annotation: Annotation) -> Iterator[str
         own = (annotation.keypoints_3d - box.center) @ box.R
         if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
             yield "keypoints_3d: a point lies far outside box_3d"
+        if annotation.articulation is not None:
+            # The trailer's rearmost axle points to its left.
+            right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
+            bend = float(_wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
+            if abs(_wrapped(bend - annotation.articulation)) > BEND_RAD:
+                yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
 
 
 def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
@@ -337,10 +365,14 @@ def _tested_places(annotation: Annotation) -> Array:
     assert annotation.keypoints_3d is not None
     if annotation.box_3d is None:
         return annotation.keypoints_3d[None]
-    forward, left = annotation.box_3d.R[:, 0], annotation.box_3d.R[:, 1]
+    R, bend = annotation.box_3d.R, annotation.articulation or 0.0
+    # The rear wheels of an articulated vehicle are its trailer's.
+    bends = np.array([[0.0], [0.0], [bend], [bend]])
+    forward = np.cos(bends) * R[:, 0] + np.sin(bends) * R[:, 1]
+    left = np.cos(bends) * R[:, 1] - np.sin(bends) * R[:, 0]
     side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
     places = []
-    for out, turn in itertools.product((0.09, 0.11, 0.13), (-0.6, -0.3, 0.0, 0.3, 0.6)):
+    for out, turn in itertools.product((0.09, 0.11, 0.13, 0.15), (-0.6, -0.3, 0.0, 0.3, 0.6)):
         points = annotation.keypoints_3d.copy()
         points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
         places.append(points)

@@ -49,10 +49,13 @@ class SplitStats:
     brightness: float
     """Mean grey level, 0 to 255."""
     types: Mapping[str, int]
+    bend_deg: tuple[float, float, float] | None = None
+    """Angle between an articulated vehicle and its trailer, whichever way; None where there is none."""
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as JSON values; null where there was nothing to count."""
-        return {name: _without_nan(value) for name, value in asdict(self).items()}
+        values = {name: _without_nan(value) for name, value in asdict(self).items()}
+        return values if self.bend_deg else {name: value for name, value in values.items() if name != "bend_deg"}
 
 
 def _without_nan(value: Any) -> Any:
@@ -72,6 +75,7 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
     places = {image.id: (image.site, image.recording) for image in file.images}
     seen = np.array([(a.keypoints[:, 2] == 2).mean() for a in known])
     hidden = np.array([a.occlusion for a in known if a.occlusion is not None])
+    bends = [math.degrees(abs(a.articulation)) for a in known if a.articulation is not None]
     return SplitStats(
         images=len(file.images),
         sites=len({site for site, _ in places.values() if site is not None}),
@@ -86,6 +90,7 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
         visible_points=_mean(seen),
         brightness=_brightness(dataset, file.images),
         types=_types(known),
+        bend_deg=_quartiles(bends) if bends else None,
     )
 
 
@@ -139,6 +144,8 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         "visible keypoints": lambda s: _known(s.visible_points, ".3f"),
         "brightness, of 255": lambda s: _known(s.brightness, ".0f"),
     }
+    if any(s.bend_deg for s in columns):
+        said["bend of articulated ones, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
     return [(name, [cell(s) for s in columns]) for name, cell in said.items()] + [
         (f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()
     ]

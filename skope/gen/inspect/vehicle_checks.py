@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.gen.labels.localize import trilaterate
 from skope.gen.labels.raycast import Fan
 from skope.gen.vehicles.fleet import class_ranges
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
 from skope.gen.vehicles.user_models import AddedVehicle
 from skope.types import Array
 
@@ -59,7 +59,8 @@ def findings(vehicle: Vehicle) -> Iterator[VehicleFinding]:
 
 
 def _surface(vehicle: Vehicle) -> Iterator[str]:
-    triangles = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    mesh = straight_mesh(vehicle)
+    triangles = mesh.vertices[mesh.triangles]
     for k, point in enumerate(vehicle.points):
         if k in keypoints.WHEELS:
             continue
@@ -80,7 +81,8 @@ def _symmetry(vehicle: Vehicle) -> Iterator[str]:
 
 def _corners(vehicle: Vehicle) -> Iterator[str]:
     """Corners of bumpers that are marked inside of where people see them (docs/conventions.md)."""
-    surface = vehicle.mesh.vertices[np.unique(vehicle.mesh.triangles)]
+    mesh = straight_mesh(vehicle)
+    surface = mesh.vertices[np.unique(mesh.triangles)]
     for name in (f"bumper_{end}_{side}" for end in ("front", "rear") for side in ("right", "left")):
         marker = vehicle.points[keypoints.INDEX[name]]
         outwards = np.sign(marker[:2]) / np.sqrt(2)
@@ -94,7 +96,8 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _lamps(vehicle: Vehicle) -> Iterator[str]:
-    present = set(np.array(vehicle.mesh.materials)[np.unique(vehicle.mesh.material)])
+    mesh = straight_mesh(vehicle)
+    present = set(np.array(mesh.materials)[np.unique(mesh.material)])
     yield from (f"parts: no {what} (material {name})" for name, what in PARTS.items() if name not in present)
 
 
@@ -106,8 +109,9 @@ def _class(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _size(vehicle: Vehicle) -> Iterator[str]:
-    low_corner, high_corner = vehicle.mesh.vertices.min(axis=0), vehicle.mesh.vertices.max(axis=0)
-    length, _, height = vehicle.size_lwh
+    mesh = straight_mesh(vehicle)
+    low_corner, high_corner = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    length, _, height = straight_lwh(vehicle)
     for name, found, said in (
         ("length", high_corner[0] - low_corner[0], length),
         ("height", high_corner[2], height),
@@ -122,6 +126,8 @@ def _wheels(vehicle: Vehicle) -> Iterator[str]:
     if abs(around - radius) > 0.01:
         yield f"wheel: its mesh has a radius of {around:.3f} m, the shape says {radius:.3f} m"
     centers = vehicle.shape.wheel_centers()
+    if vehicle.trailer:
+        centers[2:] = vehicle.trailer.at_rest[1:, :3, 3]
     for wheel, center in zip(keypoints.WHEELS, centers, strict=True):
         if abs(center[2] - radius) > GROUND_TOLERANCE:
             off = 100 * (center[2] - radius)
@@ -133,12 +139,13 @@ def _wheels(vehicle: Vehicle) -> Iterator[str]:
 def _orientation(vehicle: Vehicle) -> Iterator[str]:
     """Rays from around the vehicle to its surface must meet fronts first."""
     rng = np.random.default_rng(0)
-    corners = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    mesh = straight_mesh(vehicle)
+    corners = mesh.vertices[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
     back = total = 0
     for azimuth in np.radians([20, 110, 200, 290]):
-        eye = 15 * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
+        eye = max(15, straight_lwh(vehicle)[0]) * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
         aims = corners[rng.choice(len(corners), RAYS, replace=False, p=area / area.sum())].mean(axis=1)
         sight = corners.mean(axis=1) - eye
         away = (normal * sight).sum(axis=1)
@@ -151,7 +158,7 @@ def _orientation(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _sidecar(vehicle: Vehicle) -> Iterator[str]:
-    wheels = vehicle.points[list(keypoints.WHEELS)]
+    wheels = vehicle.shape.wheel_centers() if vehicle.trailer else vehicle.points[list(keypoints.WHEELS)]
     found = trilaterate(wheels[None], vehicle.sidecar.distances[None], vehicle.sidecar.side[None])[0]
     error = np.linalg.norm(found - vehicle.points, axis=1)
     for k in np.flatnonzero(error > 1e-3).tolist():

@@ -13,8 +13,10 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording
 from skope.gen.scenery.build import STUDIO
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles import trailer_motion
+from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import palette
+from skope.gen.vehicles.trailer_motion import DrivenTrailer
 from skope.pictures import draw
 
 VIEWS: Final = {
@@ -28,6 +30,8 @@ VIEWS: Final = {
 """Directions of the camera: degrees from straight ahead towards the vehicle's left, and above the horizon."""
 _FOV: Final = math.radians(20)
 _MARGIN: Final = 1.12
+_BEND: Final = math.radians(25)
+"""How far articulated vehicles are bent in the views of three quarters."""
 _CAR_COLOR: Final = "red"
 _CONDITIONS: Final = Conditions(
     sun_elevation_deg=50.0,
@@ -47,7 +51,7 @@ def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)
     columns = len(VIEWS) // 2
     rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
     cells = [picture for row in rows for which in (0, 1) for picture in (pair[which] for pair in row)]
-    length, width, height = vehicle.size_lwh
+    length, width, height = straight_lwh(vehicle)
     text = f"{vehicle.model}: {vehicle.vehicle_type}, {length:.2f} x {width:.2f} x {height:.2f} m"
     return draw.caption(draw.contact_sheet(cells, columns), text)
 
@@ -55,28 +59,29 @@ def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)
 def _pictures(
     vehicle: Vehicle, renderer: str, size: tuple[int, int]
 ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    for azimuth, elevation in VIEWS.values():
-        recording = parked(vehicle, _camera(vehicle, math.radians(azimuth), math.radians(elevation), size))
+    for name, (azimuth, elevation) in VIEWS.items():
+        bend = _BEND if name.startswith("three quarters") else 0.0
+        recording = parked(vehicle, _camera(vehicle, math.radians(azimuth), math.radians(elevation), size, bend), bend)
         view = make_renderer(renderer, recording).render(0)
         annotations, _ = annotate(recording.moment(0), view, recording.camera, Rules(), image_id=1)
         yield view.rgb, draw.numbered(view.rgb, annotations)
 
 
-def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int, int]) -> Camera:
-    """A camera that looks at the middle of a vehicle and just holds it."""
+def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int, int], bend: float) -> Camera:
+    """A camera that looks at the middle of a vehicle, bent by an angle, and just holds it."""
     toward = np.array(
         [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
     )
-    middle = np.array([0.0, 0.0, vehicle.shape.height / 2])
+    length, _, height = straight_lwh(vehicle)
+    middle = np.array([(vehicle.shape.length - length) / 2, 0.0, height / 2])
 
     def at(distance: float) -> Camera:
         place = middle + distance * toward
         return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_FOV)
 
     distance = 60.0
-    body, *wheels = vehicle.parts
-    placed = zip(wheels, vehicle.shape.wheel_centers(), strict=True)
-    corners = np.concatenate([body.vertices, *(wheel.vertices + center for wheel, center in placed)])
+    placed = zip(vehicle.parts, parked(vehicle, at(distance), bend).moment(0).part_poses(0), strict=False)
+    corners = np.concatenate([part.vertices @ T[:3, :3].T + T[:3, 3] for part, T in placed])
     for _ in range(4):
         camera = at(distance)
         pixels, _, _ = camera.project(corners)
@@ -91,8 +96,8 @@ def color_of(vehicle: Vehicle) -> str:
     return _CAR_COLOR if _CAR_COLOR in own else own[min(1, len(own) - 1)]
 
 
-def parked(vehicle: Vehicle, camera: Camera) -> Recording:
-    """One frame of a vehicle that stands at the origin of an empty place, heading east."""
+def parked(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:
+    """One frame of a vehicle that stands at the origin of an empty place, heading east, bent by an angle."""
     wheels = np.tile(np.eye(4), (1, 4, 1, 1))
     wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
     return Recording(
@@ -113,6 +118,7 @@ def parked(vehicle: Vehicle, camera: Camera) -> Recording:
         vehicle=np.zeros(1, dtype=np.int32),
         T_world_chassis=np.eye(4)[None],
         T_world_wheels=wheels,
+        T_world_trailer=trailer_motion.pose(vehicle, DrivenTrailer(bend, 0.0, 0.0), np.eye(4))[None],
         velocity=np.zeros((1, 3)),
         lamps=np.zeros(1, dtype=np.uint8),
     )

@@ -15,12 +15,12 @@ from pycocotools import mask as coco_mask
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError, one_of
-from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_wheels
+from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_trailers, with_wheels
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of, vehicle_of
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Trailer, Vehicle
 from skope.gen.vehicles.paints import color_name
 from skope.schema import Annotation, Box3D
 from skope.types import Array
@@ -87,9 +87,15 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
         return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
     wheels = moment.T_world_wheels
     centers = wheels[:, :, :3, 3]
+    hitched = np.array([vehicle.trailer is not None for vehicle in vehicles])
     rigid = transform(moment.T_world_chassis, np.stack([vehicle.points for vehicle in vehicles]))
     sidecars = [vehicle.sidecar for vehicle in vehicles]
     free = trilaterate(centers, np.stack([s.distances for s in sidecars]), np.stack([s.side for s in sidecars]))
+    rigid, free = with_trailers(rigid, moment, vehicles), with_trailers(free, moment, vehicles)
+    # The hindmost wheels of an articulated vehicle are its trailer's.
+    wheels = wheels.copy()
+    wheels[hitched, 2:] = moment.T_world_trailer[hitched, 1:]
+    centers = wheels[:, :, :3, 3]
     points = with_wheels(rigid if localizer == "rigid" else free, centers)
     faces = np.stack([vehicle.wheel_face_offsets for vehicle in vehicles])
     outer = centers + np.einsum("nwij,nwj->nwi", wheels[:, :, :3, :3], faces)
@@ -347,15 +353,34 @@ def _ignore_reason(shape: _Extent, occluded: bool, contrast: float, rules: Rules
 
 def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) -> dict[str, Any]:
     recorded, T = moment.vehicles[i], moment.T_world_chassis[i]
-    center = T[:3, :3] @ [0, 0, vehicle.size_lwh[2] / 2] + T[:3, 3]
     yaw = math.atan2(T[1, 0], T[0, 0])
+    center, size, articulation = T[:3, :3] @ [0, 0, vehicle.size_lwh[2] / 2] + T[:3, 3], vehicle.size_lwh, {}
+    if vehicle.trailer is not None:
+        T_world_trailer = moment.T_world_trailer[i, 0]
+        bend = math.atan2(T_world_trailer[1, 0], T_world_trailer[0, 0]) - yaw
+        articulation = {"articulation": math.remainder(bend, 2 * math.pi)}
+        center, size = _box_around(vehicle, vehicle.trailer, T, T_world_trailer)
     return {
         "track_id": recorded.track_id,
         "model": recorded.model,
         "vehicle_type": vehicle.vehicle_type,
         "color": color_name(vehicle, recorded.color),
         "parked": recorded.parked,
-        "box_3d": Box3D(center=center, size_lwh=np.array(vehicle.size_lwh), yaw=yaw, R=T[:3, :3]),
+        "box_3d": Box3D(center=center, size_lwh=np.array(size), yaw=yaw, R=T[:3, :3]),
         "velocity": moment.velocity[i],
         "distance": float(np.linalg.norm(center - camera.position)),
+        **articulation,
     }
+
+
+def _box_around(
+    vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array
+) -> tuple[Array, Any]:
+    """Middle (3,) and size (3,) of the box around both parts of an articulated vehicle, along the axes of the first."""
+    length, width, height = vehicle.size_lwh
+    own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
+    corners = np.array(np.meshgrid(*trailer.corners.T)).reshape(3, -1).T
+    T = np.linalg.inv(T_world_chassis) @ T_world_trailer
+    points = np.concatenate([own, corners @ T[:3, :3].T + T[:3, 3]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    return T_world_chassis[:3, :3] @ ((low + high) / 2) + T_world_chassis[:3, 3], high - low

@@ -1,11 +1,14 @@
 """World positions of the 33 keypoints of a frame's V vehicles: by rigid transform or by trilateration."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from skope import keypoints
+from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.keypoint_separation import wheel_plane
+from skope.gen.vehicles.model import ON_TRAILER, Vehicle
 from skope.types import Array
 
 LOCALIZERS: Final = ("rigid", "trilateration")
@@ -33,6 +36,18 @@ def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
     across = ((foot[:, :, None] - centered[:, None]) ** 2).sum(-1)
     height = np.sqrt(np.maximum((distances**2 - across).mean(-1), 0.0)) * side
     return np.asarray(center[:, None] + foot + height[..., None] * normal[:, None])
+
+
+def with_trailers(points: Array, moment: Moment, vehicles: Sequence[Vehicle]) -> Array:
+    """A copy of world keypoints (V, 33, 3), metres, in which those on trailers are where a moment has the trailers."""
+    out = points.copy()
+    for i, vehicle in enumerate(vehicles):
+        if vehicle.trailer is None:
+            continue
+        T = moment.T_world_trailer[i, 0]
+        own = vehicle.points[ON_TRAILER] - vehicle.trailer.hinge * [1, 1, 0]
+        out[i, ON_TRAILER] = own @ T[:3, :3].T + T[:3, 3]
+    return out
 
 
 def with_wheels(points: Array, wheels: Array) -> Array:

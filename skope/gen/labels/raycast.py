@@ -66,7 +66,7 @@ class RayCaster:
     @cached_property
     def _radii(self) -> Array:
         """(N,) radii of spheres around the vehicles, wheels and mirrors included, metres."""
-        return np.array([0.5 * np.linalg.norm(vehicle.size_lwh) + 0.4 for vehicle in self._vehicles])
+        return np.array([0.5 * np.linalg.norm(vehicle.size_lwh) + 0.4 + _reach(vehicle) for vehicle in self._vehicles])
 
     @cached_property
     def _centers(self) -> Array:
@@ -77,10 +77,8 @@ class RayCaster:
 
     def _candidates(self, i: int, rays: Array, away: Array, chosen: NDArray[np.bool_]) -> "_Candidates":
         """Pairs of a ray and a patch of the i-th vehicle that may meet; `chosen` (R,) are the rays to test."""
-        moment, patches = self._moment, _patches(self._vehicles[i])
-        poses = self._camera.T_camera_world @ np.concatenate(
-            [moment.T_world_chassis[i][None], moment.T_world_wheels[i]]
-        )
+        patches = _patches(self._vehicles[i])
+        poses = self._camera.T_camera_world @ self._moment.part_poses(i)
         T = poses[patches.part]
         centers = np.einsum("pij,pj->pi", T[:, :3, :3], patches.centers) + T[:, :3, 3]
         ray, patch = _may_meet_spheres(rays[chosen], away[chosen], centers, patches.radii).nonzero()
@@ -92,6 +90,12 @@ class RayCaster:
         through = _may_meet_boxes(own, away[ray], patches.boxes[:, patch] - eyes[part])
         used, index = np.unique(patch[through], return_inverse=True)
         return _Candidates(ray[through], index, own[through], eyes[patches.part[used]], patches.corners[:, :, used])
+
+
+def _reach(vehicle: Body) -> float:
+    """How far a vehicle's trailer may reach out of a sphere around the vehicle before it, metres."""
+    trailer = vehicle.trailer
+    return float(np.abs(trailer.corners).max() + np.linalg.norm(trailer.size_lwh[1:])) if trailer else 0.0
 
 
 def _may_meet_spheres(rays: Array, away: Array, centers: Array, radii: Array) -> NDArray[np.bool_]:

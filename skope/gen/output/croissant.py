@@ -14,6 +14,7 @@ from skope.dataset import shards
 from skope.dataset.depth_files import DEPTH_SCALE
 from skope.gen.output import card_text
 from skope.gen.output.licences import ADDRESSES
+from skope.gen.vehicles.fleet import fleet
 
 Json = dict[str, Any]
 
@@ -89,7 +90,7 @@ _VEHICLE_FIELDS: Final = {
     "keypoints": ("sc:Float", "33 times x, y, v; v = 2 visible, 1 hidden, 0 outside the image."),
     "iscrowd": ("sc:Integer", "1: ignored, neither ground truth nor background."),
     "track_id": ("sc:Integer", "The same vehicle at the same site."),
-    "vehicle_type": ("sc:Text", f"One of {', '.join(schema.VEHICLE_TYPES)}."),
+    "vehicle_type": ("sc:Text", "One of {types}."),
 }
 
 _RECORDS: Final = {
@@ -117,11 +118,18 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
         "rai:dataLimitations": card_text.limits(card),
         "rai:dataAnnotationProtocol": list(card["label_rules"]),
         "rai:personalSensitiveInformation": [card_text.people(card)],
-        **(_shards(sums) if card.get("format") == "shards" else _folder(sums)),
+        **(_shards(sums) if card.get("format") == "shards" else _folder(sums, _types(card))),
     }
 
 
-def _folder(sums: Mapping[str, str]) -> Json:
+def _types(card: Mapping[str, Any]) -> str:
+    """The vehicle types that drive everywhere, and those that the dataset has besides."""
+    usual = {entry.vehicle.vehicle_type for entry in fleet().values() if not entry.further} | {"other"}
+    usual |= card.get("counts", {}).get("by_vehicle_type", {}).keys()
+    return ", ".join(kind for kind in schema.VEHICLE_TYPES if kind in usual)
+
+
+def _folder(sums: Mapping[str, str], types: str) -> Json:
     files = [_file(path, sums, "application/json") for path in sums if path.startswith("annotations/")]
     # Readers take one list of rows from a set of files, so that the same files are two sets.
     files += [
@@ -132,7 +140,7 @@ def _folder(sums: Mapping[str, str]) -> Json:
         folder = pattern.split("/")[0]
         for suffix in sorted({Path(path).suffix for path in sums if path.startswith(f"{folder}/")}):
             files.append(_set(f"{folder}-files", pattern + suffix, _MIME[suffix], description))
-    return {"distribution": files, "recordSet": [_record_set(name, *of) for name, of in _RECORDS.items()]}
+    return {"distribution": files, "recordSet": [_record_set(name, *of, types) for name, of in _RECORDS.items()]}
 
 
 def _shards(sums: Mapping[str, str]) -> Json:
@@ -170,7 +178,7 @@ def _set(name: str, includes: str, kind: str, description: str) -> Json:
     }
 
 
-def _record_set(name: str, rows: str, description: str, fields: Mapping[str, tuple[str, str]]) -> Json:
+def _record_set(name: str, rows: str, description: str, fields: Mapping[str, tuple[str, str]], types: str) -> Json:
     """The list `rows` of the annotation files.
 
     An annotation's image is not given as a reference: readers would join the two lists' rows one by one.
@@ -186,7 +194,7 @@ def _record_set(name: str, rows: str, description: str, fields: Mapping[str, tup
                 "@type": "cr:Field",
                 "@id": f"{name}/{field}",
                 "name": field,
-                "description": text,
+                "description": text.format(types=types),
                 "dataType": kind,
                 **({"repeated": True} if field == "keypoints" else {}),
                 "source": {"fileSet": {"@id": f"files-of-{name}"}, "extract": {"jsonPath": f"$.{rows}[*].{field}"}},

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
 from skope.types import Array
 
 Window = tuple[int, int, int, int]
@@ -40,30 +40,45 @@ def window_of(hull: Array, camera: Camera) -> Window | None:
     return x0, y0, x1, y1
 
 
-def hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty."""
-    return _projected_hull(_box_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
+def hull_of(vehicle: Body, T_world_parts: Array, camera: Camera) -> Array:
+    """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty.
+
+    Args:
+        vehicle: The vehicle.
+        T_world_parts: (8, 4, 4) poses of its parts (see `Moment.part_poses`).
+        camera: What it is seen by.
+    """
+    return _projected_hull(_corners_world(_box_corners(vehicle), T_world_parts), camera)
 
 
-def may_be_seen(vehicle: Body, T_world_chassis: Array, camera: Camera) -> bool:
+def may_be_seen(vehicle: Body, T_world_parts: Array, camera: Camera) -> bool:
     """Whether the image may show a vehicle, by its dimensions alone: `window_of` is None where it may not."""
     length, width, height = vehicle.size_lwh
     half = [length / 2 + _STICKS_OUT, width / 2 + _STICKS_OUT]
-    corners = _corners_between(np.array([*np.negative(half), -_STICKS_OUT]), np.array([*half, height + _STICKS_OUT]))
-    pixels = _project(corners @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
-    return window_of(pixels, camera) is not None
+    corners = [_corners_between(np.array([*np.negative(half), -_STICKS_OUT]), np.array([*half, height + _STICKS_OUT]))]
+    if vehicle.trailer is not None:
+        low, high = vehicle.trailer.corners
+        corners.append(_corners_between(low - _STICKS_OUT, high + _STICKS_OUT))
+    return window_of(_project(_corners_world(corners, T_world_parts), camera), camera) is not None
 
 
-def shadow_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, sun_direction: Array) -> Array:
+def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_direction: Array) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
 
     Shadows are followed for 25 m at most.
     """
-    corners = _box_corners(vehicle)
-    around = corners * [1, 1, 0] + np.sign(corners) * [CONTACT, CONTACT, 0]
-    world = np.concatenate([corners, around]) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
-    length = min(vehicle.size_lwh[2] / max(sun_direction[2], 1e-3), 25.0)
-    return _projected_hull(np.concatenate([world, world[:8] - length * sun_direction]), camera)
+    corners, height = _box_corners(vehicle), straight_lwh(vehicle)[2]
+    around = [_around(box) for box in corners]
+    world = _corners_world([np.concatenate(pair) for pair in zip(corners, around, strict=True)], T_world_parts)
+    upper = _corners_world(corners, T_world_parts)
+    length = min(height / max(sun_direction[2], 1e-3), 25.0)
+    return _projected_hull(np.concatenate([world, upper - length * sun_direction]), camera)
+
+
+def _around(corners: Array) -> Array:
+    """(8, 3) corners of the ground that what lies in a box takes sky from."""
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 * [1, 0, 0]
+    return np.asarray(corners * [1, 1, 0] + np.sign(corners - middle) * [CONTACT, CONTACT, 0])
 
 
 def beam_corners(reach: float) -> Array:
@@ -78,9 +93,9 @@ def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: f
     return _projected_hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
-def mirror_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, mirror: Array) -> Array:
+def mirror_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, mirror: Array) -> Array:
     """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
-    world = _box_corners(vehicle) @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3]
+    world = _corners_world(_box_corners(vehicle), T_world_parts)
     return _projected_hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
 
 
@@ -143,11 +158,21 @@ def _project(points_world: Array, camera: Camera) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _box_corners(vehicle: Body) -> Array:
-    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels."""
-    low, high = vehicle.extent.copy()
-    low[2] = -0.1
-    return _corners_between(low, high)
+def _box_corners(vehicle: Body) -> list[Array]:
+    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels, and of that around its trailer,
+    each in the frame of its part."""
+    boxes = []
+    for extent in (vehicle.extent, *([vehicle.trailer.extent] if vehicle.trailer else [])):
+        low, high = extent.copy()
+        low[2] = -0.1
+        boxes.append(_corners_between(low, high))
+    return boxes
+
+
+def _corners_world(corners: Sequence[Array], T_world_parts: Array) -> Array:
+    """(N, 3) world points of a vehicle's body, and of its trailer where there are two arrays of points."""
+    poses = T_world_parts[[0, TRAILER_PART]]
+    return np.concatenate([p @ T[:3, :3].T + T[:3, 3] for p, T in zip(corners, poses, strict=False)])
 
 
 def _corners_between(low: Array, high: Array) -> Array:

@@ -7,7 +7,7 @@ the frame without it, at no further cost. Everything is drawn three times as fin
 """
 
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Final
@@ -31,7 +31,7 @@ from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.gen.vehicles.paints import PAINTS
 from skope.types import Array
 
@@ -162,12 +162,11 @@ def _town_stage(town: Town) -> _Stage:
 
 
 @lru_cache(maxsize=256)
-def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[int], list[list[int]]]:
-    """The stage that holds a vehicle, its body's parts, and its four wheels' parts."""
+def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[list[int]]]:
+    """The stage that holds a vehicle, and its parts on the stage for each of its moving parts, its body first."""
     stage = _Stage()
     colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
-    body = stage.add(vehicle.mesh, colors)
-    return stage, body, [stage.add(mesh, colors) for mesh in vehicle.parts[1:]]
+    return stage, [stage.add(mesh, colors) for mesh in vehicle.parts]
 
 
 class TinyRenderer:
@@ -210,15 +209,16 @@ class TinyRenderer:
 
     # ----------------------------------------------------------------------------------------------------- vehicles
 
-    def _draw_vehicle(self, recorded: RecordedVehicle, chassis: Array, wheels: Array, lamps: int) -> _FineLayer | None:
+    def _draw_vehicle(self, recorded: RecordedVehicle, T_world_parts: Array, lamps: int) -> _FineLayer | None:
         """A vehicle by itself; None when it lies outside the image."""
+        chassis = T_world_parts[0]
         T_camera_chassis = self._camera.T_camera_world @ chassis
         vehicle = body_of(recorded)
-        window = window_of(hull_of(vehicle, chassis, self._camera), self._camera)
+        window = window_of(hull_of(vehicle, T_world_parts, self._camera), self._camera)
         if window is None:
             return None
-        stage, body, wheel_parts = _vehicle_stage(vehicle)
-        for part in body:
+        stage, on_stage = _vehicle_stage(vehicle)
+        for part in [part for k, some in enumerate(on_stage) if k in (0, TRAILER_PART) for part in some]:
             if stage.parts[part] in ("paint", "livery"):
                 paint = PAINTS[recorded.color]
                 red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery
@@ -226,20 +226,19 @@ class TinyRenderer:
             if stage.parts[part] == "brake_light":
                 stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["brake_light"])
         T_chassis_world = np.linalg.inv(chassis)
-        for parts, T_world_wheel in zip(wheel_parts, wheels, strict=True):
-            for part in parts:
-                stage.move(part, T_chassis_world @ T_world_wheel)
+        for some, T_world_part in zip(on_stage[1:], T_world_parts[1:], strict=False):
+            for part in some:
+                stage.move(part, T_chassis_world @ T_world_part)
         return stage.draw(self._camera, T_camera_chassis, window, self._light)
 
     def _shadowed_background(self, moment: Moment) -> NDArray[np.uint8]:
         """The background with the vehicles' shadows on the ground."""
         mask = np.zeros(self._ground.shape, dtype=np.uint8)
         contact = np.zeros_like(mask)
-        for recorded, chassis in zip(moment.vehicles, moment.T_world_chassis, strict=True):
-            vehicle = body_of(recorded)
-            points = vehicle.mesh.vertices @ chassis[:3, :3].T + chassis[:3, 3]
-            height = points[:, 2:] - chassis[2, 3]
-            flat = points * [1, 1, 0] + [0, 0, chassis[2, 3]]
+        for mesh, T in _bodies(moment):
+            points = mesh.vertices @ T[:3, :3].T + T[:3, 3]
+            height = points[:, 2:] - T[2, 3]
+            flat = points * [1, 1, 0] + [0, 0, T[2, 3]]
             if self._light.shadows:
                 sun = np.array(self._light.direction)
                 self._fill_hull(mask, flat - height * np.array([*(sun[:2] / sun[2]), 0.0]))
@@ -264,10 +263,8 @@ class TinyRenderer:
         """Draw a frame."""
         moment = self._recording.moment(frame)
         layers = [
-            self._draw_vehicle(recorded, chassis, wheels, int(lamps))
-            for recorded, chassis, wheels, lamps in zip(
-                moment.vehicles, moment.T_world_chassis, moment.T_world_wheels, moment.lamps, strict=True
-            )
+            self._draw_vehicle(recorded, moment.part_poses(i), int(moment.lamps[i]))
+            for i, recorded in enumerate(moment.vehicles)
         ]
         shaded = self._shadowed_background(moment)
         rgb, depth = shaded.copy(), self._background.depth.copy()
@@ -312,6 +309,15 @@ class TinyRenderer:
         for other in (*layers[:i], *layers[i + 1 :]):
             _draw_layer(other, window, rgb, depth)
         return float(np.abs(clean[coarse] - _mean_colors(rgb))[visible].mean())
+
+
+def _bodies(moment: Moment) -> Iterator[tuple[Mesh, Array]]:
+    """The bodies and trailers of a moment, each with its pose (4, 4)."""
+    for i, recorded in enumerate(moment.vehicles):
+        vehicle = body_of(recorded)
+        yield vehicle.mesh, moment.T_world_chassis[i]
+        if vehicle.trailer:
+            yield vehicle.trailer.mesh, moment.T_world_trailer[i, 0]
 
 
 def _draw_layer(

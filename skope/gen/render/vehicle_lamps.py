@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from skope.gen.mesh import Mesh
 from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.types import Array
 
 _WHITE: Final = (1.0, 0.96, 0.88)
@@ -33,9 +34,11 @@ _SIDE: Final = 0.12
 class Lamp:
     material: str
     center: Array
-    """(3,) in the vehicle frame."""
+    """(3,) in the frame of its part, the vehicle's or its trailer's."""
     facing: Array
     """(3,) unit."""
+    part: int = 0
+    """Index of its part, see `Body.parts`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +55,13 @@ class Lit:
 
 @lru_cache(maxsize=512)
 def lamps_of(body: Body) -> tuple[Lamp, ...]:
-    """The lamps of a body: its triangles of a lamp's material at one end and on one side."""
-    mesh, out = body.mesh, []
+    """The lamps of a body and its trailer."""
+    trailer = tuple(_lamps_of(body.trailer.mesh, TRAILER_PART)) if body.trailer else ()
+    return (*_lamps_of(body.mesh, 0), *trailer)
+
+
+def _lamps_of(mesh: Mesh, part_index: int) -> Iterator[Lamp]:
+    """The lamps of a mesh: its triangles of a lamp's material at one end and on one side."""
     for material, part in mesh.by_material().items():
         if material not in _KINDS:
             continue
@@ -68,8 +76,7 @@ def lamps_of(body: Body) -> tuple[Lamp, ...]:
             facing = normal[chosen].sum(axis=0)
             if area.sum() > 0 and np.linalg.norm(facing) > 0:
                 center = (middle[chosen] * area[:, None]).sum(axis=0) / area.sum()
-                out.append(Lamp(material, center, facing / np.linalg.norm(facing)))
-    return tuple(out)
+                yield Lamp(material, center, facing / np.linalg.norm(facing), part_index)
 
 
 def has_headlights(body: Body) -> bool:
@@ -78,12 +85,12 @@ def has_headlights(body: Body) -> bool:
 
 def lit_lamps(moment: Moment) -> Iterator[Lit]:
     """All lamps that are lit at a moment."""
-    for i, (recorded, T, bits) in enumerate(
-        zip(moment.vehicles, moment.T_world_chassis, moment.lamps.tolist(), strict=True)
-    ):
+    for i, (recorded, bits) in enumerate(zip(moment.vehicles, moment.lamps.tolist(), strict=True)):
         if not bits:
             continue
+        T_world_parts = moment.part_poses(i)
         for lamp in lamps_of(body_of(recorded)):
+            T = T_world_parts[lamp.part]
             name, color, intensity = _KINDS[lamp.material]
             if bits & LAMPS[name]:
                 yield Lit(i, T[:3, :3] @ lamp.center + T[:3, 3], T[:3, :3] @ lamp.facing, color, intensity)

@@ -154,6 +154,13 @@ class Moment:
     """(N,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
+    T_world_trailer: Array
+    """(N, 3, 4, 4) poses of the trailer of an articulated vehicle and of its wheels rear right, rear left (see
+    `skope.gen.vehicles.model.Trailer`); the identity for road users without one."""
+
+    def part_poses(self, i: int) -> Array:
+        """(8, 4, 4) poses of the parts of the i-th road user (see `skope.gen.vehicles.model.Body`)."""
+        return np.concatenate([self.T_world_chassis[i][None], self.T_world_wheels[i], self.T_world_trailer[i]])
 
     def labelled(self) -> "Moment":
         """The same moment without bystanders."""
@@ -163,7 +170,8 @@ class Moment:
         """The same moment with some of its road users, by index."""
         rows = np.array(chosen, dtype=np.intp)
         poses = (self.T_world_chassis[rows], self.T_world_wheels[rows], self.velocity[rows], self.lamps[rows])
-        return Moment(self.time_s, tuple(self.vehicles[i] for i in chosen), *poses, self.signals)
+        vehicles = tuple(self.vehicles[i] for i in chosen)
+        return Moment(self.time_s, vehicles, *poses, self.signals, self.T_world_trailer[rows])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -197,6 +205,8 @@ class Recording:
     """(R, 3) world, m/s."""
     lamps: NDArray[np.uint8]
     """(R,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
+    T_world_trailer: Array | None = None
+    """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`. Default: no vehicle has one."""
     photograph: NDArray[np.uint8] | None = None
     """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
 
@@ -227,7 +237,14 @@ class Recording:
             self.velocity[rows],
             self.lamps[rows],
             self.signals[frame],
+            self._trailers[rows],
         )
+
+    @property
+    def _trailers(self) -> Array:
+        """(R, 3, 4, 4) poses of trailers and their wheels."""
+        given = self.T_world_trailer
+        return np.broadcast_to(np.eye(4), (len(self.frame), 3, 4, 4)) if given is None else given
 
     @property
     def info(self) -> RecordingInfo:
@@ -247,11 +264,14 @@ class Recording:
             and np.array_equal(self.times_s[: len(other)], other.times_s)
             and not (self.frame[rows:] < len(other)).any()
             and all(np.array_equal(getattr(self, name)[:rows], getattr(other, name)) for name in _ROWS)
+            and np.array_equal(self._trailers[:rows], other._trailers)
         )
 
 
 _ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
 _ARRAYS: Final = ("times_s", *_ROWS)
+_TRAILER: Final = "T_world_trailer"
+"""The array that only files with an articulated vehicle have."""
 _FILES: Final = ("network", "photograph")
 """Fields of `OwnRoad` that are stored as bytes."""
 _HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
@@ -276,6 +296,8 @@ def packed(recording: Recording) -> bytes:
         "signals": [dict(states) for states in recording.signals],
     }
     arrays = {name: _smallest(getattr(recording, name)) for name in _ARRAYS}
+    if recording.T_world_trailer is not None and (recording.T_world_trailer != np.eye(4)).any():
+        arrays[_TRAILER] = _smallest(recording.T_world_trailer)
     if road := recording.town.road:
         header["place"] = road.header()
         arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILES}
@@ -370,4 +392,5 @@ def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recordi
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
         **{name: _full(file[name]) for name in _ARRAYS},
+        T_world_trailer=_full(file[_TRAILER]) if _TRAILER in file else None,
     )

@@ -14,7 +14,7 @@ from skope.gen.towns.parking import BAY, Bay
 from skope.gen.towns.regions import rectangle
 from skope.gen.towns.town import Town
 from skope.gen.vehicles.fleet import FleetEntry
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
 OCCUPIED: Final = 0.5
@@ -50,7 +50,7 @@ def parked(
         rng: Draws bays, models, paints and places.
         most: Mean number of vehicles at most.
     """
-    fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.size_lwh[0] < BAY[0] + 0.2}
+    fitting = {name: entry.share for name, entry in models.items() if straight_lwh(entry.vehicle)[0] < BAY[0] + 0.2}
     if not bays or not fitting:
         return []
     layout = Layout.of(town)

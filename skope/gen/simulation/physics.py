@@ -8,13 +8,14 @@ the engine.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.simulation.smooth_paths import Driven
+from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.model import Vehicle
 from skope.types import Array
 
@@ -47,6 +48,8 @@ class Pose:
     """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
     velocity: Array
     """(3,) of the carrier in the world, m/s."""
+    T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NONE)
+    """(3, 4, 4) a trailer and its wheels rear right, rear left, as in `skope.gen.scene.recording.Moment`."""
 
 
 def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
@@ -59,7 +62,7 @@ def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
     T[:3, 3] = driven.position
     wheels = np.tile(T, (4, 1, 1))
     wheels[:, :3, 3] += vehicle.shape.wheel_centers() @ T[:3, :3].T
-    return Pose(T, wheels, driven.speed * x)
+    return Pose(T, wheels, driven.speed * x, trailer_motion.pose(vehicle, driven.trailer, T))
 
 
 @dataclass
@@ -236,7 +239,8 @@ class _Body:
             frame[:3, 3] = link[4]
         chassis = frames[0].copy()
         chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, _ROLL_CENTER]
-        return Pose(chassis, frames[1:], self.velocity.copy())
+        trailer = trailer_motion.pose(self.vehicle, self.state.trailer, chassis)
+        return Pose(chassis, frames[1:], self.velocity.copy(), trailer)
 
 
 class World:

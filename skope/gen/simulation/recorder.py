@@ -245,6 +245,7 @@ class Recorder:
             vehicle=np.array([row[1] for row in self._rows], dtype=np.int32),
             T_world_chassis=_rounded([pose.T_world_chassis for pose in poses], number).reshape(-1, 4, 4),
             T_world_wheels=_rounded([pose.T_world_wheels for pose in poses], number).reshape(-1, 4, 4, 4),
+            T_world_trailer=_rounded([pose.T_world_trailer for pose in poses], number).reshape(-1, 3, 4, 4),
             velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
         )

@@ -26,6 +26,7 @@ from skope.gen.traffic.demand import in_town
 from skope.gen.traffic.sumo import Snapshot, Traffic, step_for
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import FleetEntry, fleet
+from skope.gen.vehicles.model import Vehicle
 from skope.types import Array
 
 CROWD_REACH: Final = 90.0
@@ -228,7 +229,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     driving = fleet(further=plan.further_models)
     usual = {name: entry for name, entry in driving.items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
-    asked = {name: fleet()[name].vehicle if name in fleet() else user_models.load(name) for name in plan.vehicles}
+    asked = {name: _asked(name) for name in plan.vehicles}
     others = {name: entry for name, entry in models.items() if name not in asked}
     total = sum(entry.share for entry in others.values())
     if plan.vehicle_share is None:
@@ -238,6 +239,11 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     else:
         others, part = {}, 1.0
     return others | {name: FleetEntry(vehicle, part) for name, vehicle in asked.items()}
+
+
+def _asked(name: str) -> Vehicle:
+    """A model that was asked for, of the fleet or of the user."""
+    return fleet()[name].vehicle if name in fleet() else user_models.load(name)
 
 
 def lamps_on(conditions: Conditions) -> bool:

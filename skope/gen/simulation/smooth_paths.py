@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.traffic.sumo import Snapshot, SumoVehicle
+from skope.gen.vehicles.trailer_motion import DrivenTrailer, Follower
 
 SPREADS_S: Final = (0.2, 0.5)
 """Standard deviations of the Gaussians that smooth places over time, seconds: for slow vehicles and for fast ones."""
@@ -28,7 +29,8 @@ REACH_S: Final = 1.25
 LOCK: Final = 0.65
 """Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21 m."""
 _COLUMNS: Final = 6
-"""Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope."""
+"""Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope. An articulated
+vehicle has one more, the height under its trailer's axles."""
 _CHUNK: Final = 200
 """Number of steps that are smoothed at once."""
 
@@ -46,6 +48,8 @@ class Driven(NamedTuple):
     """Speed of the rear axle, forwards, m/s."""
     lamps: int
     """Lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
+    trailer: DrivenTrailer | None = None
+    """Where the trailer of an articulated vehicle is."""
 
 
 @dataclass
@@ -89,12 +93,17 @@ class _Way:
         self.first = first
         self.placed: list[SumoVehicle] = []
         self.bicycle: _Bicycle | None = None
+        self._trailer: Follower | None = None
         self._rows = array("d")
+        self._columns = _COLUMNS
 
     def add(self, placed: SumoVehicle) -> None:
         """Note where SUMO had the vehicle at the next step."""
         self.placed.append(placed)
         self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
+        if placed.trailer:
+            self._columns = _COLUMNS + 1
+            self._rows.append(placed.trailer.height)
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
         """Steps in `start` <= step < `stop` at which SUMO had the vehicle, each with how it drives.
@@ -109,7 +118,7 @@ class _Way:
         if start >= stop:
             return
         rows = self._smoothed(start, stop, weights, dt).tolist()
-        for k, (x, y, height, pitch) in enumerate(rows, start=start):
+        for k, (x, y, height, pitch, *trailer_height) in enumerate(rows, start=start):
             placed = self.placed[k - self.first]
             chassis, level = placed.chassis, math.cos(pitch)
             if self.bicycle is None:
@@ -119,21 +128,41 @@ class _Way:
                 travel = self.bicycle.follow(x, y, chassis.lane_point * level, math.tan(LOCK) / chassis.wheelbase)
             one, middle = self.bicycle, chassis.middle * level
             place = (one.x + middle * math.cos(one.yaw), one.y + middle * math.sin(one.yaw), height)
-            yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps)
+            trailer = self._follow(placed, one, level, trailer_height[0]) if trailer_height else None
+            yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps, trailer)
+
+    def _follow(self, placed: SumoVehicle, one: _Bicycle, level: float, height: float) -> DrivenTrailer:
+        """Draw the trailer behind the vehicle's place at a step; it begins as it hung in SUMO.
+
+        Args:
+            placed: Where SUMO has the vehicle.
+            one: Where the vehicle is.
+            level: What a metre along the road is on the map, metres.
+            height: Of the road under the trailer's axles, metres.
+        """
+        hitch = placed.chassis.hitch
+        assert hitch is not None
+        assert placed.trailer is not None
+        hinge = one.x + hitch.hinge * level * math.cos(one.yaw), one.y + hitch.hinge * level * math.sin(one.yaw)
+        if self._trailer is None:
+            self._trailer = Follower(hitch, *hinge, placed.trailer.yaw)
+        self._trailer.follow(*hinge, one.yaw)
+        return DrivenTrailer(self._trailer.yaw, height, self._trailer.rolled)
 
     def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road.
+        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road; of an
+        articulated vehicle (stop - start, 5), with the height under its trailer.
 
         Places are averaged over time; height and slope are those of the road at the averaged place. Before the first
         and after the last known step the vehicle is assumed to drive on evenly.
         """
         half = len(weights) // 2
-        rows = np.array(self._rows).reshape(-1, _COLUMNS)
+        rows = np.array(self._rows).reshape(-1, self._columns)
         begin, end = start - half - self.first, stop + half - self.first
         inside = rows[max(begin, 0) : end]
-        before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * _change_per_second(self.placed[0]))
+        before = rows[0] + np.arange(min(begin, 0), 0)[:, None] * (dt * self._change_per_second(self.placed[0]))
         after = rows[-1] + np.arange(1, max(end - len(rows), 0) + 1)[:, None] * (
-            dt * _change_per_second(self.placed[-1])
+            dt * self._change_per_second(self.placed[-1])
         )
         known = np.concatenate([before, inside, after])
         # Summed weight by weight, so that rounding does not depend on how many steps are smoothed at once.
@@ -149,15 +178,14 @@ class _Way:
     def forget(self, before: int) -> None:
         """Drop the steps before a step."""
         count = min(max(before - self.first, 0), len(self.placed))
-        del self.placed[:count], self._rows[: count * _COLUMNS]
+        del self.placed[:count], self._rows[: count * self._columns]
         self.first += count
 
-
-def _change_per_second(placed: SumoVehicle) -> NDArray[np.float64]:
-    """(6,) change in a second of: x and y of the lane point, distance driven, speed, height, slope."""
-    speed, level = placed.speed, placed.speed * math.cos(placed.pitch)
-    ahead = level * math.cos(placed.yaw), level * math.sin(placed.yaw)
-    return np.array([*ahead, speed, 0.0, speed * math.sin(placed.pitch), 0.0])
+    def _change_per_second(self, placed: SumoVehicle) -> NDArray[np.float64]:
+        """(6,) or (7,) change of a row in a second."""
+        speed, level = placed.speed, placed.speed * math.cos(placed.pitch)
+        ahead, up = (level * math.cos(placed.yaw), level * math.sin(placed.yaw)), speed * math.sin(placed.pitch)
+        return np.array([*ahead, speed, 0.0, up, 0.0, up][: self._columns])
 
 
 def reach(step: float) -> int:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from skope.gen.vehicles.fleet import FleetEntry
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
 HEAVY: Final = 3500.0
@@ -80,7 +80,7 @@ def write_types(path: Path, models: Mapping[str, FleetEntry]) -> None:
 
 def _attributes(vehicle: Vehicle) -> dict[str, str]:
     """Attributes of a vehicle's SUMO type: size, and how it follows others."""
-    length, width, height = vehicle.size_lwh
+    length, width, height = straight_lwh(vehicle)
     heavy = vehicle.mass > HEAVY
     limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
     return {

@@ -28,8 +28,8 @@ _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
     "taxi": ("sedan", "minivan", "wagon"),
     "delivery": ("van", "box_truck"),
     "truck": ("truck", "box_truck"),
-    "trailer": ("truck",),
-    "bus": ("bus",),
+    "trailer": ("truck", "articulated_truck"),
+    "bus": ("bus", "articulated_bus"),
     "coach": ("bus",),
 }
 """Types of the fleet that drive as one of SUMO's vehicle classes; all types as any other."""

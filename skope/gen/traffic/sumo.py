@@ -22,7 +22,8 @@ from skope.gen.scene.lamps import LAMPS
 from skope.gen.traffic.demand import RIDERS, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
 from skope.gen.vehicles.fleet import FleetEntry
-from skope.gen.vehicles.shape import Dimensions
+from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.trailer_motion import Follower, Hitch
 
 STEP: Final = 0.025
 """Default length of a step, seconds."""
@@ -77,11 +78,24 @@ class Chassis:
     """From the rear axle forwards to the vehicle's middle."""
     front_axle: float
     """From the front bumper back to the front axle."""
+    hitch: Hitch | None = None
+    """The trailer of an articulated vehicle."""
 
     @classmethod
-    def of(cls, shape: Dimensions) -> "Chassis":
-        """The distances of a vehicle of that shape."""
-        return cls(shape.wheelbase, LANE_POINT_SHARE * shape.wheelbase, -shape.rear_axle_x, shape.front_overhang)
+    def of(cls, vehicle: Vehicle) -> "Chassis":
+        """The distances of a vehicle."""
+        shape = vehicle.shape
+        lane_point = LANE_POINT_SHARE * shape.wheelbase
+        return cls(shape.wheelbase, lane_point, -shape.rear_axle_x, shape.front_overhang, Hitch.of(vehicle))
+
+
+class SumoTrailer(NamedTuple):
+    """How an articulated vehicle's trailer follows it along the middle of its lane."""
+
+    yaw: float
+    """Heading, counter-clockwise from east, radians."""
+    height: float
+    """Height of the road under its axles, metres."""
 
 
 class SumoVehicle(NamedTuple):
@@ -102,6 +116,7 @@ class SumoVehicle(NamedTuple):
     """m/s."""
     lamps: int
     """Lamps that are lit, as bits of `LAMPS`."""
+    trailer: SumoTrailer | None = None
 
 
 @dataclass(frozen=True)
@@ -220,8 +235,9 @@ class Traffic:
             else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng, passing=passing)
         )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
-        self._chassis = {name: Chassis.of(entry.vehicle.shape) for name, entry in fleet.items()}
+        self._chassis = {name: Chassis.of(entry.vehicle) for name, entry in fleet.items()}
         self._roads_behind: dict[str, _RoadBehind] = {}
+        self._trailers: dict[str, Follower] = {}
         self._reported: set[str] = set()
         self._steps = 0
 
@@ -270,6 +286,7 @@ class Traffic:
         if self._steps % _WATCH_EVERY == 0:
             for gone in self._roads_behind.keys() - set(present):
                 del self._roads_behind[gone]
+                self._trailers.pop(gone, None)
             for name in present:
                 self._road_behind(name)
                 if name not in self._reported and self._watched(*sumo.vehicle.getPosition(name)):
@@ -287,7 +304,18 @@ class Traffic:
             road = self._roads_behind[name] = _RoadBehind(driven, place, yaw, slope)
         driven -= road.begun
         road.add(driven, place)
+        chassis = self._chassis.get(self.trips[name].model)
+        if chassis and chassis.hitch:
+            self._draw_trailer(name, chassis, chassis.hitch, driven)
         return road, driven
+
+    def _draw_trailer(self, name: str, chassis: Chassis, hitch: Hitch, driven: float) -> None:
+        """Let a vehicle's trailer follow; from the network's rim on, so that it never is where none could be."""
+        place = self._roads_behind[name].at(driven - chassis.front_axle - chassis.wheelbase + hitch.hinge)
+        yaw = math.radians(90.0 - self._sumo.vehicle.getAngle(name))
+        if name not in self._trailers:
+            self._trailers[name] = Follower(hitch, *place, yaw)
+        self._trailers[name].follow(*place, yaw)
 
     def steps(self, count: int) -> Iterator[Snapshot]:
         """Run some steps and report each; see `step`."""
@@ -314,6 +342,10 @@ class Traffic:
         rear = front - chassis.wheelbase
         ahead, behind = road.height(front), road.height(rear)
         slope = (ahead - behind) / chassis.wheelbase
+        trailer = None
+        if chassis.hitch:
+            under = road.height(rear + chassis.hitch.hinge - chassis.hitch.axle)
+            trailer = SumoTrailer(self._trailers[name].yaw, under)
         return SumoVehicle(
             chassis=chassis,
             lane_point=road.at(rear + chassis.lane_point),
@@ -323,6 +355,7 @@ class Traffic:
             pitch=math.atan(slope),
             speed=vehicle.getSpeed(name),
             lamps=_lamps(vehicle.getSignals(name)),
+            trailer=trailer,
         )
 
     def _rider_state(self, name: str) -> SumoRider:

@@ -1,13 +1,13 @@
-"""City buses: one upright shell with large windows, doors on the right, a destination sign."""
+"""City buses: an upright shell with large windows, doors on the right, a destination sign; or two, with bellows."""
 
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, merged
+from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.vehicles import front, parts, rear
-from skope.gen.vehicles.interior import interior
+from skope.gen.vehicles.interior import interior, seats
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
@@ -16,6 +16,12 @@ from skope.types import Array
 
 _LEFT = (0.0, 1.0, 0.0)
 
+_FLAT = 0.03
+"""Radius of the corners of an end at the bellows, metres."""
+_OVERLAP = 0.5
+"""How far each half of the bellows reaches beyond the hinge, into the other half: they close up to 45 degrees."""
+_FOLDS = 7
+
 _LIP = 0.07
 """Share of the wall's height at which front and rear turn under: the lower edge of the bumpers."""
 
@@ -23,11 +29,13 @@ _LIP = 0.07
 class BusBody:
     """The surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem.
 
-    Its roof points are the upper corners of the windscreen's frame and of the rear window.
+    Its roof points are the upper corners of the windscreen's frame and of the rear window. An articulated one is two:
+    the half in front of the hinge and, with `rear_half`, the one behind, whose shape has one axle.
     """
 
-    def __init__(self, shape: Shape, style: VehicleStyle) -> None:
+    def __init__(self, shape: Shape, style: VehicleStyle, *, rear_half: bool = False) -> None:
         self.shape, self.style = shape, style
+        self.has_front, self.has_rear = not rear_half, rear_half or style.trailer != "bus"
         self.points: dict[str, Array] = {}
         self.nose, self.end = self._nose(), -shape.length / 2
         self._right = self._build_half(doors=True)
@@ -45,6 +53,9 @@ class BusBody:
     def interior(self) -> Mesh:
         s = self.shape
         rows = 5
+        if not self.has_front:
+            ground = (s.width / 2 - 0.09, s.clearance + 0.14)
+            return seats(self.nose - 1.1, self.end + 0.9, s.belt_height - 0.3, s.width / 2 - 0.3, ground)
         return interior(
             cowl=self.nose - 0.3,
             floor=s.belt_height - 0.3,
@@ -59,7 +70,10 @@ class BusBody:
 
     def _build_half(self, *, doors: bool) -> Mesh:
         s = self.shape
-        plan = Plan(s.width / 2, self.nose, self.end, s.nose_round, s.tail_round, 0.26, 0.2, 0.03, 0.02)
+        front, rear = self.has_front, self.has_rear
+        rounds = (s.nose_round if front else 0.0, s.tail_round if rear else 0.0)
+        corners = (0.26 if front else _FLAT, 0.2 if rear else _FLAT, 0.03 if front else 0.0, 0.02 if rear else 0.0)
+        plan = Plan(s.width / 2, self.nose, self.end, *rounds, *corners)
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
         lean = [
             (0.0, 0.03, 0.06, 0.05),
@@ -67,14 +81,19 @@ class BusBody:
             (belt, 0.0, 0.02, 0.01),
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
+        lean = [(share, side, ahead * front, behind * rear) for share, side, ahead, behind in lean]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, well=well, stations=9, levels=3)
         shell, w, _ = tower.surface("paint")
         out: list[Mesh] = []
-        for axle in self._carved_axles():
+        for axle in self._carved_axles() if front else (s.rear_axle_x,):
             lining, rim = shell.carve_well(arch(axle, s), well)
             out += [lining, parts.arch_lip(rim, (axle, s.wheel_radius), "trim", shell.side)]
         out += self._draw_details(shell, w, doors)
+        if not (front and rear):
+            out.append(_bellows(s, self.end, -1.0) if front else _bellows(s, self.nose, 1.0))
+        if not front:
+            return merged([shell.half, *out])
         mirror, self.points["mirror"] = self._mirror()
         return merged([shell.half, mirror, *out])
 
@@ -91,24 +110,39 @@ class BusBody:
         s, end = self.shape, float(w[-1])
         self._draw_livery(shell, end)
         shell.draw(rectangle(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
-        self._draw_windscreen(shell, corner_w(w))
+        if self.has_front:
+            self._draw_windscreen(shell, corner_w(w))
         self._draw_side_windows(shell)
-        if doors:
-            middle = (s.front_axle_x + s.rear_axle_x) / 2
-            first = s.front_axle_x + s.wheel_radius * 1.15 + 0.85
-            for at in (first, middle, *([s.rear_axle_x - 1.6] if s.length > 11 else [])):
-                self._draw_door(shell, at, 1.15)
-        self._draw_rear_window(shell, corner_w(w, rear=True), end)
-        out = front.draw_front(shell, w, s, self.style, self.points)
-        out += rear.draw_rear(shell, w, s, self.style, self.points)
+        for at in self._door_places() if doors else ():
+            self._draw_door(shell, at, 1.15)
+        if self.has_rear:
+            self._draw_rear_window(shell, corner_w(w, rear=True), end)
+        out = []
+        if self.has_front:
+            out += front.draw_front(shell, w, s, self.style, self.points)
+        if self.has_rear:
+            out += rear.draw_rear(shell, w, s, self.style, self.points)
         screen = corner_w(w)
-        self.points |= {
-            "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP)[0],
-            "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP)[0],
-            "bumper_front": shell.corner(_LIP),
-            "bumper_rear": shell.corner(_LIP, rear=True),
-        }
+        if self.has_front:
+            self.points |= {
+                "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP)[0],
+                "bumper_front": shell.corner(_LIP),
+            }
+        if self.has_rear:
+            self.points |= {
+                "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP)[0],
+                "bumper_rear": shell.corner(_LIP, rear=True),
+            }
         return out
+
+    def _door_places(self) -> list[float]:
+        """x of the doors' middles."""
+        s = self.shape
+        if not self.has_front:
+            return [(self.nose + s.rear_axle_x + s.wheel_radius) / 2]
+        middle = (s.front_axle_x + s.rear_axle_x) / 2
+        first = s.front_axle_x + s.wheel_radius * 1.15 + 0.85
+        return [first, middle, *([s.rear_axle_x - 1.6] if s.length > 11 else [])]
 
     def _draw_livery(self, shell: Surface, end: float) -> None:
         """Two tones: below the windows, or from the middle to the rear."""
@@ -116,7 +150,7 @@ class BusBody:
         if self.style.soft:
             shell.paint(rectangle(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
             return
-        start = s.rear_axle_x + 1.2
+        start = s.rear_axle_x + 1.2 if self.has_front else 99.0
         sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
         shell.paint(sweep, SIDE, "livery")
 
@@ -139,14 +173,16 @@ class BusBody:
     def _draw_side_windows(self, shell: Surface) -> None:
         s = self.shape
         low, high = s.belt_height, s.height - 0.5
-        start, stop = self.nose - 0.62, self.end + 0.5
+        start = self.nose - (0.62 if self.has_front else 0.3)
+        stop = self.end + (0.5 if self.has_rear else 0.3)
         band = rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05)
         shell.paint(band, SIDE, "trim", facing=_LEFT)
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
         for a, b in pairwise(posts):
             shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=_LEFT)
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
-        self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
+        if self.has_front:
+            self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
 
     def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
         s = self.shape
@@ -172,3 +208,29 @@ class BusBody:
         shell.paint(whole, SIDE, "trim", facing=_LEFT)
         for a, b in ((x - half, x), (x, x + half)):
             shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=_LEFT)
+
+
+def _bellows(s: Shape, end: float, sign: float) -> Mesh:
+    """The left half of the folds between an end of a half at x = `end` and beyond the hinge; ahead with `sign` 1."""
+    reach = s.hinge_gap + _OVERLAP
+    # The rear half's folds lie inside of the front half's, so that the two never lie on each other.
+    half, low, high = s.width / 2 - (0.1 if sign > 0 else 0.05), s.clearance + 0.1, s.height - 0.14
+    outline = [(0.0, low), (half, low), (half, high - 0.3), (half - 0.07, high - 0.1), (half - 0.25, high), (0.0, high)]
+    section = np.array(outline)
+    inwards = np.array([(0.0, 1.0), (-1.0, 1.0), (-1.0, 0.0), (-0.8, -0.6), (-0.4, -1.0), (0.0, -1.0)])
+    rows = []
+    for k, x in enumerate(np.linspace(end, end + sign * reach, 2 * _FOLDS + 1)):
+        flat = section + (0.05 * inwards if k % 2 else 0.0)
+        rows.append(np.column_stack([np.full(len(flat), x), flat]))
+    # Counter-clockwise from outside: rows go towards the front, columns up the left side.
+    points = np.stack(rows[::-1] if sign < 0 else rows)
+    skin = grid(points, [["trim"] * (len(section) - 1)] * (2 * _FOLDS))
+    fan = [[0, i, i + 1] for i in range(1, len(section) - 1)]
+    cap = from_triangles(rows[-1], fan if sign > 0 else [corners[::-1] for corners in fan], "trim")
+    return merged([_creased(skin), cap])
+
+
+def _creased(mesh: Mesh) -> Mesh:
+    """The mesh with flat triangles."""
+    corners = mesh.vertices[mesh.triangles].reshape(-1, 3)
+    return from_triangles(corners, np.arange(len(corners)), mesh.materials[0])

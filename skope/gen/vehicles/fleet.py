@@ -1,5 +1,6 @@
 """The fleet: vehicle models by name, each a style and a point in its type's shape space."""
 
+import math
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,10 +19,11 @@ from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.chassis_cab import ChassisCabBody
 from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
 from skope.gen.vehicles.details import styled
-from skope.gen.vehicles.model import Derived, Vehicle, simplified_parts
+from skope.gen.vehicles.model import Derived, Trailer, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
 from skope.gen.vehicles.roof_loads import LOADS
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.trailer_body import TrailerBody
 from skope.gen.vehicles.truck import TruckBody
 from skope.gen.vehicles.user_models import load
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
@@ -72,9 +74,17 @@ class ParametricVehicle(Derived):
 
         def build() -> Arrays:
             body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
-            return body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
+            own = body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
+            return {**own, **self._trailer_arrays()} if self.style.trailer else own
 
         return self._cached("vehicle", build)
+
+    def _trailer_arrays(self) -> Arrays:
+        """Surfaces of the trailer in its frame, and the left keypoints on it in the vehicle's."""
+        body = TrailerBody(self.shape, self.style)
+        inside: Arrays = body.interior.to_arrays("trailer_interior") if body.interior else {}
+        points = {stem: point + [self.shape.hinge_x, 0.0, 0.0] for stem, point in body.points.items()}
+        return {**body.mesh.to_arrays("trailer"), **inside, **points}
 
     def _cached(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
         """Arrays that `build` makes of this shape, from the cache; shapes that occur once are not cached."""
@@ -86,15 +96,28 @@ class ParametricVehicle(Derived):
     @cached_property
     def mesh(self) -> Mesh:
         """The body without wheels, closed, with its glass opaque."""
-        mesh = Mesh.from_arrays(self._body_arrays, "mesh")
-        # Of two indicators drawn on the left half and mirrored, the right one is the other lamp.
-        name = "indicator_left"
-        if name not in mesh.materials:
-            return mesh
-        right = mesh.vertices[mesh.triangles][:, :, 1].mean(axis=1) < 0
-        of = mesh.materials.index(name)
-        material = np.where((mesh.material == of) & right, len(mesh.materials), mesh.material)
-        return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (*mesh.materials, "indicator_right"), material)
+        return _with_right_indicators(Mesh.from_arrays(self._body_arrays, "mesh"))
+
+    @cached_property
+    def trailer(self) -> Trailer | None:
+        s, axles = self.shape, (0.0, *self.style.trailer_axles)
+        if not self.style.trailer:
+            return None
+        rearmost = [-s.trailer_axle, s.track / 2, s.wheel_radius]
+        return Trailer(
+            surfaces=self._trailer_surfaces,
+            hinge=np.array([s.hinge_x, 0.0, s.hinge_height]),
+            size_lwh=(s.trailer_length, s.width, s.trailer_height),
+            front=s.trailer_front,
+            axle=s.trailer_axle - sum(axles) / len(axles),
+            wheel_centers=np.array([rearmost, rearmost]) * [[1, -1, 1], [1, 1, 1]],
+            bend=math.radians(self.style.bend_deg),
+        )
+
+    def _trailer_surfaces(self) -> tuple[Mesh, Mesh | None]:
+        arrays, inside = self._body_arrays, "trailer_interior"
+        interior = Mesh.from_arrays(arrays, inside) if f"{inside}_vertices" in arrays else None
+        return _with_right_indicators(Mesh.from_arrays(arrays, "trailer")), interior
 
     @cached_property
     def interior(self) -> Mesh:
@@ -126,6 +149,8 @@ class ParametricVehicle(Derived):
         """(33, 3) keypoints at rest, metres."""
         left = self._body_arrays
         wheels = self.shape.wheel_centers()
+        if self.trailer:
+            wheels[2:] = self.trailer.at_rest[1:, :3, 3]
         out = np.empty((keypoints.K, 3))
         for i, name in enumerate(keypoints.NAMES):
             stem = name.removesuffix("_left").removesuffix("_right")
@@ -134,6 +159,17 @@ class ParametricVehicle(Derived):
             else:
                 out[i] = left[stem] * ([1, -1, 1] if name.endswith("_right") else [1, 1, 1])
         return out
+
+
+def _with_right_indicators(mesh: Mesh) -> Mesh:
+    """Of two indicators drawn on the left half and mirrored, the right one is the other lamp."""
+    name = "indicator_left"
+    if name not in mesh.materials:
+        return mesh
+    right = mesh.vertices[mesh.triangles][:, :, 1].mean(axis=1) < 0
+    of = mesh.materials.index(name)
+    material = np.where((mesh.material == of) & right, len(mesh.materials), mesh.material)
+    return Mesh(mesh.vertices, mesh.normals, mesh.triangles, (*mesh.materials, "indicator_right"), material)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,16 @@ def interior(
     return merged(out)
 
 
+def seats(front: float, rear: float, floor: float, half_width: float, ground: tuple[float, float]) -> Mesh:
+    """Rows of seats from `front` to `rear`, without a driver, on a floor; `ground`: half its width, its height."""
+    half, low = ground
+    out = [box((rear - 0.6, -half, low - 0.02), (front + 0.7, half, low), "dashboard")]
+    for x in np.linspace(front, rear, 5):
+        for side in (-1, 1):
+            out += _seat(x, side * half_width * 0.52, floor, floor + 0.72)
+    return merged(out)
+
+
 def _seat(x: float, y: float, floor: float, top: float) -> list[Mesh]:
     return [
         box((x - 0.16, y - 0.22, floor), (x - 0.02, y + 0.22, top - 0.16), "seat"),

@@ -36,7 +36,8 @@ class Sidecar:
     """
 
     distances: Array
-    """(33, 4) metres from each keypoint to the wheel centres front right, front left, rear right, rear left."""
+    """(33, 4) metres from each keypoint to the wheel centres front right, front left, rear right, rear left; of an
+    articulated vehicle to those of the part before the hinge."""
     side: Array
     """(33,) -1 below, 0 in, +1 above the plane of the wheel centres."""
 
@@ -45,10 +46,13 @@ class Sidecar:
         object.__setattr__(self, "side", array("side", self.side, keypoints.K))
 
     @classmethod
-    def of(cls, points: ArrayLike) -> Self:
-        """Separate keypoints (33, 3) of a vehicle at rest, in any frame."""
+    def of(cls, points: ArrayLike, wheels: ArrayLike | None = None) -> Self:
+        """Separate keypoints (33, 3) of a vehicle at rest from its wheels (4, 3), in any frame.
+
+        Default wheels: the keypoints that are wheels.
+        """
         p = np.asarray(points, dtype=np.float64)
-        wheels = p[list(keypoints.WHEELS)]
+        wheels = p[list(keypoints.WHEELS)] if wheels is None else np.asarray(wheels, dtype=np.float64)
         center, _, normal = wheel_plane(wheels)
         height = (p - center) @ normal
         distances = np.linalg.norm(p[:, None] - wheels, axis=-1)

@@ -1,12 +1,14 @@
 """Interfaces and base of all vehicle models, wherever their surfaces come from."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, simplified
+from skope import keypoints
+from skope.gen.mesh import Mesh, merged, simplified
 from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.shape import Dimensions
 from skope.types import Array
@@ -15,8 +17,71 @@ COARSE: Final = 0.25
 """Share of its triangles, about, that a body far away is drawn with."""
 
 
+TRAILER_PART: Final = 5
+"""Index of a trailer's body among the parts of an articulated vehicle; its own two wheels follow."""
+ON_TRAILER: Final = np.array(["rear" in name or "taillight" in name for name in keypoints.NAMES])
+"""(33,) which keypoints of an articulated vehicle ride on its trailer: all of its rear, wheels too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trailer:
+    """The second part of an articulated vehicle, behind a hinge.
+
+    Its frame has its origin on the road under the hinge, x forward, y left, z up.
+    """
+
+    surfaces: Callable[[], tuple[Mesh, Mesh | None]]
+    """Builds `mesh` and `interior`, which takes time."""
+    hinge: Array
+    """(3,) the hinge in the vehicle's frame, metres."""
+    size_lwh: tuple[float, float, float]
+    """Length, width, height of its body, metres."""
+    front: float
+    """x of its front."""
+    axle: float
+    """From the hinge back to the middle of its axles, about which it turns, metres."""
+    wheel_centers: Array
+    """(2, 3) wheels of the rearmost axle, right and left, metres."""
+    bend: float
+    """Largest angle between it and the vehicle, radians."""
+
+    @cached_property
+    def _built(self) -> tuple[Mesh, Mesh | None]:
+        return self.surfaces()
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its body, with all wheels but the outer ones of the rearmost axle."""
+        return self._built[0]
+
+    @property
+    def interior(self) -> Mesh | None:
+        """Seats that are seen through its windows."""
+        return self._built[1]
+
+    @property
+    def corners(self) -> Array:
+        """(2, 3) lowest and highest corner of the box of its dimensions, in its own frame."""
+        length, width, height = self.size_lwh
+        return np.array([[self.front - length, -width / 2, 0.0], [self.front, width / 2, height]])
+
+    @cached_property
+    def extent(self) -> Array:
+        """(2, 3) opposite corners of a box around it with its wheels."""
+        points = np.concatenate([self.mesh.vertices, self.wheel_centers])
+        return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
+
+    @property
+    def at_rest(self) -> Array:
+        """(3, 4, 4) poses of it and its two wheels in the frame of a vehicle that stands straight before it."""
+        T = np.tile(np.eye(4), (3, 1, 1))
+        T[:, :2, 3] += self.hinge[:2]
+        T[1:, :3, 3] += self.wheel_centers
+        return T
+
+
 class Body(Protocol):
-    """The interface of what renderers draw: a body with four parts that move."""
+    """The interface of what renderers draw: a body with four parts that move, and perhaps a trailer."""
 
     def __hash__(self) -> int: ...
 
@@ -31,7 +96,11 @@ class Body(Protocol):
     @property
     def parts(self) -> tuple[Mesh, ...]:
         """Body, then four parts, each about its own origin: of vehicles the wheels front right, front left, rear right,
-        rear left."""
+        rear left. Then a trailer and its wheels rear right, rear left."""
+
+    @property
+    def trailer(self) -> Trailer | None:
+        """What hangs on an articulated vehicle's hinge; dimensions and extent are those of the vehicle before it."""
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:
@@ -110,10 +179,15 @@ class Derived:
         points = np.concatenate([self.mesh.vertices, self.shape.wheel_centers()])
         return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
 
+    @property
+    def trailer(self) -> Trailer | None:
+        return None
+
     @cached_property
     def parts(self: Vehicle) -> tuple[Mesh, ...]:
-        right = self.wheel.mirrored()
-        return self.mesh, right, self.wheel, right, self.wheel
+        right, trailer = self.wheel.mirrored(), self.trailer
+        hitched = (trailer.mesh, right, self.wheel) if trailer else ()
+        return self.mesh, right, self.wheel, right, self.wheel, *hitched
 
     @cached_property
     def coarse(self: Vehicle) -> tuple[Mesh, ...]:
@@ -121,9 +195,24 @@ class Derived:
 
     @cached_property
     def sidecar(self: Vehicle) -> Sidecar:
-        return Sidecar.of(self.points)
+        return Sidecar.of(self.points, self.shape.wheel_centers() if self.trailer else None)
 
     @property
     def wheel_face_offsets(self: Vehicle) -> Array:
         half = self.shape.wheel_width / 2
         return np.array([[0.0, -half, 0.0], [0.0, half, 0.0]] * 2)
+
+
+def straight_mesh(vehicle: Vehicle) -> Mesh:
+    """A vehicle's body, with its trailer straight behind it."""
+    trailer = vehicle.trailer
+    return merged([vehicle.mesh, trailer.mesh.moved([*trailer.hinge[:2], 0.0])]) if trailer else vehicle.mesh
+
+
+def straight_lwh(vehicle: Body) -> tuple[float, float, float]:
+    """Length, width without mirrors and height of a vehicle with its trailer straight behind it, metres."""
+    length, width, height = vehicle.size_lwh
+    if vehicle.trailer is None:
+        return length, width, height
+    rear = float(vehicle.trailer.hinge[0] + vehicle.trailer.corners[0, 0])
+    return length / 2 - rear, max(width, vehicle.trailer.size_lwh[1]), max(height, vehicle.trailer.size_lwh[2])

@@ -81,7 +81,36 @@ class Details:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Details, Dimensions):
+class TrailerDimensions:
+    """Dimensions of what is hitched to an articulated vehicle, metres; all are 0 where nothing is."""
+
+    hinge_setback: float = 0.0
+    """Hinge behind the front axle."""
+    hinge_gap: float = 0.0
+    """Rear end of a bus's front half ahead of the hinge."""
+    hinge_height: float = 0.0
+    """Hinge above the road."""
+    trailer_front: float = 0.0
+    """Front of the trailer's body ahead of the hinge; negative where a drawbar is between them."""
+    trailer_length: float = 0.0
+    """Length of the trailer's body."""
+    trailer_height: float = 0.0
+    trailer_floor: float = 0.0
+    """Floor of the trailer above the road."""
+    trailer_axle: float = 0.0
+    """Hinge to the trailer's rearmost axle."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoseDimensions:
+    """Dimensions of a lorry's long nose, metres; 0 where the cab stands over the engine."""
+
+    hood_length: float = 0.0
+    """The cab's front behind the vehicle's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
     """A point in the shape space: heights above the road, positions along the vehicle from its own parts, so that a
     shape stays whole when it is stretched."""
 
@@ -133,8 +162,13 @@ class Shape(Details, Dimensions):
     """A truck's floor above the road."""
 
     def to_dict(self) -> dict[str, float]:
-        """All parameters by name, without details that are the model's own."""
-        return {name: value for name, value in super().to_dict().items() if value or name not in DETAIL_NAMES}
+        """All parameters by name, without details that are the model's own, a trailer or a nose that are not there."""
+        return {name: value for name, value in super().to_dict().items() if value or name not in _LEFT_OUT}
+
+    @property
+    def hinge_x(self) -> float:
+        """The hinge's place along the vehicle."""
+        return self.front_axle_x - self.hinge_setback
 
     @property
     def cowl_x(self) -> float:
@@ -148,6 +182,7 @@ class Shape(Details, Dimensions):
 
 
 DETAIL_NAMES: Final = frozenset(f.name for f in fields(Details))
+_LEFT_OUT: Final = DETAIL_NAMES | {f.name for kind in (TrailerDimensions, NoseDimensions) for f in fields(kind)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +235,15 @@ class VehicleStyle:
     canopy: bool = False
     """A hardtop over the bed."""
     body: str = "box"
-    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", or one of `cargo_bodies.CARGO_BODIES`."""
+    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" for a fifth wheel in its place, or one of
+    `cargo_bodies.CARGO_BODIES`."""
+    trailer: str = ""
+    """What hangs on the vehicle's hinge: "box", "curtain", "tank", "container", "bus" for the rear half of a bus, or
+    nothing."""
+    trailer_axles: tuple[float, ...] = ()
+    """Distances of the trailer's further axles before its rearmost one, metres."""
+    bend_deg: float = 0.0
+    """Largest angle between a vehicle and its trailer, degrees."""
     axles: tuple[float, ...] = ()
     """Middle axles' distances before the rearmost one, metres."""
     steered: tuple[float, ...] = ()

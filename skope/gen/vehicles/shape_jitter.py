@@ -13,6 +13,7 @@ from skope.gen.vehicles.shape import Shape
 
 _ALONG: Final = frozenset((
     "length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length", "cab_length",
+    "hood_length", "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
 ))  # fmt: skip
 """Dimensions along a vehicle, which are stretched together."""
 _ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
@@ -20,6 +21,7 @@ _ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inne
 _UP: Final = frozenset((
     "height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high",
     "hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance",
+    "hinge_height", "trailer_floor", "trailer_height",
 ))  # fmt: skip
 """Dimensions upwards, which are stretched together."""
 _STRETCH: Final = 0.025

@@ -5,18 +5,19 @@ from functools import cached_property
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, box, merged
-from skope.gen.vehicles import front, parts, rear
+from skope.gen.mesh import Mesh, box, merged, quads
+from skope.gen.vehicles import front, parts
 from skope.gen.vehicles.cargo import CargoSpace
 from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
+from skope.gen.vehicles.lorry_parts import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck_faces import draw_face
 from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
-from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
 _GAP = 0.09
@@ -39,10 +40,13 @@ class TruckBody:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2
+        self.face = self.nose - shape.hood_length
+        """x of the cab's front: the vehicle's own, but for a long nose before it."""
         self.cab_rear = self.nose - shape.cab_length
-        high_body = style.body in ("box", "curtain")
+        high_body = style.body in ("box", "curtain", "tractor")
         heavy = shape.wheel_radius > 0.45
-        self.cab_height = min(shape.height - (0.35 if high_body else 0.0), 3.05 if heavy else 2.35)
+        highest = 3.5 if style.body == "tractor" else 3.05 if heavy else 2.35
+        self.cab_height = min(shape.height - (0.35 if high_body else 0.0), highest)
         if not high_body:
             self.cab_height = shape.height
         if style.cab_share:
@@ -61,19 +65,19 @@ class TruckBody:
     def interior(self) -> Mesh:
         s = self.shape
         return interior(
-            cowl=self.nose - 0.22,
+            cowl=self.face - 0.22,
             floor=s.belt_height - 0.42,
             belt=s.belt_height,
             roof=self.cab_height,
             half_width=s.width / 2 - 0.2,
-            driver=self.nose - 1.1,
+            driver=self.face - 1.1,
             rows=1,
             ground=(self.cab_rear + 0.08, s.width / 2 - 0.1, s.belt_height - 0.44),
         )
 
     def _build_cab(self) -> None:
         s = self.shape
-        plan = Plan(s.width / 2, self.nose, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
+        plan = Plan(s.width / 2, self.face, self.cab_rear, s.nose_round, 0.0, 0.2, 0.06, 0.05, 0.0)
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
@@ -84,8 +88,9 @@ class TruckBody:
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well, stations=7, levels=5)
         cab, w, _ = tower.surface("paint")
-        lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
-        self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
+        if not s.hood_length:
+            lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
+            self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
         if self.style.face:
             # Under a high roof the windscreen ends where it would end under a low one.
@@ -97,6 +102,8 @@ class TruckBody:
                     "#e8a030",
                     layer=3,
                 )
+        if self.style.body == "tractor":  # over the windscreen there is room for a bed
+            top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05
         cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
         cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
@@ -106,21 +113,28 @@ class TruckBody:
         lay = cab.paint if self.style.face else cab.draw
         lay(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
         self._cab_doors(cab, base, top)
-        self._parts += front.draw_front(cab, w, s, self.style, self.points)
-        draw_face(cab, self.style.face, (screen - 0.2, s.headlight_high + 0.1, base - 0.16), s)
+        if s.hood_length:
+            self._parts += long_hood(s, self.style, self.points)
+            self._parts += exhaust_stack(self.cab_rear - 0.16, s.width / 2 - 0.3, s.box_height, self.cab_height + 0.35)
+        else:
+            self._parts += front.draw_front(cab, w, s, self.style, self.points)
+            draw_face(cab, self.style.face, (screen - 0.2, s.headlight_high + 0.1, base - 0.16), s)
         self._parts.append(cab.half)
         self._add_cab_parts(screen, base, top)
         self.points |= {
             "roof_front": cab.place((screen, top), WRAP)[0],
             "windscreen_base": cab.place((screen, base), WRAP)[0],
-            "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
-            "bumper_front": cab.corner(_LIP),
         }
+        if not s.hood_length:
+            self.points |= {
+                "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
+                "bumper_front": cab.corner(_LIP),
+            }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
         """Side windows, gaps around the doors, handles, steps."""
         s = self.shape
-        ahead, behind = self.nose - 0.2, self.nose - min(1.35, s.cab_length - 0.32)
+        ahead, behind = self.face - 0.2, self.face - min(1.35, s.cab_length - 0.32)
         window = [
             (ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02),
             (behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02),
@@ -138,22 +152,22 @@ class TruckBody:
         x, z = behind + 0.14, base - 0.16
         self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
         step = s.front_axle_x + ARCH * s.wheel_radius
-        if self.nose - step > 0.5:
+        if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
-                tread = rectangle(step + 0.06, self.nose - 0.22, z, z + 0.1)
+                tread = rectangle(step + 0.06, self.face - 0.22, z, z + 0.1)
                 cab.draw(tread, SIDE, "gap", facing=_LEFT)
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
 
     def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
         """Mirrors, a visor over the windscreen, a deflector before a high body."""
         s = self.shape
-        root = (self.nose - 0.3, s.width / 2 - 0.03, base + 0.28)
+        root = (self.face - 0.3, s.width / 2 - 0.03, base + 0.28)
         if self.style.arms:
             mirror, self.points["mirror"] = arm_mirror(root, "trim")
         else:
             mirror, self.points["mirror"] = parts.mirror(root, True, "trim")
         self._parts.append(mirror)
-        edge = self.nose - 0.035 - s.screen_run
+        edge = self.face - 0.035 - s.screen_run
         if s.wheel_radius > 0.45:
             low, high = (edge - 0.12, 0.0, top + 0.1), (edge + 0.12, s.width / 2 - 0.22, top + 0.14)
             self._parts.append(box(low, high, "gap"))
@@ -169,27 +183,13 @@ class TruckBody:
         low, high = s.box_height - (0.1 if style.skirts else 0.3), s.box_height + 0.01
         add = self._parts.append
         add(box((self.end + 0.06, 0.0, low), (self.cab_rear + 0.3, 0.45, high), "under"))
-        wheel = steel_wheel(s.wheel_radius, s.wheel_width)
-        y = s.track / 2
         steered = [s.front_axle_x - behind for behind in style.steered]
         axles = [s.rear_axle_x, *(s.rear_axle_x + ahead for ahead in style.axles)]
         for x in [*axles, *steered]:
-            add(box((x - 0.06, 0.0, s.wheel_radius - 0.06), (x + 0.06, y - 0.1, s.wheel_radius + 0.06), "under"))
-            if x != axles[0]:
-                add(wheel.moved((x, y, s.wheel_radius)))
-            if style.dual and x in axles:
-                add(wheel.moved((x, y - s.wheel_width * 1.06, s.wheel_radius)))
-            if s.box_height - 2 * s.wheel_radius > 0.1:
-                add(
-                    box(
-                        (x - s.wheel_radius * 0.95, y - 0.36, 2 * s.wheel_radius + 0.04),
-                        (x + s.wheel_radius * 0.95, y + 0.14, 2 * s.wheel_radius + 0.075),
-                        "trim",
-                    )
-                )
+            self._parts += axle(s, x, wheel=x != axles[0], dual=style.dual and x in axles)
         if not style.skirts:
             self._add_guards(axles, steered, low)
-        self._add_rear_bar()
+        self._parts += underrun_bar(s, replace(style, family="truck"), self.points)
 
     def _add_guards(self, axles: list[float], steered: list[float], low: float) -> None:
         """Tank and side guards between the axles, under rails at the height `low`."""
@@ -202,79 +202,46 @@ class TruckBody:
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
         add(_tank(start - tank, start, side - 0.3, low - 0.05))
-        for z in (s.clearance + 0.12, s.clearance + 0.42):
-            add(box((ahead, side - 0.04, z), (start - tank - 0.1, side, z + 0.11), "rail"))
-        for x in np.linspace(ahead + 0.1, start - tank - 0.2, 3):
-            add(box((x - 0.03, side - 0.07, s.clearance + 0.12), (x + 0.03, side - 0.041, s.box_height), "under"))
-
-    def _add_rear_bar(self) -> None:
-        """The bar behind with lamps and plate."""
-        s = self.shape
-        bar = Plan(s.width / 2 - 0.02, self.end + 0.16, self.end, 0.0, 0.0, 0.02, 0.02)
-        shell, w, _ = Tower(
-            bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3
-        ).surface("trim")
-        self._parts += rear.draw_rear(shell, w, s, replace(self.style, family="truck"), self.points)
-        self._parts.append(shell.half)
-        self.points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
+        self._parts += side_guard(s, start - tank, ahead, side)
 
     def _build_cargo(self) -> None:
-        s, body = self.shape, self.style.body
-        if body in CARGO_BODIES:
-            space = CargoSpace(s, self.style, self.cab_rear - _GAP, self.end, self.cab_height)
-            cargo = CARGO_BODIES[body](space)
-            self._parts += cargo.parts
-            self.points |= cargo.points
+        body, ahead = self.style.body, self.cab_rear - _GAP
+        if body == "tractor":
+            self._build_fifth_wheel()
             return
-        open_top = {"flatbed": s.box_height + 0.5, "tipper": s.box_height + 1.25}
-        high = open_top.get(body, s.height)
-        closed = body not in open_top
-        ahead = self.cab_rear - _GAP
-        tower = Tower(
-            Plan(s.width / 2, ahead, self.end, 0.0, 0.0, 0.05, 0.035),
-            s.box_height,
-            high,
-            [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
-            edge=0.05 if body != "tipper" else 0.02,
-            crown=0.015,
-            hollow=None if closed else s.box_height + 0.1,
-            stations=3,
-            levels=2,
-        )
-        shell, w, _ = tower.surface("livery")
-        end = float(w[-1])
-        corner = end - s.width / 2
-        sill, inset = s.box_height + 0.12, 0.11
-        frame_material = "rail" if closed else "trim"
-        shell.draw(rectangle(-1, 99, 0, sill - 0.03), WRAP, frame_material)
-        top = high - (0.16 if closed else 0.12)
-        edge = corner + inset
-        shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP, width=0.02)
-        if closed:
-            self._cargo_doors(shell, end, edge, sill, top)
-            shell.draw(rectangle(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
-        count, wide = {"box": (6, 0.014), "curtain": (9, 0.03), "flatbed": (4, 0.05), "tipper": (7, 0.09)}[body]
-        for x in np.linspace(ahead - 0.25, self.end + 0.25, count):
-            rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
-            shell.draw(rib, SIDE, "rail" if body != "tipper" else "trim", facing=_LEFT)
-        if not closed:
-            shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
-        self._parts.append(shell.half)
-        self.points |= {
-            "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP)[0],
-            "rear_window_base": shell.place((edge, top), WRAP)[0],
-            "trunk_rear": shell.place((corner, BOTTOM), ROWS)[0],
-        }
+        if body in CARGO_BODIES:
+            cargo = CARGO_BODIES[body](CargoSpace(self.shape, self.style, ahead, self.end, self.cab_height))
+            half, points = merged(cargo.parts), cargo.points
+        else:
+            half, points = cargo_body(self.shape, body, ahead)
+        self._parts.append(half)
+        self.points |= points
 
-    def _cargo_doors(self, shell: Surface, end: float, edge: float, low: float, top: float) -> None:
-        """The gap between two doors, their bolts and hinges."""
-        shell.line([(end, low), (end, top)], WRAP, width=0.016)
-        for share in (0.28, 0.6):
-            shell.draw(
-                rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
-            )
-        for z in np.linspace(low + 0.3, top - 0.3, 4):
-            shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+    def _build_fifth_wheel(self) -> None:
+        """The plate that carries a semi-trailer, guards over the rear wheels, panels behind the cab, steps."""
+        s, add = self.shape, self._parts.append
+        x, z, frame = s.hinge_x, s.hinge_height, s.box_height
+        add(box((x - 0.5, 0.0, z - 0.09), (x + 0.42, 0.46, z - 0.02), "under"))
+        add(box((x - 0.25, 0.0, frame - 0.02), (x + 0.25, 0.42, z - 0.08), "under"))
+        y, radius, top = s.track / 2, s.wheel_radius, 2 * s.wheel_radius + 0.03
+        inner, outer = y - 0.42, y + 0.15
+        add(box((s.rear_axle_x - 0.32, inner, top), (s.rear_axle_x + 0.32, outer, top + 0.03), "trim"))
+        for sign in (-1, 1):
+            start, stop = s.rear_axle_x + sign * 0.32, s.rear_axle_x + sign * (radius + 0.1)
+            face = [(start, top + 0.03), (stop, top - 0.26), (stop, top - 0.29), (start, top)]
+            add(_sheet(face[::-sign], inner, outer))
+        side, behind = s.width / 2 - 0.03, self.cab_rear - 0.36
+        low, high = s.clearance + 0.55, self.cab_height - 0.3
+        if not s.hood_length:
+            add(box((behind, side - 0.04, low), (self.cab_rear + 0.05, side, high), "paint"))
+        add(box((behind - 0.45, 0.0, frame), (self.cab_rear - 0.02, 0.62, frame + 0.05), "rail"))
+
+
+def _sheet(face: list[tuple[float, float]], inner: float, outer: float) -> Mesh:
+    """A prism from y = `inner` to y = `outer` over a convex polygon (x, z), counter-clockwise seen from the right."""
+    near, far = ([np.array([x, y, z]) for x, z in face] for y in (inner, outer))
+    around = [[near[i], far[i], far[j], near[j]] for i, j in ((k, (k + 1) % len(face)) for k in range(len(face)))]
+    return quads(np.array([near, far[::-1], *around]), "trim")
 
 
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:

@@ -4,6 +4,8 @@ import pytest
 from skope.camera.model import Camera
 from skope.gen.labels.annotate import locate
 from skope.gen.labels.raycast import RayCaster, _split_in_patches
+from skope.gen.vehicles.fleet import fleet
+from skope.gen.vehicles.model import TRAILER_PART
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing
 
@@ -36,6 +38,27 @@ def test_first_hits_are_those_of_every_triangle_of_every_vehicle(models: tuple[s
     assert 100 < before.sum() < 290
     np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
     np.testing.assert_array_less(np.linalg.norm(away, axis=1)[~before], hits[~before] + 1e-6)
+
+
+def test_rays_meet_both_parts_of_an_articulated_vehicle_that_is_bent() -> None:
+    camera = Camera.looking([300.0, -190.0, 6.0], yaw=0.7, pitch_down=0.25, size=(640, 360))
+    places = [("articulated_curtain", 318.0, -178.0, 1.9), ("sedan", 310.0, -184.0, 0.3)]
+    moment = standing(camera, places, bend=np.radians(30)).moment(0)
+    triangles = np.concatenate([vehicle_triangles(moment, i) for i in range(2)])
+    rng = np.random.default_rng(4)
+    points = triangles[rng.integers(len(triangles), size=400)].mean(axis=1) + rng.normal(0, 0.3, (400, 3))
+    away = points - camera.position
+    length = np.linalg.norm(away, axis=1)
+    expected, which = cast(camera.position, away / length[:, None], triangles)
+    hits = RayCaster(moment, locate(moment, "rigid").vehicles, camera).first_hits(points)
+    before = expected < length
+    np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
+    np.testing.assert_array_less(length[~before], hits[~before] + 1e-6)
+    vehicle = fleet()["articulated_curtain"].vehicle
+    ends = np.cumsum([len(part.triangles) for part in vehicle.parts])
+    part = np.searchsorted(ends, which[before], side="right")
+    assert (part == 0).sum() > 20
+    assert (part == TRAILER_PART).sum() > 20
 
 
 def test_patches_hold_every_triangle_and_lie_close_together() -> None:

@@ -15,7 +15,7 @@ from skope.gen.towns.sites import site
 from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoVehicle
 from skope.gen.vehicles.fleet import fleet
 
-CHASSIS = Chassis.of(fleet()["sedan"].vehicle.shape)
+CHASSIS = Chassis.of(fleet()["sedan"].vehicle)
 
 
 def driven(place: Callable[[float], tuple[float, float, float, float]], seconds: float) -> list[Driven]:

@@ -9,7 +9,7 @@ from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
 from skope.gen.vehicles.fleet import build, class_ranges, fleet, parametric
 from skope.gen.vehicles.keypoint_separation import Sidecar
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
 from skope.gen.vehicles.shape_jitter import jittered
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
@@ -23,7 +23,8 @@ RAYS = 25
 
 def assert_on_the_surface(vehicle: Vehicle) -> None:
     """All keypoints but the wheels' centres lie within 1 cm of a triangle."""
-    corners = vehicle.mesh.vertices[vehicle.mesh.triangles]
+    mesh = straight_mesh(vehicle)
+    corners = mesh.vertices[mesh.triangles]
     low, high = corners.min(axis=1) - 0.01, corners.max(axis=1) + 0.01
     for k in set(range(keypoints.K)) - set(keypoints.WHEELS):
         point = vehicle.points[k]
@@ -40,7 +41,7 @@ def test_keypoints_lie_on_the_surface(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_corners_of_bumpers_lie_farthest_out(model: str) -> None:
     vehicle = fleet()[model].vehicle
-    surface = vehicle.mesh.vertices
+    surface = straight_mesh(vehicle).vertices
     for name in ("bumper_front_left", "bumper_rear_left", "bumper_front_right", "bumper_rear_right"):
         marker = vehicle.points[keypoints.INDEX[name]]
         outwards = np.sign(marker[:2]) / np.sqrt(2)
@@ -73,12 +74,13 @@ def test_roof_points_of_buses_are_the_windows_upper_corners(model: str) -> None:
 def test_keypoints_are_where_their_names_say(model: str) -> None:
     vehicle = fleet()[model].vehicle
     p = {name: vehicle.points[i] for name, i in keypoints.INDEX.items()}
-    length, width, height = vehicle.size_lwh
-    assert p["front_logo"][0] == pytest.approx(length / 2, abs=0.08)
-    assert p["bumper_rear_left"][0] == pytest.approx(-length / 2, abs=0.25)
-    roof = p["roof_rear_left"] if parametric(model).style.family in ("truck", "chassis") else p["roof_front_left"]
+    length, width, height = straight_lwh(vehicle)
+    front, style = vehicle.shape.length / 2, parametric(model).style
+    assert p["front_logo"][0] == pytest.approx(front, abs=0.2 if vehicle.shape.hood_length else 0.08)
+    assert p["bumper_rear_left"][0] == pytest.approx(front - length, abs=0.25)
+    roof = p["roof_rear_left"] if style.family in ("truck", "chassis") else p["roof_front_left"]
     under = 0.65 if fleet()[model].further else 0.35
-    assert roof[2] == pytest.approx(height, abs=under) or parametric(model).style.body in OPEN
+    assert roof[2] == pytest.approx(height, abs=under) or style.body in OPEN
     assert p["roof_front_left"][0] < p["windscreen_base_left"][0] < p["hood_front_left"][0]
     assert p["roof_rear_left"][0] >= p["rear_window_base_left"][0] - 0.01
     assert p["rear_window_base_left"][0] >= p["trunk_rear_left"][0] - 0.08
@@ -94,9 +96,9 @@ def test_keypoints_are_where_their_names_say(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_meshes_are_as_large_as_their_dimensions(model: str) -> None:
     vehicle = fleet()[model].vehicle
-    length, width, height = vehicle.size_lwh
-    body = vehicle.mesh.vertices
-    assert np.ptp(body[:, 0]) == pytest.approx(length, abs=0.01)
+    length, width, height = straight_lwh(vehicle)
+    body = straight_mesh(vehicle).vertices
+    assert np.ptp(body[:, 0]) == pytest.approx(length, abs=0.015)
     assert np.ptp(body[:, 1]) == pytest.approx(width + 0.3, abs=0.17)  # with mirrors
     assert body[:, 2].max() == pytest.approx(height, abs=0.02)
     assert np.abs(vehicle.wheel.vertices[:, [0, 2]]).max() == pytest.approx(vehicle.shape.wheel_radius, abs=0.005)
@@ -136,16 +138,20 @@ def whole(vehicle: Vehicle) -> Mesh:
     """Body and wheels."""
     sides = (vehicle.wheel.mirrored(), vehicle.wheel) * 2
     wheels = [mesh.moved(at) for mesh, at in zip(sides, vehicle.shape.wheel_centers(), strict=True)]
-    return merged([vehicle.mesh, *wheels])
+    if vehicle.trailer:
+        hindmost = zip(sides[2:], vehicle.trailer.at_rest[1:, :3, 3], strict=True)
+        wheels += [mesh.moved(at) for mesh, at in hindmost]
+    return merged([straight_mesh(vehicle), *wheels])
 
 
 def backs_seen(vehicle: Vehicle, rng: np.random.Generator, directions: int) -> int:
     """Of rays from all around, from above, to places in a vehicle's box, those that meet a triangle's back first."""
-    size, mesh, back, hit = np.array(vehicle.size_lwh), whole(vehicle), 0, 0
+    size, mesh, back, hit = np.array(straight_lwh(vehicle)), whole(vehicle), 0, 0
+    middle = [(vehicle.shape.length - size[0]) / 2, 0, size[2] / 2]
     for _ in range(directions):
         direction = rng.normal(size=3) * [1, 1, 0.7]
         direction[2] = -abs(direction[2])
-        points = rng.uniform(-0.5, 0.5, (RAYS, 3)) * size + [0, 0, size[2] / 2]
+        points = rng.uniform(-0.5, 0.5, (RAYS, 3)) * size + middle
         reach, front = first_hits(mesh, direction / np.linalg.norm(direction), points)
         back += int((~front).sum())
         hit += int(np.isfinite(reach).sum())
@@ -179,10 +185,11 @@ def test_trilateration_equals_the_rigid_transform(model: str) -> None:
     poses[:, :3, :3] = Rotation.random(64, rng=rng).as_matrix()
     poses[:, :3, 3] = rng.uniform(-2000, 2000, (64, 3))
     rigid = transform(poses, np.tile(vehicle.points, (64, 1, 1)))
+    wheels = transform(poses, np.tile(vehicle.shape.wheel_centers(), (64, 1, 1)))
+    if vehicle.trailer is None:
+        np.testing.assert_allclose(rigid[:, list(keypoints.WHEELS)], wheels, atol=1e-9)
     sidecar = vehicle.sidecar
-    free = trilaterate(
-        rigid[:, list(keypoints.WHEELS)], np.tile(sidecar.distances, (64, 1, 1)), np.tile(sidecar.side, (64, 1))
-    )
+    free = trilaterate(wheels, np.tile(sidecar.distances, (64, 1, 1)), np.tile(sidecar.side, (64, 1)))
     assert np.abs(free - rigid).max() < 1e-3
 
 
@@ -208,7 +215,7 @@ def test_sidecar_survives_json() -> None:
 
 def test_the_fleet_covers_the_body_types() -> None:
     entries = fleet(further=False).values()
-    assert {entry.vehicle.vehicle_type for entry in entries} == set(VEHICLE_TYPES) - {"other"}
+    assert {entry.vehicle.vehicle_type for entry in fleet().values()} == set(VEHICLE_TYPES) - {"other"}
     assert len(entries) >= 24
     held_out = [entry.vehicle.vehicle_type for entry in entries if entry.held_out]
     assert len(held_out) == len(set(held_out)) >= 4
@@ -266,7 +273,7 @@ def test_models_measure_what_their_class_does(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_lamps_are_parts_of_their_own(model: str) -> None:
-    mesh = fleet()[model].vehicle.mesh
+    mesh = straight_mesh(fleet()[model].vehicle)
     used = {mesh.materials[i] for i in np.unique(mesh.material)}
     lamps = {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"}
     assert lamps <= {name for name in used if not name.startswith("#")} <= {*MATERIALS, "paint"}

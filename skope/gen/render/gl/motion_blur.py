@@ -9,6 +9,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
+from skope.gen.vehicles.model import straight_lwh
 from skope.types import Array
 
 LEAST: Final = 1.5
@@ -35,12 +36,14 @@ def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, c
     """
     out = []
     for one in placed:
-        T, (length, _, height) = one.T_world_chassis, one.vehicle.size_lwh
+        T, (length, _, height) = one.T_world_chassis, straight_lwh(one.vehicle)
         middle = T[:3, 3] + 0.5 * height * T[:3, 2]
         step = 0.5 * shutter_s * velocity[one.index]
         pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
         way = pixels[1] - pixels[0]
         if valid.all() and depth.min() > length and way @ way > LEAST**2:
             swept = cv2.convexHull(np.concatenate([one.hull - 0.5 * way, one.hull + 0.5 * way]).astype(np.float32))
-            out.append(Moving(one, way, float(depth.min()) - 0.6 * length, swept[:, 0].astype(np.float64)))
+            # A trailer's end is a whole length away from where the vehicle is; others reach half of theirs.
+            reach = (0.6 if one.vehicle.trailer is None else 1.0) * length
+            out.append(Moving(one, way, float(depth.min()) - reach, swept[:, 0].astype(np.float64)))
     return out

@@ -12,12 +12,13 @@ from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.pixel_windows import Window, hull_of, may_be_seen, window_of
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.gen.vehicles.paints import PAINTS
 from skope.types import Array
 
-PARTS: Final = "PARTS 5"
-"""Definition for the shaders: a vehicle has five parts, its body and four wheels."""
+PARTS: Final = "PARTS 8"
+"""Definition for the shaders: a vehicle has up to eight parts, its body and four wheels, a trailer and two more wheels.
+"""
 PANES: Final = ("glass", "glass_tinted")
 """Materials that one can look through."""
 
@@ -30,6 +31,8 @@ class PlacedVehicle:
     """Index of the vehicle in the frame."""
     vehicle: Body
     T_world_chassis: Array
+    T_world_parts: Array
+    """(8, 4, 4) poses of its parts, as `Moment.part_poses` has them."""
     mesh: DeviceMesh
     """The vehicle from outside, with panes one cannot look through."""
     solid: DeviceMesh
@@ -40,7 +43,7 @@ class PlacedVehicle:
     matrices: dict[str, bytes]
     """Poses of its parts: in the camera frame, and in world axes relative to the camera."""
     distance: float
-    """Distance from the camera, metres."""
+    """Distance from the camera, of an articulated vehicle that of its nearer part, metres."""
     look: dict[str, Any]
     """Paint and lamps."""
     hull: Array
@@ -62,18 +65,21 @@ class Placer:
     def place(self, moment: Moment) -> list[PlacedVehicle]:
         """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
         camera, out = self._camera, []
+        bodies = [body_of(recorded) for recorded in moment.vehicles]
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
+        for i, body in enumerate(bodies):
+            if body.trailer:
+                middle = moment.T_world_trailer[i, 0] @ [*body.trailer.corners.mean(axis=0), 1.0]
+                away[i] = min(away[i], np.linalg.norm(middle[:3] - camera.position))
         for i in away.argsort(kind="stable").tolist():
-            recorded, chassis = moment.vehicles[i], moment.T_world_chassis[i]
-            vehicle = body_of(recorded)
+            recorded, vehicle, parts = moment.vehicles[i], bodies[i], moment.part_poses(i)
             # Its surfaces take longer to build than to draw.
-            if not may_be_seen(vehicle, chassis, camera):
+            if not may_be_seen(vehicle, parts, camera):
                 continue
-            hull = hull_of(vehicle, chassis, camera)
+            hull = hull_of(vehicle, parts, camera)
             window = window_of(hull, camera)
             if window is None:
                 continue
-            parts = np.concatenate([chassis[None], moment.T_world_wheels[i]])
             from_camera = parts.copy()
             from_camera[:, :3, 3] -= camera.position
             paint = PAINTS[recorded.color]
@@ -82,7 +88,8 @@ class Placer:
                 PlacedVehicle(
                     index=i,
                     vehicle=vehicle,
-                    T_world_chassis=chassis,
+                    T_world_chassis=parts[0],
+                    T_world_parts=parts,
                     **_upload_meshes(self._device, vehicle),
                     matrices={
                         "u_model": _uniform_bytes(camera.T_camera_world @ parts),
@@ -105,15 +112,18 @@ class Placer:
 @lru_cache(maxsize=256)
 def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
     """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
-    body, *wheels = vehicle.parts
-    glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
-    inside = [vehicle.interior] if vehicle.interior else []
-    solid = merged([body.taken(~glass), *inside])
+    insides = {0: vehicle.interior} | ({TRAILER_PART: vehicle.trailer.interior} if vehicle.trailer else {})
+    solid, panes = list(vehicle.parts), [part.taken(np.zeros(0, dtype=np.int64)) for part in vehicle.parts]
+    for k, interior in insides.items():
+        body = vehicle.parts[k]
+        glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
+        solid[k] = merged([body.taken(~glass), *([interior] if interior else [])])
+        panes[k] = body.taken(glass)
     return {
-        "mesh": device.upload(body, *wheels),
-        "solid": device.upload(solid, *wheels),
+        "mesh": device.upload(*vehicle.parts),
+        "solid": device.upload(*solid),
         "coarse": device.upload(*vehicle.coarse),
-        "panes": device.upload(body.taken(glass)) if glass.any() else None,
+        "panes": device.upload(*panes) if any(len(part.triangles) for part in panes) else None,
     }
 
 

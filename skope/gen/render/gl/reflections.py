@@ -47,7 +47,7 @@ class Reflections:
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
         near = [one for one in placed if one.distance < FARTHEST]
-        hulls = [mirror_hull_of(one.vehicle, one.T_world_chassis, camera, self._road.mirror) for one in near]
+        hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
         reach = -(-round(BLUR * size[0] / 1920) // TILE)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
         # The blur looks beyond these tiles too.

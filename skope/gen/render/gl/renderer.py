@@ -39,7 +39,7 @@ from skope.gen.render.spray import Spray
 from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
-from skope.gen.vehicles.model import Body
+from skope.gen.vehicles.model import TRAILER_PART
 from skope.types import Array
 
 SHADOW_MAP: Final = 2048
@@ -208,7 +208,7 @@ class GLRenderer:
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
         covered = tiles([vehicle.hull for vehicle in placed], size)
-        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_chassis, camera, sun) for v in placed], size)
+        shaded = tiles([shadow_hull_of(v.vehicle, v.T_world_parts, camera, sun) for v in placed], size)
         self._draw_shadows(placed)
         if self._beams:
             shaded |= tiles(self._beams.draw(placed, camera), size)
@@ -251,7 +251,7 @@ class GLRenderer:
         self._open.clear(1, 1, 1, 1)
         device.context.enable_only(device.gl.BLEND)
         device.context.blend_func = device.gl.ZERO, device.gl.SRC_COLOR
-        corners = np.concatenate([_footprint(v.vehicle, v.T_world_chassis, middle) for v in placed])
+        corners = np.concatenate([_footprint(v, middle) for v in placed])
         program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
@@ -400,16 +400,21 @@ def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) ->
     return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
 
 
-def _footprint(vehicle: Body, T_world_chassis: Array, middle: Array) -> Array:
-    """(6, 7) corners of two triangles around the ground that a vehicle takes sky from.
+def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
+    """(6, 7) corners of two triangles around the ground that a vehicle takes sky from; (12, 7) with a trailer's.
 
-    Their place in the map around `middle`, their place in the vehicle's axes, half the vehicle's length and width, and
-    its height.
+    Their place in the map around `middle`, their place in the part's axes, half its length and width, and its height.
     """
-    size = np.array(vehicle.size_lwh) * [0.5, 0.5, 1.0]
-    local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
-    world = local @ T_world_chassis[:2, :2].T + T_world_chassis[:2, 3]
-    return np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, np.tile(size, (6, 1))])
+    trailer, out = placed.vehicle.trailer, []
+    bodies = [(placed.vehicle.size_lwh, 0.0, placed.T_world_chassis)]
+    if trailer:
+        bodies.append((trailer.size_lwh, float(trailer.corners[:, 0].mean()), placed.T_world_parts[TRAILER_PART]))
+    for size_lwh, ahead, T in bodies:
+        size = np.array(size_lwh) * [0.5, 0.5, 1.0]
+        local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
+        world = (local + [ahead, 0.0]) @ T[:2, :2].T + T[:2, 3]
+        out.append(np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, np.tile(size, (6, 1))]))
+    return np.concatenate(out)
 
 
 @cache

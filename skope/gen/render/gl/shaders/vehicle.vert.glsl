@@ -1,4 +1,4 @@
-// Places a vehicle's body and wheels for their colour: what changes slowly over them is worked out at the vertices.
+// Places a vehicle's body, trailer and wheels for their colour: what changes slowly over them is worked out at the vertices.
 #version 430
 in vec3 in_position;
 in vec3 in_normal;
@@ -16,6 +16,7 @@ out vec3 v_vehicle_sun_at;
 out vec3 v_local;
 out float v_open;
 flat out int v_material;
+const int TRAILER = 5;          // number of its part, as in model.py
 #ifdef LAMPS
 uniform sampler2D u_lamp_vectors;   // of street light on the ground
 uniform vec2 u_lamp_vectors_at;     // in that map: the camera
@@ -37,7 +38,7 @@ void main() {
     v_scenery_sun_at = (u_scenery_sun_map_from * lifted).xyz;
     v_vehicle_sun_at = (u_vehicle_sun_map_from * lifted).xyz;
     // Near the road and under the body there is less sky.
-    float height = part > 0 ? 0.3 : in_position.z;
+    float height = part > 0 && part != TRAILER ? 0.3 : in_position.z;
     v_open = clamp(0.35 + 0.65 * height / 0.9, 0.25, 1.0);
     v_material = int(in_material + 0.5);
 #ifdef LAMPS

@@ -1,0 +1,117 @@
+"""What lorries and trailers have in common: cargo bodies, axles, the underrun bar with its lamps."""
+
+import numpy as np
+
+from skope.gen.mesh import Mesh, box
+from skope.gen.vehicles import rear
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.panels import Points, rectangle
+from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.wheels import steel_wheel
+
+_LEFT = (0.0, 1.0, 0.0)
+_RIBS = {
+    "box": (6, 0.014),
+    "curtain": (9, 0.03),
+    "flatbed": (4, 0.05),
+    "tipper": (7, 0.09),
+    "container": (0, 0.0),
+}
+"""Number and width of the ribs along each kind of cargo body's side."""
+_OPEN = {"flatbed": 0.5, "tipper": 1.25}
+"""Height of the sides of bodies without a roof, metres."""
+
+
+def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mesh, Points]:
+    """The left half of a cargo body from `ahead` to the rear end of a shape, and its keypoints.
+
+    Args:
+        s: Its floor is `box_height`, its roof `height`.
+        kind: "box", "curtain", "container", "flatbed" or "tipper".
+        ahead: x of its front.
+        ribs: Number of ribs along its side; 0 for as many as the kind has.
+    """
+    end = -s.length / 2
+    high = s.box_height + _OPEN[kind] if kind in _OPEN else s.height
+    closed = kind not in _OPEN
+    tower = Tower(
+        Plan(s.width / 2, ahead, end, 0.0, 0.0, 0.05, 0.035),
+        s.box_height,
+        high,
+        [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
+        edge=0.05 if kind != "tipper" else 0.02,
+        crown=0.015,
+        hollow=None if closed else s.box_height + 0.1,
+        stations=3,
+        levels=2,
+    )
+    shell, w, _ = tower.surface("livery")
+    last = float(w[-1])
+    corner = last - s.width / 2
+    sill, inset = s.box_height + 0.12, 0.11
+    frame_material = "rail" if closed else "trim"
+    shell.draw(rectangle(-1, 99, 0, sill - 0.03), WRAP, frame_material)
+    top = high - (0.16 if closed else 0.12)
+    edge = corner + inset
+    shell.line([(last + 0.1, sill), (edge, sill), (edge, top), (last + 0.1, top)], WRAP, width=0.02)
+    if closed:
+        _draw_doors(shell, last, edge, sill, top)
+        shell.draw(rectangle(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
+    count, wide = _RIBS[kind]
+    for x in np.linspace(ahead - 0.25, end + 0.25, ribs or count):
+        rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
+        shell.draw(rib, SIDE, "rail" if kind != "tipper" else "trim", facing=_LEFT)
+    if not closed:
+        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
+    return shell.half, {
+        "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP)[0],
+        "rear_window_base": shell.place((edge, top), WRAP)[0],
+        "trunk_rear": shell.place((corner, BOTTOM), ROWS)[0],
+    }
+
+
+def _draw_doors(shell: Surface, end: float, edge: float, low: float, top: float) -> None:
+    """The gap between two doors, their bolts and hinges."""
+    shell.line([(end, low), (end, top)], WRAP, width=0.016)
+    for share in (0.28, 0.6):
+        shell.draw(rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8)
+    for z in np.linspace(low + 0.3, top - 0.3, 4):
+        shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+
+
+def axle(s: Shape, x: float, *, wheel: bool, dual: bool) -> list[Mesh]:
+    """The left half of an axle at `x` with its guard, and with its outer wheel where that does not turn by itself."""
+    y, radius = s.track / 2, s.wheel_radius
+    tyre = steel_wheel(radius, s.wheel_width)
+    out = [box((x - 0.06, 0.0, radius - 0.06), (x + 0.06, y - 0.1, radius + 0.06), "under")]
+    if wheel:
+        out.append(tyre.moved((x, y, radius)))
+    if dual:
+        out.append(tyre.moved((x, y - s.wheel_width * 1.06, radius)))
+    if s.box_height - 2 * radius > 0.1:
+        low, high = (x - radius * 0.95, y - 0.36, 2 * radius + 0.04), (x + radius * 0.95, y + 0.14, 2 * radius + 0.075)
+        out.append(box(low, high, "trim"))
+    return out
+
+
+def underrun_bar(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
+    """The left half of the bar under the rear end, with lamps and plate; notes its keypoints."""
+    end = -s.length / 2
+    bar = Plan(s.width / 2 - 0.02, end + 0.16, end, 0.0, 0.0, 0.02, 0.02)
+    tower = Tower(bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3)
+    shell, w, _ = tower.surface("trim")
+    out = rear.draw_rear(shell, w, s, style, points)
+    points["bumper_rear"] = shell.corner(BOTTOM, rear=True)
+    return [*out, shell.half]
+
+
+def side_guard(s: Shape, tank: float, behind: float, side: float) -> list[Mesh]:
+    """Rails at the left from `behind` up to what stands at x = `tank`, at y = `side`, and the posts that hold them."""
+    low, high = s.clearance + 0.12, s.clearance + 0.42
+    rails = [box((behind, side - 0.04, z), (tank - 0.1, side, z + 0.11), "rail") for z in (low, high)]
+    posts = [
+        box((x - 0.03, side - 0.07, low), (x + 0.03, side - 0.041, s.box_height), "under")
+        for x in np.linspace(behind + 0.1, tank - 0.2, 3)
+    ]
+    return rails + posts
