@@ -82,7 +82,7 @@ class DatasetRequest:
             if not 0 < p.vehicle_share <= 1:
                 raise UserError(f"--share: expected a share above 0, up to 1, got {p.vehicle_share:g}")
         for name in p.vehicles.keys() & fleet().keys():
-            if p.vehicle_share is None:
+            if p.vehicle_share is None and not fleet()[name].further:
                 raise UserError(
                     f"--vehicles {name}: is a model of the fleet, which drives by anyway; "
                     "say with --share how much of the traffic it makes"

@@ -55,6 +55,16 @@ def content(**changes: Any) -> dict[str, Any]:
     return dataset_card.card(DatasetPlan(parameters(**changes), ()), counts)
 
 
+def test_types_and_models_that_drive_when_asked_for_are_named_where_they_do() -> None:
+    usual, asked = content(), content(sites=("t01_school_lane",), vehicles={"articulated_tank": ""}, vehicle_share=0.1)
+    assert not [name for name in usual["fleet"]["held_out"] if fleet()[name].further]
+    assert set(asked["fleet"]["held_out"]) - set(usual["fleet"]["held_out"]) == {"articulated_tank"}
+    assert set(asked["fleet"]["substituted"]) - set(usual["fleet"]["substituted"]) == {"articulated_tank"}
+    asked["counts"]["by_vehicle_type"]["articulated_truck"] = {"ground_truth": 1, "ignored": 0}
+    assert "articulated" not in json.dumps(croissant(usual, {}))
+    assert "truck, articulated_truck, other." in json.dumps(croissant(asked, {}))
+
+
 def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
     titles = [line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")]
