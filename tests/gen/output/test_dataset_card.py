@@ -1,6 +1,7 @@
 """The card of a dataset: what README.md says in words, and croissant.json to programs."""
 
 import hashlib
+import json
 import shlex
 import struct
 from collections import Counter
@@ -23,6 +24,7 @@ from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer
+from skope.gen.vehicles.fleet import fleet
 from tests.samples import make_dataset
 
 
