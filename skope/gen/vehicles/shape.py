@@ -238,8 +238,8 @@ class VehicleStyle:
     """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" for a fifth wheel in its place, or one of
     `cargo_bodies.CARGO_BODIES`."""
     trailer: str = ""
-    """What hangs on the vehicle's hinge: "box", "curtain", "tank", "container", "bus" for the rear half of a bus, or
-    nothing."""
+    """What hangs on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half of
+    one, or nothing."""
     trailer_axles: tuple[float, ...] = ()
     """Distances of the trailer's further axles before its rearmost one, metres."""
     bend_deg: float = 0.0

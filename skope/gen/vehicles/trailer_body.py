@@ -101,14 +101,17 @@ class TrailerBody:
         self._parts += underrun_bar(s, self.style, self._points)
 
     def _build_cargo(self) -> None:
-        """A box, a curtain or a container."""
-        s, kind = self.shape, self.style.trailer
+        """A box, with or without a cooling unit, a curtain or a container."""
+        s = self.shape
+        kind = "box" if self.style.trailer == "reefer" else self.style.trailer
         front, end = s.length / 2, -s.length / 2
         ribs = round(s.length / _STRAP) if kind == "curtain" else 0
         narrow = replace(s, width=s.width - 0.06) if kind == "container" else s
         half, points = cargo_body(narrow, kind, front, ribs=ribs)
         self._parts.append(half)
         self._points |= points
+        if self.style.trailer == "reefer":
+            self._parts += _cooling_unit(front, s.box_height + 0.95, s.height - 0.2)
         if kind == "container":
             y, low, high = narrow.width / 2, s.box_height + 0.16, s.height - 0.14
             for x in np.linspace(end + 0.3, front - 0.3, round((s.length - 0.6) / _WAVE)):
@@ -162,6 +165,18 @@ def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
     skin = replace(skin, normals=directions.swapaxes(0, 1)[::-1].reshape(-1, 3))
     a, b, c = np.moveaxis(skin.vertices[skin.triangles], 1, 0)
     return skin.taken(np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9), surface
+
+
+def _cooling_unit(front: float, low: float, high: float) -> list[Mesh]:
+    """The left half of the machine on a refrigerated box's front wall, with its grilles."""
+    deep, wide = 0.42, 0.96
+    behind, face = front + deep - 0.01, front + deep + 0.006
+    slats = np.arange(low + 0.12, low + 0.7, 0.09)
+    return [
+        box((front - 0.02, 0.0, low), (front + deep, wide, high), "rail"),
+        *(box((behind, 0.1, z), (face, wide - 0.1, z + 0.045), "gap") for z in slats),
+        box((behind, 0.15, high - 0.5), (face, 0.75, high - 0.1), "gap"),
+    ]
 
 
 def _landing_legs(x: float, floor: float) -> list[Mesh]:

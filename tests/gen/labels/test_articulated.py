@@ -1,6 +1,7 @@
 """Labels of articulated vehicles: which points turn with the trailer, the box around both parts, the angle."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from skope.dataset import coco
 from skope.gen.labels.annotate import Rules, annotate, locate
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
+from skope.gen.render.vehicle_lamps import lit_lamps
+from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Recording
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import ON_TRAILER
@@ -105,6 +108,16 @@ def test_visibility_of_a_bent_lorry_is_that_of_rays() -> None:
         expected = np.where(away - hits > 0.05, 1, 2)
         assert (v[v > 0] == expected[v > 0]).mean() > 0.95
         assert {1, 2} <= set(v.astype(int).tolist())
+
+
+def test_the_trailers_lamps_shine_where_the_trailer_is() -> None:
+    recording = scene(40.0)
+    moment = replace(recording.moment(0), lamps=np.array([LAMPS["low_beam"]], dtype=np.uint8))
+    lit = [lamp.center for lamp in lit_lamps(moment) if lamp.color[0] > 3 * lamp.color[1]]
+    points = locate(moment, "rigid").points[0]
+    for side in ("right", "left"):
+        middle = points[[keypoints.INDEX[f"taillight_{end}_{side}"] for end in ("outer", "inner")]].mean(axis=0)
+        assert min(np.linalg.norm(center - middle) for center in lit) < 0.3
 
 
 def test_the_angle_survives_the_file_and_is_not_written_for_others() -> None:

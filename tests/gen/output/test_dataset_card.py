@@ -1,6 +1,7 @@
 """The card of a dataset: what README.md says in words, and croissant.json to programs."""
 
 import hashlib
+import json
 import shlex
 import struct
 from collections import Counter
@@ -23,6 +24,7 @@ from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer
+from skope.gen.vehicles.fleet import fleet
 from tests.samples import make_dataset
 
 
@@ -53,6 +55,16 @@ def content(**changes: Any) -> dict[str, Any]:
     counts.tally.update(vehicles=4, occluded_others=1, occluded_paper=2)
     counts.apart_m, counts.most_apart_m = [0.003, 0.001], 0.3
     return dataset_card.card(DatasetPlan(parameters(**changes), ()), counts)
+
+
+def test_types_and_models_that_drive_when_asked_for_are_named_where_they_do() -> None:
+    usual, asked = content(), content(sites=("t01_school_lane",), vehicles={"articulated_tank": ""}, vehicle_share=0.1)
+    assert not [name for name in usual["fleet"]["held_out"] if fleet()[name].further]
+    assert set(asked["fleet"]["held_out"]) - set(usual["fleet"]["held_out"]) == {"articulated_tank"}
+    assert set(asked["fleet"]["substituted"]) - set(usual["fleet"]["substituted"]) == {"articulated_tank"}
+    asked["counts"]["by_vehicle_type"]["articulated_truck"] = {"ground_truth": 1, "ignored": 0}
+    assert "articulated" not in json.dumps(croissant(usual, {}))
+    assert "truck, articulated_truck, other." in json.dumps(croissant(asked, {}))
 
 
 def test_the_readme_says_what_a_user_must_know(root: Path) -> None:

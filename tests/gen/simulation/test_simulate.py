@@ -323,6 +323,19 @@ def test_some_further_models_park() -> None:
     assert all(models[name].vehicle.size_lwh[0] < BAY[0] + 0.2 for name in standing)
 
 
+def test_models_that_drive_when_asked_for_drive_then_alone() -> None:
+    plan = RecordingPlan(
+        site=site("t01_mill_corner"), index=0, frames=1, interval=0.5, size=(640, 360), fov_deg=60, seed=0
+    )
+    further = {name for name, entry in fleet().items() if entry.further}
+    assert further
+    assert not further & _models(plan).keys()
+    asked = _models(replace(plan, vehicles=("articulated_bus",)))
+    assert further & asked.keys() == {"articulated_bus"}
+    others = sum(entry.share for name, entry in asked.items() if name not in further)
+    assert asked["articulated_bus"].share == pytest.approx(0.1 * others)
+
+
 def test_where_all_vehicles_are_too_long_for_a_bay_none_is_parked() -> None:
     town, bus = Town("town01"), {"bus": fleet()["bus"]}
     assert parked(town, bays_of(town)[:20], bus, np.random.default_rng(0)) == []
