@@ -22,7 +22,7 @@ from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
 
-HEAVY: Final = frozenset(("bus", "truck", "box_truck"))
+HEAVY: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
 """Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
 
 
