@@ -74,7 +74,8 @@ def test_keypoints_are_where_their_names_say(model: str) -> None:
     p = {name: vehicle.points[i] for name, i in keypoints.INDEX.items()}
     length, width, height = straight_lwh(vehicle)
     front = vehicle.shape.length / 2
-    assert p["front_logo"][0] == pytest.approx(front, abs=0.08)
+    # A long nose has its bumper before it.
+    assert p["front_logo"][0] == pytest.approx(front, abs=0.16 if vehicle.shape.hood_length else 0.08)
     assert p["bumper_rear_left"][0] == pytest.approx(front - length, abs=0.25)
     lorry = vehicle.vehicle_type in ("box_truck", "truck", "articulated_truck")
     roof = p["roof_rear_left"] if lorry else p["roof_front_left"]
