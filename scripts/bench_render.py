@@ -62,7 +62,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
         first = int(np.searchsorted(recording.frame, frame))
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - recording.camera.position, axis=1)
         models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
-        hulls = [hull_of(m, T, recording.camera) for m, T in zip(models, moment.T_world_chassis, strict=True)]
+        hulls = [hull_of(model, moment.part_poses(i), recording.camera) for i, model in enumerate(models)]
         windows = [window_of(hull, recording.camera) for hull in hulls]
         shown = [i for i in away.argsort(kind="stable") if windows[i]]
         if len(shown) < count:

@@ -83,9 +83,9 @@ def build_vehicles(recording: Recording) -> set[Body]:
     out = set[Body]()
     for frame in range(len(recording)):
         moment = recording.moment(frame)
-        for recorded, T_world_chassis in zip(moment.vehicles, moment.T_world_chassis, strict=True):
+        for i, recorded in enumerate(moment.vehicles):
             body = body_of(recorded)
-            if may_be_seen(body, T_world_chassis, recording.camera):
+            if may_be_seen(body, moment.part_poses(i), recording.camera):
                 out.add(body)
     for body in out:
         _ = body.parts, body.interior, body.coarse

@@ -227,6 +227,7 @@ class Recorder:
         site, poses = plan.site, [row[2] for row in self._rows]
         # Many views must travel: their poses are kept to 24 bits, a hundredth of a millimetre.
         number = np.float32 if plan.views else np.float64
+        trailers = _rounded([pose.T_world_trailer for pose in poses], number).reshape(-1, 3, 4, 4)
         return Recording(
             town=site.town,
             site=site.name,
@@ -245,7 +246,7 @@ class Recorder:
             vehicle=np.array([row[1] for row in self._rows], dtype=np.int32),
             T_world_chassis=_rounded([pose.T_world_chassis for pose in poses], number).reshape(-1, 4, 4),
             T_world_wheels=_rounded([pose.T_world_wheels for pose in poses], number).reshape(-1, 4, 4, 4),
-            T_world_trailer=_rounded([pose.T_world_trailer for pose in poses], number).reshape(-1, 3, 4, 4),
+            T_world_trailer=trailers if (trailers != np.eye(4)).any() else None,
             velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
         )

@@ -70,9 +70,14 @@ class BusBody:
 
     def _build_half(self, *, doors: bool) -> Mesh:
         s = self.shape
-        front, rear = self.has_front, self.has_rear
-        rounds = (s.nose_round if front else 0.0, s.tail_round if rear else 0.0)
-        corners = (0.26 if front else _FLAT, 0.2 if rear else _FLAT, 0.03 if front else 0.0, 0.02 if rear else 0.0)
+        has_front, has_rear = self.has_front, self.has_rear
+        rounds = (s.nose_round if has_front else 0.0, s.tail_round if has_rear else 0.0)
+        corners = (
+            0.26 if has_front else _FLAT,
+            0.2 if has_rear else _FLAT,
+            0.03 if has_front else 0.0,
+            0.02 if has_rear else 0.0,
+        )
         plan = Plan(s.width / 2, self.nose, self.end, *rounds, *corners)
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
         lean = [
@@ -81,18 +86,18 @@ class BusBody:
             (belt, 0.0, 0.02, 0.01),
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
-        lean = [(share, side, ahead * front, behind * rear) for share, side, ahead, behind in lean]
+        lean = [(share, side, ahead * has_front, behind * has_rear) for share, side, ahead, behind in lean]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, well=well, stations=9, levels=3)
         shell, w, _ = tower.surface("paint")
         out: list[Mesh] = []
-        for axle in self._carved_axles() if front else (s.rear_axle_x,):
+        for axle in self._carved_axles() if has_front else (s.rear_axle_x,):
             lining, rim = shell.carve_well(arch(axle, s), well)
             out += [lining, parts.arch_lip(rim, (axle, s.wheel_radius), "trim", shell.side)]
         out += self._draw_details(shell, w, doors)
-        if not (front and rear):
-            out.append(_bellows(s, self.end, -1.0) if front else _bellows(s, self.nose, 1.0))
-        if not front:
+        if not (has_front and has_rear):
+            out.append(_bellows(s, self.end, -1.0) if has_front else _bellows(s, self.nose, 1.0))
+        if not has_front:
             return merged([shell.half, *out])
         mirror, self.points["mirror"] = self._mirror()
         return merged([shell.half, mirror, *out])

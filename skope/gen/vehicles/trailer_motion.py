@@ -30,7 +30,9 @@ class Hitch(NamedTuple):
     def of(cls, vehicle: Vehicle) -> "Hitch | None":
         """The distances of a vehicle; None where it has no trailer."""
         trailer = vehicle.trailer
-        return Hitch(trailer.hinge[0] - vehicle.shape.rear_axle_x, trailer.axle, trailer.bend) if trailer else None
+        if trailer is None:
+            return None
+        return Hitch(float(trailer.hinge[0]) - vehicle.shape.rear_axle_x, trailer.axle, trailer.bend)
 
 
 class DrivenTrailer(NamedTuple):
