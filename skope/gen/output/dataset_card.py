@@ -34,7 +34,8 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     """
     parameters = plan.parameters
     own, solid = parameters.own, parameters.renderer == "pybullet"
-    models = fleet(further=parameters.further_models)
+    asked = {name: fleet()[name] for name in parameters.vehicles if name in fleet()}
+    models = {**fleet(further=parameters.further_models), **asked}
     return {
         "version": schema.VERSION,
         **keypoints.SKOPE33.fields(),

@@ -1,4 +1,4 @@
-"""Solids of heavy bodies: volumes say that they are closed and face outward; halves are closed with their mirror image."""
+"""Solids of heavy bodies: volumes say that they are closed and face outward, halves with their mirror image."""
 
 import numpy as np
 import pytest
