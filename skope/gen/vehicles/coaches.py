@@ -63,7 +63,7 @@ DOUBLE_DECK: Final = BusLayout(
     windows=2.15, pane=1.3, screen=2.0, rear_window=(1.5, 0.55), doors=((-0.32, 1.2), (0.4, 1.2)), sign=True,
     upper=(1.5, 0.5),
 )  # fmt: skip
-SCHOOL: Final = BusLayout(windows=0.62, pane=0.75, screen=0.45, rear_window=(1.25, 0.5), doors=((-0.08, 0.85),))
+SCHOOL: Final = BusLayout(windows=0.62, pane=0.75, screen=0.45, rear_window=(1.25, 0.5), doors=((0.19, 0.85),))
 
 STEP: Final = BusLayout(windows=0.55, pane=1.0, screen=0.5, rear_window=(1.4, 0.5), doors=())
 
@@ -345,3 +345,12 @@ class SchoolBusBody(LaidOutBus):
                 at = (middle + sign * away, s.height - 0.3)
                 shell.draw(disc(at, 0.11, 12), WRAP, "gap", layer=3)
                 shell.draw(disc(at, 0.085, 12), WRAP, tone, layer=5)
+
+    def _draw_door(self, shell: Surface, x: float, width: float) -> None:
+        """A door that interrupts the rub rails."""
+        low, high = self.shape.clearance + 0.16, self.shape.height - self.layout.windows + 0.02
+        door = rectangle(x - width / 2, x + width / 2, low, high)
+        shell.draw(door, SIDE, "trim", layer=5, facing=_LEFT)
+        for bottom, top in ((low + 0.08, low + 0.42 * (high - low)), (low + 0.47 * (high - low), high - 0.05)):
+            pane = rectangle(x - width / 2 + 0.07, x + width / 2 - 0.07, bottom, top)
+            shell.draw(pane, SIDE, "glass_tinted", layer=7, facing=_LEFT)
