@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
-from skope.gen.vehicles.liveries import TONES, draw_graphics
+from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.solids import prism
@@ -30,7 +30,7 @@ def box_body(space: CargoSpace) -> Cargo:
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
         shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
-        shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, "indicator_left", layer=4)
+        shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
     out.parts.append(shell.half)
     if space.style.cooled:

@@ -9,7 +9,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, rear
 from skope.gen.vehicles.bus import BusBody
-from skope.gen.vehicles.liveries import draw_graphics
+from skope.gen.vehicles.liveries import MARKER, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
@@ -109,9 +109,7 @@ class LaidOutBus(BusBody):
         out = self._draw_front(shell, w)
         out += rear.draw_rear(shell, w, s, replace(self.style, family="bus"), self.points)
         for at in np.arange(self.end + 1.2, self.nose - 1.2, 1.9).tolist():
-            shell.draw(
-                rectangle(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, "indicator_left", layer=3
-            )
+            shell.draw(rectangle(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, MARKER, layer=3)
         back = corner_w(w, rear=True)
         self.points |= {
             "trunk_rear": shell.place((back, self._waist - 0.05), WRAP)[0],

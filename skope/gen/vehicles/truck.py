@@ -10,6 +10,7 @@ from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.cargo import CargoSpace
 from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
+from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
@@ -94,7 +95,7 @@ class TruckBody:
                 cab.draw(
                     rectangle(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
                     WRAP,
-                    "#e8a030",
+                    MARKER,
                     layer=3,
                 )
         screen = corner_w(w) - 0.05
