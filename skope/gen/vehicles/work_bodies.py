@@ -134,6 +134,8 @@ def recovery_body(space: CargoSpace) -> Cargo:
     add(box((front - 0.02, 0.0, floor + 0.1), (front + 0.14, half - 0.05, floor + 0.95), "livery"))
     add(box((front - 0.03, 0.15, floor + 0.35), (front + 0.15, half - 0.3, floor + 0.75), "trim"))
     add(pipe((front + 0.28, 0.0, floor + 0.3), (front + 0.28, 0.4, floor + 0.3), 0.16, "trim"))
+    bar = space.ahead + 0.5 * space.shape.cab_length
+    add(box((bar - 0.12, 0.0, space.cab_height - 0.08), (bar + 0.12, half - 0.35, space.shape.height), BEACON))
     # Ramps, folded up behind; boxes for tools below the deck.
     add(box((space.end + 0.01, 0.5, floor - 0.1), (space.end + 0.08, half - 0.08, floor + 0.1), "trim"))
     chest = space.rear_axle + space.shape.wheel_radius + 0.25
