@@ -75,6 +75,7 @@ def _shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
         [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
         edge=0.05,
         crown=0.015,
+        ridge=0.5,
         stations=3,
         levels=2,
     )

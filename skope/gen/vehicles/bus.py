@@ -26,6 +26,9 @@ class BusBody:
     Its roof points are the upper corners of the windscreen's frame and of the rear window.
     """
 
+    ridge = 0.0
+    """Of its `Tower`."""
+
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
@@ -68,7 +71,9 @@ class BusBody:
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
-        tower = Tower(plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, well=well, stations=9, levels=3)
+        tower = Tower(
+            plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, ridge=self.ridge, well=well, stations=9, levels=3
+        )
         shell, w, _ = tower.surface("paint")
         out: list[Mesh] = []
         for axle in self._carved_axles():

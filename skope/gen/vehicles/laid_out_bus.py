@@ -54,6 +54,7 @@ class LaidOutBus(BusBody):
     """A bus of a layout. `shape.belt_height` is the side windows' lower edge, `shape.hood_height` the windscreen's."""
 
     layout: BusLayout
+    ridge = 0.9
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         super().__init__(replace(shape, height=shape.height - self.layout.pod), style)

@@ -26,7 +26,7 @@ def living_body(space: CargoSpace) -> Cargo:
     well = s.track / 2 - s.wheel_width / 2 - 0.08
     tower = Tower(
         Plan(space.half, space.ahead + 0.02, space.end + 0.02, 0.0, 0.02, 0.05, 0.12), space.floor, s.height - 0.1,
-        edge=0.09, crown=0.02, well=well, stations=9, levels=3,
+        edge=0.09, crown=0.02, ridge=0.5, well=well, stations=9, levels=3,
     )  # fmt: skip
     shell, w, _ = tower.surface("paint")
     lining, rim = shell.carve_well(arch(s.rear_axle_x, s), well)

@@ -23,8 +23,8 @@ def refuse_body(space: CargoSpace) -> Cargo:
     add, half, floor = out.parts.append, space.half - 0.03, space.floor
     start, high = space.end + _HOPPER, space.shape.height - 0.12
     tower = Tower(
-        Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08, edge=0.16, crown=0.05,
-        stations=3, levels=3,
+        Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08,
+        edge=0.16, crown=0.05, ridge=0.6, stations=3, levels=3,
     )  # fmt: skip
     shell, _, _ = tower.surface("livery")
     draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)

@@ -84,6 +84,8 @@ class TruckBody:
         ]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well, stations=7, levels=5)
+        if self.style.face:
+            tower = replace(tower, ridge=0.5)
         cab, w, _ = tower.surface("paint")
         lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
         self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
