@@ -16,6 +16,7 @@ from skope.terminal.console import Console, counted
 from skope.terminal.text_table import text_table
 
 if TYPE_CHECKING:
+    from skope.gen.vehicles.fleet import FleetEntry
     from skope.gen.vehicles.model import Vehicle
 
 app = Commands(help="List, check, draw, add and remove vehicle models.", no_args_is_help=True)
@@ -41,7 +42,7 @@ def list_models(console: Console) -> None:
                 f"{vehicle.shape.wheelbase:.2f}",
                 len(vehicle.mesh.triangles) + 4 * len(vehicle.wheel.triangles),
                 f"{entry.share / total:.1%}" if entry else "added",
-                "held out for test sites" if entry and entry.held_out else "",
+                ", ".join(_notes(entry)) if entry else "",
             ]
         )
     head = ["model", "type", "L x W x H, m", "wheelbase, m", "triangles", "share", ""]
@@ -49,6 +50,12 @@ def list_models(console: Console) -> None:
         console.result(line)
     if damaged:
         raise UserError("; ".join(damaged))
+
+
+def _notes(entry: "FleetEntry") -> list[str]:
+    """Where a model of the fleet drives, if not everywhere."""
+    notes = {"preset world": entry.further, "held out for test sites": entry.held_out}
+    return [note for note, holds in notes.items() if holds]
 
 
 @app.command()
