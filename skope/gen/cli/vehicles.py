@@ -16,6 +16,7 @@ from skope.terminal.console import Console, counted
 from skope.terminal.text_table import text_table
 
 if TYPE_CHECKING:
+    from skope.gen.vehicles.fleet import FleetEntry
     from skope.gen.vehicles.model import Vehicle
 
 app = Commands(help="List, check, draw, add and remove vehicle models.", no_args_is_help=True)
@@ -29,7 +30,7 @@ def list_models(console: Console) -> None:
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.model import straight_lwh
 
-    total = sum(entry.share for entry in fleet().values() if not entry.further)
+    total = sum(entry.share for entry in fleet().values())
     models, damaged = _readable(_names())
     rows = []
     for name, vehicle in models.items():
@@ -41,8 +42,8 @@ def list_models(console: Console) -> None:
                 " x ".join(f"{metres:.2f}" for metres in straight_lwh(vehicle)),
                 f"{vehicle.shape.wheelbase:.2f}",
                 sum(len(part.triangles) for part in vehicle.parts),
-                "added" if entry is None else "when asked for" if entry.further else f"{entry.share / total:.1%}",
-                "held out for test sites" if entry and entry.held_out else "",
+                f"{entry.share / total:.1%}" if entry else "added",
+                ", ".join(_notes(entry)) if entry else "",
             ]
         )
     head = ["model", "type", "L x W x H, m", "wheelbase, m", "triangles", "share", ""]
@@ -50,6 +51,12 @@ def list_models(console: Console) -> None:
         console.result(line)
     if damaged:
         raise UserError("; ".join(damaged))
+
+
+def _notes(entry: "FleetEntry") -> list[str]:
+    """Where a model of the fleet drives, if not everywhere."""
+    notes = {"presets world, conditions": entry.further, "held out for test sites": entry.held_out}
+    return [note for note, holds in notes.items() if holds]
 
 
 @app.command()

@@ -34,8 +34,8 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     """
     parameters = plan.parameters
     own, solid = parameters.own, parameters.renderer == "pybullet"
-    driving = fleet(further=parameters.further_models)
-    models = {name: entry for name, entry in fleet().items() if name in driving or name in parameters.vehicles}
+    asked = {name: fleet()[name] for name in parameters.vehicles if name in fleet()}
+    models = {**fleet(further=parameters.further_models), **asked}
     return {
         "version": schema.VERSION,
         **keypoints.SKOPE33.fields(),

@@ -1,6 +1,5 @@
 """Closed cargo bodies with liveries: boxes with doors or a roller shutter, refrigerated ones, curtain sides."""
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -8,11 +7,11 @@ import numpy as np
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
-from skope.gen.vehicles.liveries import TONES, draw_graphics
+from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.solids import prism
-from skope.gen.vehicles.upright_shells import Tower, arch
+from skope.gen.vehicles.upright_shells import Tower
 
 _LEFT: Final = (0.0, 1.0, 0.0)
 _INSET: Final = 0.11
@@ -31,7 +30,7 @@ def box_body(space: CargoSpace) -> Cargo:
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
         shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
-        shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, "indicator_left", layer=4)
+        shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
     out.parts.append(shell.half)
     if space.style.cooled:
@@ -76,6 +75,7 @@ def _shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
         [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.012)],
         edge=0.05,
         crown=0.015,
+        ridge=0.5,
         stations=3,
         levels=2,
     )
@@ -126,12 +126,12 @@ def luton_body(space: CargoSpace) -> Cargo:
     for x in (space.ahead - 0.04, space.end + 0.04):
         shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
     _rear(shell, space, end, shutter=rng.uniform() < 0.6)
-    out.parts += [shell.half, _peak(space, "livery")]
+    out.parts += [shell.half, peak(space, "livery")]
     _mark(out, shell, space, end)
     return out
 
 
-def _peak(space: CargoSpace, material: str) -> Mesh:
+def peak(space: CargoSpace, material: str) -> Mesh:
     """What reaches over the cab, from the box to over the windscreen."""
     low, high = space.cab_height + 0.07, space.shape.height - 0.065
     start, front = space.ahead - 0.02, space.ahead + 0.62 * space.shape.cab_length
@@ -144,77 +144,3 @@ def _peak(space: CargoSpace, material: str) -> Mesh:
         (front - 0.1, high - 0.3),
     ]
     return prism(outline, space.half - 0.006, material)
-
-
-def living_body(space: CargoSpace) -> Cargo:
-    """A motorhome: windows with dark frames, a bed over the cab, stripes, a hatch, vents on the roof, a rack behind."""
-    rng, out = space.rng(), Cargo()
-    s, add = space.shape, out.parts.append
-    well = s.track / 2 - s.wheel_width / 2 - 0.08
-    tower = Tower(
-        Plan(space.half, space.ahead + 0.02, space.end + 0.02, 0.0, 0.02, 0.05, 0.12), space.floor, s.height - 0.1,
-        edge=0.09, crown=0.02, well=well, stations=9, levels=3,
-    )  # fmt: skip
-    shell, w, _ = tower.surface("paint")
-    lining, rim = shell.carve_well(arch(s.rear_axle_x, s), well)
-    out.parts += [lining, parts.arch_lip(rim, (s.rear_axle_x, s.wheel_radius), "trim", shell.side)]
-    end, top = float(w[-1]), s.height - 0.1
-    shell.draw(rectangle(-1, 99, 0, space.floor + 0.1), WRAP, "rail")
-    tones = [TONES[k] for k in rng.choice(len(TONES), 2, replace=False)]
-    low, length = space.floor + 0.45, space.ahead - space.end
-    for tone, lift, wide in ((tones[0], 0.0, 0.16), (tones[1], 0.2, 0.05)):
-        sweep = [
-            (space.end + 0.1, low + lift + 0.3),
-            (space.ahead, low + lift),
-            (space.ahead, low + lift + wide),
-            (space.end + 0.1, low + lift + 0.3 + wide),
-        ]
-        shell.draw(sweep, SIDE, tone, layer=2, facing=_LEFT)
-    belt = space.floor + 0.95
-    for share, wide, high in ((0.16, 0.7, 0.5), (0.46, 0.9, 0.55), (0.84, 0.5, 0.45)):
-        x = space.end + share * length
-        shell.paint(
-            rectangle(x - wide / 2 - 0.04, x + wide / 2 + 0.04, belt - 0.04, belt + high + 0.04),
-            SIDE,
-            "trim",
-            facing=_LEFT,
-        )
-        shell.paint(rectangle(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=_LEFT)
-    hatch = space.end + 0.66 * length
-    shell.line(
-        [
-            (hatch - 0.3, space.floor + 0.15),
-            (hatch - 0.3, belt + 0.85),
-            (hatch + 0.3, belt + 0.85),
-            (hatch + 0.3, space.floor + 0.15),
-            (hatch - 0.3, space.floor + 0.15),
-        ],
-        SIDE,
-        width=0.014,
-        facing=_LEFT,
-    )
-    window = end - 0.62
-    shell.paint(rectangle(window - 0.05, end + 0.1, belt - 0.05, belt + 0.5), WRAP, "trim")
-    shell.paint(rectangle(window, end + 0.1, belt, belt + 0.45), WRAP, "glass_tinted")
-    corner = end - space.half
-    shell.draw(rectangle(corner + 0.1, corner + 0.2, top - 0.35, top - 0.22), WRAP, "brake_light", layer=2)
-    out.parts += [shell.half, _peak(replace(space, shape=replace(s, height=top)), "paint")]
-    front = space.ahead + 0.62 * s.cab_length
-    add(
-        box(
-            (front - 1.0, space.half - 0.03, space.cab_height + 0.3),
-            (front - 0.45, space.half + 0.004, space.cab_height + 0.55),
-            "glass_tinted",
-        )
-    )
-    for x in (space.end + 0.25 * length, space.end + 0.7 * length):
-        add(parts.block((x - 0.35, -0.35, top - 0.05), (x + 0.35, 0.35, s.height), "#dcdcda", 0.06))
-    # A rack for bicycles, half of it.
-    add(box((space.end, 0.62, belt - 0.5), (space.end + 0.05, 0.66, belt + 0.6), "rail"))
-    add(box((space.end, 0.0, belt - 0.5), (space.end + 0.05, 0.66, belt - 0.46), "rail"))
-    out.mark(
-        shell.place((corner, top - 0.115), WRAP)[0],
-        shell.place((window, belt), WRAP)[0],
-        shell.corner(BOTTOM, rear=True),
-    )
-    return out

@@ -33,6 +33,9 @@ class BusBody:
     the half in front of the hinge and, with `rear_half`, the one behind, whose shape has one axle.
     """
 
+    ridge = 0.0
+    """Of its `Tower`."""
+
     def __init__(self, shape: Shape, style: VehicleStyle, *, rear_half: bool = False) -> None:
         self.shape, self.style = shape, style
         self.has_front, self.has_rear = not rear_half, rear_half or style.trailer != "bus"
@@ -88,7 +91,9 @@ class BusBody:
         ]
         lean = [(share, side, ahead * has_front, behind * has_rear) for share, side, ahead, behind in lean]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
-        tower = Tower(plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, well=well, stations=9, levels=3)
+        tower = Tower(
+            plan, s.clearance, s.height, lean, edge=0.16, crown=0.05, ridge=self.ridge, well=well, stations=9, levels=3
+        )
         shell, w, _ = tower.surface("paint")
         out: list[Mesh] = []
         for axle in self._carved_axles() if has_front else (s.rear_axle_x,):

@@ -7,6 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
+from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.parts import block
@@ -75,7 +76,7 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     else:
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, _DECK, levels=(2.0, 3.0))
         for x in np.arange(space.end + 0.6, front - 0.3, 1.2).tolist():
-            shell.draw(rectangle(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE, "indicator_left", layer=2)
+            shell.draw(rectangle(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE, MARKER, layer=2)
     out.parts.append(shell.half)
     wall = min(deck + (1.45 if heavy else 0.85), space.shape.height - 0.25)
     out.parts += _headboard(front, space.half, deck - 0.03, wall)

@@ -13,6 +13,8 @@ TONES: Final = (
     "#9aa0a6", "#274b3a",
 )  # fmt: skip
 """Colours of the graphics."""
+MARKER: Final = "#d8902a"
+"""Colour of marker lamps along the sides, which do not blink."""
 _LEFT: Final = (0.0, 1.0, 0.0)
 _PLAIN: Final = 0.2
 """Share of bodies without graphics."""

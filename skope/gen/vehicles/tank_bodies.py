@@ -4,9 +4,9 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.cargo import Cargo, CargoSpace
+from skope.gen.vehicles.cargo import Cargo, CargoSpace, mudguards
 from skope.gen.vehicles.liveries import TONES
-from skope.gen.vehicles.solids import barrel, beam, ladder, mudguard, pipe, prism, ring
+from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism, ring
 
 
 def tank_body(space: CargoSpace) -> Cargo:
@@ -86,16 +86,7 @@ def _tank_fittings(
     add(ladder(space.end + 0.06, (0.0, 0.2), space.floor + 0.1, top, "chrome"))
     add(box((space.end + 0.06, 0.16, top - 0.04), (rear + 0.5, 0.2, top), "chrome"))
     add(box((space.end + 0.015, 0.42, space.floor + 0.3), (space.end + 0.05, 0.82, space.floor + 0.6), "#e07b18"))
-    out.parts += guards(space)
-
-
-def guards(space: CargoSpace) -> list[Mesh]:
-    """Curved mudguards over the rear axles of a body that leaves them bare."""
-    s = space.shape
-    y = (s.track / 2 - 1.6 * s.wheel_width, s.track / 2 + 0.6 * s.wheel_width)
-    spread = 78.0 if not space.style.axles else 58.0
-    axles = [space.rear_axle, *(space.rear_axle + ahead for ahead in space.style.axles)]
-    return [mudguard((x, s.wheel_radius), s.wheel_radius + 0.09, y, "trim", reach_deg=spread) for x in axles]
+    out.parts += mudguards(space)
 
 
 def mixer_body(space: CargoSpace) -> Cargo:
@@ -154,7 +145,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
     add(box((rear - 0.6, 0.55, top - 0.42), (rear - 0.05, 0.95, top - 0.38), "rail"))
     # The end of the frame, which carries the lamps.
     add(box((space.end + 0.04, 0.0, low - 0.22), (rear + 0.2, space.half - 0.12, low + 0.02), "trim"))
-    out.parts += guards(space)
+    out.parts += mudguards(space)
     out.mark(
         np.array([rear - 0.5, 0.55, top]),
         np.array([rear - 0.5, 0.55, top - 0.42]),

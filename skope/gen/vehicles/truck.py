@@ -10,6 +10,7 @@ from skope.gen.vehicles import front, parts
 from skope.gen.vehicles.cargo import CargoSpace
 from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
+from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
 from skope.gen.vehicles.lorry_parts import axle, cargo_body, side_guard, underrun_bar
@@ -87,6 +88,8 @@ class TruckBody:
         ]
         well = s.track / 2 - s.wheel_width / 2 - 0.06
         tower = Tower(plan, s.clearance, self.cab_height, lean, edge=0.11, crown=0.04, well=well, stations=7, levels=5)
+        if self.style.face:
+            tower = replace(tower, ridge=0.5)
         cab, w, _ = tower.surface("paint")
         if not s.hood_length:
             lining, rim = cab.carve_well(arch(s.front_axle_x, s), well)
@@ -99,7 +102,7 @@ class TruckBody:
                 cab.draw(
                     rectangle(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
                     WRAP,
-                    "#e8a030",
+                    MARKER,
                     layer=3,
                 )
         if self.style.body == "tractor":  # over the windscreen there is room for a bed

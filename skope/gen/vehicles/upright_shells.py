@@ -28,6 +28,8 @@ class Tower:
     """Radius between wall and roof."""
     crown: float = 0.02
     """How much higher the roof is in the middle."""
+    ridge: float = 0.0
+    """Distance from its ends within which the roof rises to its crown; 0: from the outline, which flat ends fold."""
     hollow: float | None = None
     """Height of the floor, of an open bed."""
     wall: float = 0.05
@@ -69,6 +71,9 @@ class Tower:
         else:
             for level, share in ((2.5, 0.5), (CENTER, 0.0)):
                 rise = self.crown * (1 - share**2) * (edge[:, 1] / edge[:, 1].max()) ** 1.5
+                if self.ridge:
+                    away = np.minimum(edge[:, 0] - edge[:, 0].min(), edge[:, 0].max() - edge[:, 0])
+                    rise = self.crown * (1 - share**2) * np.clip(away / self.ridge, 0, 1)
                 rows.append(edge * [1, share, 1] + np.stack([0 * rise, 0 * rise, rise], axis=-1))
                 levels.append(level)
         middle = outlines[len(outlines) // 2]

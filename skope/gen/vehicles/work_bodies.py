@@ -1,92 +1,19 @@
-"""Bodies of lorries that work in towns: refuse collectors, hook lifts with containers, car transporters' decks."""
+"""Bodies of lorries that change what they carry: hook lifts with containers, skip loaders, decks that carry cars."""
 
 from typing import Final
 
 import numpy as np
 
 from skope.gen.mesh import box
-from skope.gen.vehicles.cargo import Cargo, CargoSpace
-from skope.gen.vehicles.liveries import TONES, draw_graphics
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, TOP, WRAP, Plan
+from skope.gen.vehicles.cargo import BEACON, Cargo, CargoSpace, mudguards
+from skope.gen.vehicles.liveries import TONES
+from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
 from skope.gen.vehicles.panels import rectangle
-from skope.gen.vehicles.parts import arch_lip, block
+from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism
-from skope.gen.vehicles.tank_bodies import guards
-from skope.gen.vehicles.upright_shells import Tower, arch
+from skope.gen.vehicles.upright_shells import Tower
 
 _LEFT: Final = (0.0, 1.0, 0.0)
-_HOPPER: Final = 1.55
-"""Length of a refuse collector's hopper, metres."""
-BEACON: Final = "#e8861a"
-
-
-def refuse_body(space: CargoSpace) -> Cargo:
-    """A compacting body with ribs, and behind it a hopper: cheeks, the bin's edge, the comb that lifts, steps."""
-    rng, out = space.rng(), Cargo()
-    add, half, floor = out.parts.append, space.half - 0.03, space.floor
-    start, high = space.end + _HOPPER, space.shape.height - 0.12
-    tower = Tower(
-        Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08, edge=0.16, crown=0.05,
-        stations=3, levels=3,
-    )  # fmt: skip
-    shell, _, _ = tower.surface("livery")
-    draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)
-    shell.draw(rectangle(-1, 99, 0, floor + 0.14), WRAP, "trim")
-    add(shell.half)
-    for x in (space.ahead - 0.06, start + 0.02):
-        add(box((x - 0.06, half - 0.05, floor + 0.02), (x + 0.06, half + 0.012, high - 0.26), "livery"))
-    # The hopper's outline from its roof down the back to the bin, and forward under it; the opening lies between.
-    roof, lip = (space.end + 0.62, high), (space.end + 0.02, floor + 0.42)
-    under = max(floor - 0.14, space.shape.taillight_high + 0.09)
-    cheek = [(start, high), roof, (space.end + 0.2, floor + 1.35), lip, (space.end + 0.06, under), (start, under)]
-    add(prism(cheek, half, "livery", inner=half - 0.14))
-    inside = half - 0.139
-    add(
-        prism(
-            [(start, high), roof, (space.end + 0.45, high - 0.75), (start - 0.2, high - 0.75), (start, high - 0.6)],
-            inside,
-            "livery",
-        )
-    )
-    add(
-        prism(
-            [(start, high - 0.7), (start - 0.2, high - 0.76), (start - 0.55, floor + 0.5), (start, floor)],
-            inside,
-            "under",
-        )
-    )
-    add(
-        prism(
-            [(space.end + 0.08, floor + 0.4), (space.end + 0.1, under), (start, under), (start, floor + 0.1)],
-            inside,
-            "livery",
-        )
-    )
-    add(box((space.end + 0.02, 0.0, floor + 0.36), (space.end + 0.2, inside, floor + 0.46), "rail"))
-    for y in np.linspace(0.1, inside - 0.15, 5).tolist():
-        add(box((space.end + 0.0, y - 0.03, floor + 0.2), (space.end + 0.09, y + 0.03, floor + 0.6), "trim"))
-    # Hazard stripes and lamps on the cheeks, rails to hold on to, steps to stand on, the beacon.
-    for k, z in enumerate(np.linspace(floor + 0.5, floor + 1.2, 6).tolist()):
-        x = float(np.interp(z, [lip[1], floor + 1.35], [lip[0], space.end + 0.2]))
-        add(box((x - 0.012, half - 0.13, z), (x + 0.1, half - 0.01, z + 0.115), TONES[0] if k % 2 else "#f0f0ee"))
-    for z, lamp in ((high - 0.34, "brake_light"), (high - 0.5, "indicator_left")):
-        x = float(np.interp(z, [floor + 1.35, high], [space.end + 0.2, roof[0]]))
-        add(box((x - 0.03, half - 0.125, z), (x + 0.08, half - 0.015, z + 0.12), lamp))
-    add(
-        pipe(
-            (space.end + 0.5, half + 0.012, floor + 0.4), (space.end + 0.62, half + 0.012, floor + 1.5), 0.02, "#e3bd1c"
-        )
-    )
-    add(box((space.end + 0.12, half - 0.42, 0.42), (space.end + 0.5, half - 0.02, 0.47), "rail"))
-    add(box((space.end + 0.42, half - 0.3, 0.45), (space.end + 0.47, half - 0.24, under), "rail"))
-    add(block((roof[0] + 0.1, 0.62, high - 0.03), (roof[0] + 0.26, 0.78, space.shape.height), BEACON, 0.05))
-    out.parts += guards(space)
-    out.mark(
-        np.array([roof[0], half, roof[1]]),
-        np.array([space.end + 0.45, inside, high - 0.75]),
-        np.array([space.end + 0.06, half, under]),
-    )
-    return out
 
 
 def hook_body(space: CargoSpace) -> Cargo:
@@ -127,7 +54,7 @@ def hook_body(space: CargoSpace) -> Cargo:
     add(box((front + 0.22, 0.0, space.floor), (front + 0.42, 0.14, top), BEACON))
     add(beam((front + 0.32, 0.0, top - 0.04), (front - 0.05, 0.0, top + 0.0), 0.12, 0.07, BEACON))
     add(ladder(front + 0.06, (half - 0.45, half - 0.15), low + 0.1, high - 0.1, "rail"))
-    out.parts += guards(space)
+    out.parts += mudguards(space)
     corner = end - half + 0.07
     out.mark(
         np.array([space.end, half + 0.01, high + 0.02]),
@@ -178,73 +105,11 @@ def skip_body(space: CargoSpace) -> Cargo:
         add(pipe((knee[0] + 0.3, half - 0.14, knee[2] - 0.02), (x, wide + 0.02, z), 0.02, "chrome", sides=6))
     # Stabilisers, and the boxes over the rear axles.
     add(box((space.end + 0.3, half - 0.3, 0.55), (space.end + 0.5, half - 0.08, floor), "rail"))
-    out.parts += guards(space)
+    out.parts += mudguards(space)
     out.mark(
         np.array([knee[0] - 0.08, half - 0.02, knee[2] + 0.1]),
         np.array([base + 0.06, wide + 0.04, top + 0.02]),
         np.array([space.end + 0.1, half, floor - 0.02]),
-    )
-    return out
-
-
-def fire_body(space: CargoSpace) -> Cargo:
-    """A fire engine's body: shutters along the sides, a ladder on the roof, reflecting bands, lamps of its own."""
-    out = Cargo()
-    add, floor, high = out.parts.append, space.floor, space.shape.height - 0.3
-    well = space.shape.track / 2 - space.shape.wheel_width * 1.7
-    tower = Tower(
-        Plan(space.half - 0.01, space.ahead + 0.02, space.end + 0.02, 0.0, 0.0, 0.06, 0.05), floor, high, edge=0.06,
-        crown=0.02, well=well, stations=9, levels=3,
-    )  # fmt: skip
-    shell, w, _ = tower.surface("paint")
-    lining, rim = shell.carve_well(arch(space.rear_axle, space.shape), well)
-    out.parts += [lining, arch_lip(rim, (space.rear_axle, space.shape.wheel_radius), "trim", shell.side)]
-    end = float(w[-1])
-    sill, top = max(floor + 0.12, space.shape.wheel_radius * 2.2), high - 0.3
-    start, stop = space.end + 0.35, space.ahead - 0.2
-    count = 3
-    for k in range(count):
-        a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
-        shell.paint(rectangle(a, b, sill, top), SIDE, "cladding_grey", facing=_LEFT)
-        for z in np.arange(sill + 0.07, top, 0.09).tolist():
-            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=_LEFT)
-        shell.draw(rectangle(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=_LEFT)
-    band = rectangle(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
-    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=_LEFT)
-    edge = end - space.half + 0.3
-    shell.paint(rectangle(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
-    for z in np.arange(sill + 0.07, top, 0.09).tolist():
-        shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)
-    for z, lamp in ((high - 0.2, "brake_light"), (high - 0.36, "indicator_left")):
-        shell.draw(rectangle(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
-    add(shell.half)
-    # The ladder on its gantry, boxes beside it, and blue lamps over the cab and behind.
-    top = space.shape.height
-    for z in (high + 0.08, top - 0.07):
-        add(box((space.end + 0.2, 0.3, z), (space.ahead + 0.9, 0.36, z + 0.07), "chrome"))
-    for x in np.arange(space.end + 0.35, space.ahead + 0.8, 0.35).tolist():
-        add(box((x, 0.0, top - 0.06), (x + 0.04, 0.31, top - 0.02), "chrome"))
-    add(box((space.end + 0.6, 0.55, high - 0.04), (space.ahead - 0.6, space.half - 0.2, high + 0.2), "rail"))
-    bar = space.ahead + 0.45 * space.shape.cab_length
-    add(
-        box(
-            (bar - 0.15, 0.42, space.cab_height - 0.08),
-            (bar + 0.15, space.half - 0.25, space.cab_height + 0.12),
-            "#1b52d8",
-        )
-    )
-    add(
-        box(
-            (space.end + 0.1, space.half - 0.35, high - 0.04),
-            (space.end + 0.3, space.half - 0.15, high + 0.12),
-            "#1b52d8",
-        )
-    )
-    corner = end - space.half
-    out.mark(
-        shell.place((corner, high - 0.085), WRAP)[0],
-        shell.place((edge, sill), WRAP)[0],
-        shell.corner(BOTTOM, rear=True),
     )
     return out
 
@@ -269,11 +134,13 @@ def recovery_body(space: CargoSpace) -> Cargo:
     add(box((front - 0.02, 0.0, floor + 0.1), (front + 0.14, half - 0.05, floor + 0.95), "livery"))
     add(box((front - 0.03, 0.15, floor + 0.35), (front + 0.15, half - 0.3, floor + 0.75), "trim"))
     add(pipe((front + 0.28, 0.0, floor + 0.3), (front + 0.28, 0.4, floor + 0.3), 0.16, "trim"))
+    bar = space.ahead + 0.5 * space.shape.cab_length
+    add(box((bar - 0.12, 0.0, space.cab_height - 0.08), (bar + 0.12, half - 0.35, space.shape.height), BEACON))
     # Ramps, folded up behind; boxes for tools below the deck.
     add(box((space.end + 0.01, 0.5, floor - 0.1), (space.end + 0.08, half - 0.08, floor + 0.1), "trim"))
     chest = space.rear_axle + space.shape.wheel_radius + 0.25
     add(block((chest, half - 0.5, floor - 0.5), (chest + 0.9, half - 0.02, floor), "livery", 0.02))
-    out.parts += guards(space)
+    out.parts += mudguards(space)
     out.mark(
         np.array([space.end + 0.55, half - 0.005, floor + 0.26]),
         np.array([space.end + 0.5, half, floor + 0.16]),

@@ -139,6 +139,15 @@ def test_the_command_in_the_card_repeats_the_licence() -> None:
     assert words[words.index("--licence") + 1] == "our terms; see LICENCE"
 
 
+def test_the_card_lists_further_models_where_they_may_be_seen() -> None:
+    plain, more = content()["fleet"], content(further_models=True)["fleet"]
+    assert "truck_tanker" in set(more["held_out"]) - set(plain["held_out"])
+    assert "truck_mixer" in more["substituted"].keys() - plain["substituted"].keys()
+    assert set(plain["held_out"]) < set(more["held_out"])
+    asked = content(vehicles={"truck_mixer": ""}, vehicle_share=0.2)["fleet"]
+    assert asked["substituted"].keys() - plain["substituted"].keys() == {"truck_mixer"}
+
+
 @pytest.mark.parametrize(
     "changes",
     [

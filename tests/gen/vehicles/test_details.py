@@ -143,3 +143,16 @@ def test_front_plates_stand_before_the_front(model: str) -> None:
         reach, _ = first_hits(mesh, np.array([-1.0, 0.0, 0.0]), places)
         assert (-reach > low[0] - 1e-6).all()
         assert (-reach < high[0] + 1e-6).all(), (model, steps)
+
+
+@pytest.mark.parametrize("model", ["truck_platform", "truck_two_axle", "truck_long", "bus_double_deck"])
+def test_liveries_and_loads_follow_from_the_length(model: str) -> None:
+    """Vehicles of different lengths have different ones; one of the same shape is the same."""
+    looks = set()
+    for seed in range(8):
+        shape = jittered(model, np.random.default_rng(seed))
+        mesh = build(model, shape).mesh
+        again = replace(build(model, shape)).mesh  # type: ignore[type-var]
+        assert mesh.vertices.tobytes() == again.vertices.tobytes()
+        looks.add(tuple(sorted(mesh.materials)))
+    assert len(looks) >= 4
