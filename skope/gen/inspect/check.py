@@ -321,7 +321,9 @@ def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
         yield "keypoints: v = 0 with coordinates"
     if not annotation.ignored and annotation.bbox[2:].min() <= 0:
         yield f"bbox: has no area: width {annotation.bbox[2]:g}, height {annotation.bbox[3]:g}"
-    for k in np.flatnonzero(far_outside(annotation) & (v == 2)):
+    # Of a point in the outermost pixels the part that holds it may lie beyond the image, and so in no box.
+    inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
+    for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
         yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
     if annotation.area_full is not None and annotation.area > annotation.area_full:
         yield "area: more visible pixels than the whole silhouette has"

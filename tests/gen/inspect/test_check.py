@@ -172,6 +172,18 @@ def test_damaged_labels_are_found(damage: Callable[[Document], None], words: lis
     assert any(finding.startswith("annotations/medium.json: sha256") for finding in findings)
 
 
+@pytest.mark.parametrize(("x", "found"), [(-1.5, True), (-0.4, False)])
+def test_points_far_outside_are_found_but_in_the_outermost_pixels(x: float, found: bool, copy: Path) -> None:
+    """Of a mirror at the image's edge the part that holds the marked tip may lie beyond it."""
+    path = copy / "annotations" / "medium.json"
+    document = json.loads(path.read_text())
+    row = min(document["annotations"], key=lambda a: a["bbox"][0] + a["bbox"][2])
+    k = row["keypoints"][2::3].index(2)
+    row["keypoints"][3 * k : 3 * k + 2] = [document["images"][0]["width"] + x, 1.5]
+    path.write_text(json.dumps(document))
+    assert any("far outside of its" in str(finding) for finding in check(open_dataset(copy))) == found
+
+
 def an_image(root: Path) -> Path:
     return sorted((root / "images").rglob("*.jpg"))[0]
 
