@@ -74,6 +74,7 @@ def full_annotation() -> Annotation:
         occlusion=0.25,
         truncation=0.0,
         contrast=7.5,
+        articulation=-0.1234,
         ignore_reason="occluded",
     )
 
