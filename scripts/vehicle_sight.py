@@ -19,7 +19,7 @@ from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.raycast import Fan
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.vehicles.model import Vehicle, straight_mesh
 
 DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "keypoint_visibility.json"
 ELEVATIONS = np.radians([4, 10, 18, 28, 40, 55])
@@ -32,10 +32,13 @@ Array = np.ndarray
 
 
 def seen(vehicle: Vehicle, eye: Array) -> Array:
-    """(33,) whether an eye sees the keypoints; a wheel's at the middle of its outer face."""
+    """(33,) whether an eye sees the keypoints; a wheel's at the middle of its outer face, a trailer straight behind."""
     wheels = list(keypoints.WHEELS)
-    places = [np.zeros(3), *vehicle.points[wheels]]
-    corners = [part.vertices[part.triangles] + place for part, place in zip(vehicle.parts, places, strict=True)]
+    own, hitched = vehicle.parts[1:5], vehicle.parts[6:]
+    places = [*vehicle.shape.wheel_centers(), *vehicle.points[wheels[2:]][: len(hitched)]]
+    body = straight_mesh(vehicle)
+    corners = [body.vertices[body.triangles]]
+    corners += [part.vertices[part.triangles] + place for part, place in zip((*own, *hitched), places, strict=True)]
     targets = vehicle.points.copy()
     targets[wheels] += vehicle.wheel_face_offsets
     rays = targets - eye
@@ -57,12 +60,11 @@ def logistic(directions: Array, was_seen: Array) -> Array:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--azimuth-step", type=float, default=15, help="degrees between the eyes around a vehicle")
-    parser.add_argument("--further", action="store_true", help="with the further models of the fleet too")
     parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
     options = parser.parse_args()
     azimuths = np.radians(np.arange(0, 360, options.azimuth_step))
     kinds: dict[str, list[Vehicle]] = {}
-    for entry in fleet(further=options.further).values():
+    for entry in fleet().values():
         if not entry.held_out:
             kinds.setdefault(entry.vehicle.vehicle_type, []).append(entry.vehicle)
     lines = []

@@ -141,7 +141,11 @@ def test_each_edition_has_its_shapes() -> None:
     assert (first.edition, now.edition) == (1, 2)
     corner = keypoints.INDEX["bumper_front_left"]
     # Farther out and higher, by a few centimetres to a decimetre and more, on cars.
-    apart = (now.mean - first.mean)[[now.types.index(name) for name in ("sedan", "suv", "hatchback")], corner]
+    cars = ("sedan", "suv", "hatchback")
+    after, before = (
+        np.stack([shapes.mean[shapes.types.index(name), corner] for name in cars]) for shapes in (now, first)
+    )
+    apart = after - before
     assert (apart[:, 1] > 0.05).all()
     assert (apart[:, 2] > 0.05).all()
     for edition, shapes in ((1, first), (2, now)):

@@ -4,7 +4,14 @@ from collections.abc import Mapping
 from typing import Final
 
 CLASSES: Final = ("car", "van", "lorry", "bus", "unknown")
-OF_BODY_TYPE: Final[Mapping[str, str]] = {"van": "van", "box_truck": "lorry", "truck": "lorry", "bus": "bus"}
+OF_BODY_TYPE: Final[Mapping[str, str]] = {
+    "van": "van",
+    "box_truck": "lorry",
+    "truck": "lorry",
+    "articulated_truck": "lorry",
+    "bus": "bus",
+    "articulated_bus": "bus",
+}
 """Classes of body types that are no cars."""
 _INDEPENDENT: Final = 5.0
 """Poses of one vehicle are wrong together: a track has as much to say as so many that are independent, at most."""

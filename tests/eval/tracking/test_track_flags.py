@@ -9,6 +9,7 @@ import pytest
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracks import Track
 from skope.eval.tracking.vehicle_classes import CLASSES, vehicle_class
+from skope.schema import VEHICLE_TYPES
 
 
 def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = None) -> Track:
@@ -112,6 +113,12 @@ def test_classes_are_coarse_and_say_how_sure_they_are() -> None:
     assert vehicle_class({"hatchback": 20, "city_car": 15, "suv": 3}) == ("car", pytest.approx(5.5 / 6))
     assert vehicle_class({"truck": 8, "box_truck": 7, "bus": 1})[0] == "lorry"
     assert vehicle_class({"van": 30, "suv": 28})[0] == "unknown"
+
+
+@pytest.mark.parametrize("body_type", VEHICLE_TYPES)
+def test_no_heavy_vehicle_counts_as_a_car(body_type: str) -> None:
+    heavy = {"truck": "lorry", "bus": "bus"}.get(body_type.rpartition("_")[2])
+    assert vehicle_class({body_type: 9})[0] == (heavy or ("van" if body_type == "van" else "car"))
     few, many = vehicle_class({"bus": 2}), vehicle_class({"bus": 40})
     assert few[0] == many[0] == "bus"
     assert few[1] < many[1] < 1
