@@ -17,6 +17,7 @@ from skope.gen.scenery.roadside_boards import (
     direction_sign,
     phone_boxes,
     posts,
+    site_fence,
     ticket_machines,
 )
 from skope.gen.scenery.roadside_objects import (
@@ -205,7 +206,7 @@ def cabinets(rng: np.random.Generator) -> Mesh:
 def barriers(rng: np.random.Generator) -> Mesh:
     """Road works beside the road: red and white boards on feet with yellow or red lamps."""
     out, count = Solid(), int(rng.integers(1, 5))
-    lamp = str(rng.choice(["sign_yellow", "taillight", "#ff8800"]))
+    lamp = str(rng.choice(["sign_yellow", "taillight", "#ff8800", "luminaire"]))
     for k in range(count):
         x = 2.0 * (k - count / 2)
         for stripe in range(8):
@@ -280,6 +281,7 @@ STANDING: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
     arrow_trailer: 1.5,
     chevron_boards: 1.5,
     direction_sign: 1.5,
+    site_fence: 1.0,
     posts: 1.0,
     ticket_machines: 1.0,
     phone_boxes: 1.0,

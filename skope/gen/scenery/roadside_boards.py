@@ -145,6 +145,39 @@ def direction_sign(rng: np.random.Generator) -> Mesh:
     return out.mesh()
 
 
+def site_fence(rng: np.random.Generator) -> Mesh:
+    """One or two panels of a site's fence on concrete feet, of bars or of lettered boards, with lamps on top."""
+    count, long, top = int(rng.integers(1, 3)), 3.4, rng.uniform(1.9, 2.2)
+    boarded, lamp = rng.random() < 0.5, str(rng.choice(["luminaire", "#ff8800", "sign_red"]))
+    board = drawn_color(rng)
+    out = Solid()
+    for k in range(count):
+        x = long * (k - count / 2)
+        for at in (x + 0.05, x + long - 0.1):
+            out.box("zinc", (at, -0.03, BELOW), (at + 0.05, 0.03, top), without="-z")
+            out.box(lamp, (at - 0.05, -0.06, top), (at + 0.1, 0.06, top + 0.17))
+        for at in (x + 0.02, x + long - 0.32):
+            out.box("concrete", (at, -0.35, BELOW), (at + 0.3, 0.35, 0.13), without="-z")
+        if boarded:
+            out.box(board, (x + 0.1, -0.02, 0.15), (x + long - 0.1, 0.02, top - 0.05))
+            word = letters(rng.uniform(1.2, 2.6), rng.uniform(0.25, 0.5), rng)
+            out.add(word.placed((x + long - 0.4, 0.02 + LAYER, 1.1), TOWARDS_ROAD))
+        else:
+            for z in (0.2, 0.5 * top, top - 0.08):
+                out.box("zinc", (x + 0.1, -0.02, z), (x + long - 0.1, 0.02, z + 0.04), without="-x +x")
+            for at in np.arange(x + 0.2, x + long - 0.15, 0.14):
+                out.box("zinc", (at, -0.01, 0.2), (at + 0.015, 0.01, top - 0.08), without="-z +z")
+            _tape(out, (x + 0.1, x + long - 0.1), 1.0)
+    return out.mesh()
+
+
+def _tape(out: Solid, x: tuple[float, float], z: float) -> None:
+    """Red and white tape along a fence."""
+    edges = np.linspace(*x, 13)
+    for k, (left, right) in enumerate(itertools.pairwise(edges)):
+        out.box("sign_white" if k % 2 else "sign_red", (left, -0.035, z), (right, 0.035, z + 0.15), without="-x +x")
+
+
 def posts(rng: np.random.Generator) -> Mesh:
     """A row of posts with bands that shine: marker posts of road works, bollards of stone or of steel."""
     count, gap, high = int(rng.integers(3, 9)), rng.uniform(0.8, 1.2), rng.uniform(0.7, 1.15)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, grid, lathe, merged
+from skope.gen.mesh import Mesh, lathe, merged
 from skope.gen.scenery.printed_pictures import LAYER, drawn_color, letters
 from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
 from skope.types import Array
@@ -152,33 +152,33 @@ def covered_boat(rng: np.random.Generator) -> Mesh:
     """A boat on blocks and props under a cover with a ridge, its hull showing below."""
     x, y, top = rng.uniform(1.8, 3.0), rng.uniform(0.75, 1.1), rng.uniform(1.5, 2.1)
     keel, gunwale = 0.45, 0.55 * top
-    along = np.linspace(-1, 1, 15)
+    along = np.concatenate([np.linspace(-1, 0.4, 10), [0.55, 0.68, 0.79, 0.88, 0.95, 1.0]])
     beam = y * np.minimum(1.0, 1.25 * np.sqrt(1.0005 - along))
     sheer = gunwale + 0.18 * np.clip(along, 0, None) ** 2
     rocker = keel + 0.7 * (sheer - keel) * np.clip(along, 0, None) ** 4
-    ridge = sheer + (top - gunwale) * (1 - 0.6 * np.abs(along) ** 2.5) + rng.normal(0, 0.012, 15)
+    ridge = sheer + (top - gunwale) * (1 - 0.6 * np.abs(along) ** 2.5) + rng.normal(0, 0.012, len(along))
     ring = [(1.0, sheer), (0.75, rocker + 0.3 * (sheer - rocker)), (0.0, rocker)]
     cloth = [(1.04, sheer - 0.15), (1.04, sheer), (0.5, sheer + 0.6 * (ridge - sheer)), (0.0, ridge)]
     hull = [*ring, *((-share, z) for share, z in ring[-2::-1])]
     cover = [*((-share, z) for share, z in cloth), *cloth[-2::-1]]
-    parts = []
+    out = Solid()
     for color, section, long in ((drawn_color(rng), hull, x), (drawn_color(rng), cover, x + 0.04)):
-        points = np.array([np.column_stack([long * along, share * beam, z]) for share, z in section])
-        middles = points[:, [0, -1]].mean(axis=0)
-        pieces = (points, *(np.stack(end, axis=1) for end in _ends(points, middles)))
-        parts += [grid(piece, [[color] * (piece.shape[1] - 1)] * (len(piece) - 1)) for piece in pieces]
-    props = Solid()
+        _tube(out, color, np.array([np.column_stack([long * along, share * beam, z]) for share, z in section]))
     for at in (-0.6 * x, 0.3 * x):
-        props.box("timber", (at, -0.2, BELOW), (at + 0.25, 0.2, keel + 0.04), without="-z")
+        out.box("timber", (at, -0.2, BELOW), (at + 0.25, 0.2, keel + 0.04), without="-z")
         for side in (-0.6 * y, 0.6 * y):
-            props.box("iron", (at, side - 0.04, BELOW), (at + 0.08, side + 0.04, keel + 0.3 * (gunwale - keel)), "-z")
-    return merged([*parts, props.mesh()])
+            out.box("iron", (at, side - 0.04, BELOW), (at + 0.08, side + 0.04, keel + 0.3 * (gunwale - keel)), "-z")
+    return out.mesh()
 
 
-def _ends(points: Array, middles: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Columns of the two fans that close a tube (R, C, 3), around the middles (2, 3) of its ends."""
-    first, last = (np.broadcast_to(middle, points[:, 0].shape) for middle in middles)
-    return (first, points[:, 0]), (points[:, -1], last)
+def _tube(out: Solid, color: str, points: Array) -> None:
+    """A closed tube of facets around rings, the columns of a grid of points (R, C, 3)."""
+    around = np.concatenate([points, points[:1]])
+    a, b, c, d = around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]
+    out.faces(color, np.stack([a, b, c, d], axis=2).reshape(-1, 4, 3))
+    for first, *ring in (points[:, 0], points[::-1, -1]):
+        for one, other in itertools.pairwise(ring):
+            out.face(color, first, one, other)
 
 
 def covered_caravan(rng: np.random.Generator) -> Mesh:
