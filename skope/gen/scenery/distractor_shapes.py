@@ -10,13 +10,31 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, grid, lathe, merged
 from skope.gen.scenery.printed_pictures import LAYER, drawn_color, letters, logo, poster
-from skope.gen.scenery.quads import Solid
+from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
+from skope.gen.scenery.roadside_boards import (
+    arrow_trailer,
+    chevron_boards,
+    direction_sign,
+    phone_boxes,
+    posts,
+    site_fence,
+    ticket_machines,
+)
+from skope.gen.scenery.roadside_objects import (
+    bales,
+    concrete_barriers,
+    covered_boat,
+    covered_caravan,
+    garages,
+    generator,
+    gravestones,
+    kerb_stones,
+    market_stall,
+    portable_toilets,
+    recessed_wall,
+)
 from skope.gen.scenery.street_furniture import bus_shelter, cabinet
 
-BELOW: Final = -0.4
-"""How deep things reach into the ground, metres."""
-TOWARDS_ROAD: Final = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-"""Axes of a panel whose front looks to +y."""
 _DARK: Final = "#222222"
 
 
@@ -188,7 +206,7 @@ def cabinets(rng: np.random.Generator) -> Mesh:
 def barriers(rng: np.random.Generator) -> Mesh:
     """Road works beside the road: red and white boards on feet with yellow or red lamps."""
     out, count = Solid(), int(rng.integers(1, 5))
-    lamp = str(rng.choice(["sign_yellow", "taillight", "#ff8800"]))
+    lamp = str(rng.choice(["sign_yellow", "taillight", "#ff8800", "luminaire"]))
     for k in range(count):
         x = 2.0 * (k - count / 2)
         for stripe in range(8):
@@ -260,5 +278,23 @@ STANDING: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
     transformer: 1.5,
     cabinets: 1.0,
     barriers: 2.5,
+    arrow_trailer: 1.5,
+    chevron_boards: 1.5,
+    direction_sign: 1.5,
+    site_fence: 1.0,
+    posts: 1.0,
+    ticket_machines: 1.0,
+    phone_boxes: 1.0,
+    garages: 1.5,
+    concrete_barriers: 1.5,
+    kerb_stones: 1.0,
+    portable_toilets: 1.0,
+    generator: 1.0,
+    covered_boat: 1.0,
+    covered_caravan: 0.7,
+    market_stall: 1.0,
+    bales: 1.0,
+    recessed_wall: 1.0,
+    gravestones: 0.7,
 }
 """What stands on the ground, with its share."""

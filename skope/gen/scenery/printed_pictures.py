@@ -115,7 +115,7 @@ def vehicle_from_side(rng: np.random.Generator) -> Solid:
 
     def put(color: str, outline: ArrayLike, z: float) -> None:
         points = np.asarray(outline, dtype=np.float64)
-        _outline(out, color, (np.array([1.0, 0.0]) + np.array([-1.0, 1.0]) * points)[::-1] if mirrored else points, z)
+        filled(out, color, (np.array([1.0, 0.0]) + np.array([-1.0, 1.0]) * points)[::-1] if mirrored else points, z)
 
     for part in body:
         put(paint, part, 0.0)
@@ -125,8 +125,8 @@ def vehicle_from_side(rng: np.random.Generator) -> Solid:
     put("#ffeecc", _rectangle(0.005, lamp, 0.045, 0.03), LAYER)
     put("#aa1111", _rectangle(0.955, lamp, 0.04, 0.04), LAYER)
     for x in wheels:
-        put("#111111", _disc(x, 0.085, 0.082), 2 * LAYER)
-        put("#999999", _disc(x, 0.085, 0.048), 3 * LAYER)
+        put("#111111", disc(x, 0.085, 0.082), 2 * LAYER)
+        put("#999999", disc(x, 0.085, 0.048), 3 * LAYER)
     return out
 
 
@@ -135,15 +135,15 @@ def vehicle_from_front(rng: np.random.Generator) -> Solid:
     paint, rear = drawn_color(rng), rng.random() < 0.35
     out = Solid()
     for x in (0.06, 0.76):
-        _outline(out, "#111111", _rectangle(x, 0.0, 0.18, 0.16), 0.0)
+        filled(out, "#111111", _rectangle(x, 0.0, 0.18, 0.16), 0.0)
     for part in _BODY_FRONT:
-        _outline(out, paint, part, LAYER)
-    _outline(out, "#223344", ((0.14, 0.48), (0.86, 0.48), (0.75, 0.73), (0.25, 0.73)), 2 * LAYER)
+        filled(out, paint, part, LAYER)
+    filled(out, "#223344", ((0.14, 0.48), (0.86, 0.48), (0.75, 0.73), (0.25, 0.73)), 2 * LAYER)
     for x in (0.04, 0.76):
-        _outline(out, "#bb1111" if rear else "#ffffee", _rectangle(x, 0.31, 0.2, 0.09), 2 * LAYER)
+        filled(out, "#bb1111" if rear else "#ffffee", _rectangle(x, 0.31, 0.2, 0.09), 2 * LAYER)
     if not rear:
-        _outline(out, "#222222", _rectangle(0.28, 0.28, 0.44, 0.12), 2 * LAYER)
-    _outline(out, "#eeeedd", _rectangle(0.37, 0.17, 0.26, 0.07), 2 * LAYER)
+        filled(out, "#222222", _rectangle(0.28, 0.28, 0.44, 0.12), 2 * LAYER)
+    filled(out, "#eeeedd", _rectangle(0.37, 0.17, 0.26, 0.07), 2 * LAYER)
     return out
 
 
@@ -154,30 +154,30 @@ def logo(rng: np.random.Generator) -> Solid:
         size, color, z = 0.5 * 0.62**k, drawn_color(rng), k * LAYER
         form = int(rng.integers(4))
         if form == 0:
-            _outline(out, color, _disc(0.5, 0.5, size), z)
+            filled(out, color, disc(0.5, 0.5, size), z)
         elif form == 1:
-            _outline(out, color, _rectangle(0.5 - size, 0.5 - 0.6 * size, 2 * size, 1.2 * size), z)
+            filled(out, color, _rectangle(0.5 - size, 0.5 - 0.6 * size, 2 * size, 1.2 * size), z)
         elif form == 2:
-            _outline(out, color, ((0.5 - size, 0.5 - size), (0.5 + size, 0.5 - size), (0.5, 0.5 + size)), z)
+            filled(out, color, ((0.5 - size, 0.5 - size), (0.5 + size, 0.5 - size), (0.5, 0.5 + size)), z)
         else:
             for y in (-0.8, -0.2, 0.4):
-                _outline(out, color, _rectangle(0.5 - size, 0.5 + y * size, 2 * size, 0.35 * size), z)
+                filled(out, color, _rectangle(0.5 - size, 0.5 + y * size, 2 * size, 0.35 * size), z)
     return out
 
 
-def letters(width: float, height: float, rng: np.random.Generator) -> Solid:
-    """A row of strokes that looks like a word from afar."""
-    out, x, color = Solid(), 0.0, drawn_color(rng, 0.5)
+def letters(width: float, height: float, rng: np.random.Generator, color: str | None = None) -> Solid:
+    """A row of strokes that looks like a word from afar, of a colour or of a drawn one."""
+    out, x, color = Solid(), 0.0, color or drawn_color(rng, 0.5)
     while x + 0.7 * height < width:
         wide = height * rng.uniform(0.35, 0.7)
-        _outline(out, color, _rectangle(x, 0.0, 0.22 * height, height), 0.0)
+        filled(out, color, _rectangle(x, 0.0, 0.22 * height, height), 0.0)
         for y in rng.choice([0.0, 0.4, 0.8], int(rng.integers(0, 3)), replace=False):
-            _outline(out, color, _rectangle(x + 0.22 * height, y * height, wide, 0.2 * height), 0.0)
+            filled(out, color, _rectangle(x + 0.22 * height, y * height, wide, 0.2 * height), 0.0)
         x += wide + 0.5 * height
     return out
 
 
-def _outline(out: Solid, color: str, outline: ArrayLike, z: float) -> None:
+def filled(out: Solid, color: str, outline: ArrayLike, z: float) -> None:
     """Fill a convex outline (N, 2), counter-clockwise."""
     points = np.column_stack([np.asarray(outline, dtype=np.float64), np.full(len(np.asarray(outline)), z)])
     for i in range(1, len(points) - 1, 2):
@@ -188,6 +188,7 @@ def _rectangle(x: float, y: float, width: float, height: float) -> _Outline:
     return ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
 
 
-def _disc(x: float, y: float, radius: float) -> Array:
+def disc(x: float, y: float, radius: float) -> Array:
+    """(12, 2) outline of a disc."""
     angle = np.arange(12) * np.pi / 6
     return np.array([x, y]) + radius * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,5 +1,6 @@
 """Quadrilaterals collected by material: what houses and street furniture are put together from."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Final
 
@@ -9,6 +10,10 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, merged, quads
 from skope.types import Array
 
+BELOW: Final = -0.4
+"""How deep things that stand on the ground reach into it, metres."""
+TOWARDS_ROAD: Final = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+"""Axes of a panel whose front looks to +y."""
 _FACES: Final = {
     "-x": (0, 4, 6, 2),
     "+x": (1, 3, 7, 5),
@@ -44,6 +49,19 @@ class Solid:
         ends = np.array([low, high], dtype=np.float64)
         corners = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
         self.faces(material, corners[[index for name, index in _FACES.items() if name not in without.split()]])
+
+    def extrude(self, material: str, profile: Sequence[tuple[float, float]], x: tuple[float, float]) -> None:
+        """A profile that is the same to both sides, along x: half widths and heights from its open foot to its top."""
+        low, high = x
+        for (y0, z0), (y1, z1) in itertools.pairwise(profile):
+            self.face(material, (high, y0, z0), (low, y0, z0), (low, y1, z1), (high, y1, z1))
+            self.face(material, (low, -y0, z0), (high, -y0, z0), (high, -y1, z1), (low, -y1, z1))
+            if z1 > z0:
+                self.face(material, (low, y0, z0), (low, -y0, z0), (low, -y1, z1), (low, y1, z1))
+                self.face(material, (high, -y0, z0), (high, y0, z0), (high, y1, z1), (high, -y1, z1))
+        y, z = profile[-1]
+        if y > 0:
+            self.face(material, (low, -y, z), (high, -y, z), (high, y, z), (low, y, z))
 
     def recess(self, material: str, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> None:
         """The four sides of a rectangular hole that runs along z, seen from inside it."""
