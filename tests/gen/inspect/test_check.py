@@ -172,6 +172,20 @@ def test_damaged_labels_are_found(damage: Callable[[Document], None], words: lis
     assert any(finding.startswith("annotations/medium.json: sha256") for finding in findings)
 
 
+def test_test_splits_may_share_a_site_and_none_shares_one_with_training(copy: Path) -> None:
+    annotations = copy / "annotations"
+    first = json.loads((annotations / "medium.json").read_text())["images"][0]["site"]
+    document = json.loads((annotations / "train.json").read_text())
+    for image in document["images"]:
+        image["site"] = first
+    for split, found in (("easy", False), ("train", True)):
+        path = annotations / f"{split}.json"
+        kept = path.read_text() if path.exists() else None
+        path.write_text(json.dumps(document))
+        assert any("stands in split" in str(finding) for finding in check(open_dataset(copy))) == found
+        path.unlink() if kept is None else path.write_text(kept)
+
+
 @pytest.mark.parametrize(("x", "found"), [(-1.5, True), (-0.4, False)])
 def test_points_far_outside_are_found_but_in_the_outermost_pixels(x: float, found: bool, copy: Path) -> None:
     """Of a mirror at the image's edge the part that holds the marked tip may lie beyond it."""
