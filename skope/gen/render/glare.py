@@ -27,8 +27,10 @@ HAZY: Final = 2000.0
 """Lamps glare by day too when the visibility is below this, metres."""
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
-_SMEARED: Final = 0.07
-"""Share of a lamp's glare that dirty glass spreads far around it."""
+_SMEARED: Final = 6.0
+"""How much of lamps' glare dirty glass spreads far around them, as a factor on its mean there."""
+_FAR: Final = 0.06
+"""How far that is, as a share of the image's width."""
 _FULL: Final = 15.0
 """Distance up to which lamps glare at their strongest, metres."""
 _LEAST: Final = 0.006
@@ -72,6 +74,8 @@ class Glare:
         self._add_lamps(light, signals, depth, None)
         if not light.any():
             return rgb
+        if self._dirt:
+            light += _SMEARED * self._dirt * _far_around(light)
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
         rows = np.flatnonzero(veil.any(axis=(1, 2)))
         first, end = COARSE * int(rows[0]), min(COARSE * int(rows[-1] + 1), rgb.shape[0])
@@ -108,8 +112,6 @@ class Glare:
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
             _add_spread_light(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
-            if self._dirt:
-                _add_spread_light(light, pixels[i] / COARSE, 16.0 * scale, _SMEARED * self._dirt * strength * color)
 
     @staticmethod
     def _is_hidden(
@@ -119,6 +121,14 @@ class Glare:
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False
         return bool(depth[row, column] < z - _SLACK)
+
+
+def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light on the grid (h, w, 3), blurred so that little of its places is left."""
+    height, width = light.shape[:2]
+    small = cv2.resize(light, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
+    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR * small.shape[1], 0.5))
+    return np.asarray(cv2.resize(wide, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 @lru_cache(maxsize=64)

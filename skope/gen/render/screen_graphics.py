@@ -24,7 +24,7 @@ class ScreenGraphics:
 
     def __init__(self, recording: Recording) -> None:
         count, camera = round(recording.conditions.screen_graphics), recording.camera
-        self._ink: NDArray[np.float32] | None = None
+        self._ink: Image | None = None
         if count:
             rng = recording.rng(Stream.SCREEN_GRAPHICS)
             ink = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
@@ -34,14 +34,15 @@ class ScreenGraphics:
                 draw(ink, mark, rng)
                 opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
                 cover = np.maximum(cover, (mark * np.float32(opaque)).astype(np.uint8))
-            self._cover = (cover / np.float32(255)).astype(np.float32)[..., None]
-            self._ink = np.asarray(ink * self._cover, dtype=np.float32)
+            covers = np.repeat(cover[..., None], 3, axis=-1)
+            self._seen = np.asarray(cv2.bitwise_not(covers), dtype=np.uint8)
+            self._ink = np.asarray(cv2.multiply(ink, covers, scale=1 / 255), dtype=np.uint8)
 
     def draw(self, rgb: Image) -> Image:
         """The picture (H, W, 3) with the graphics over it; the very same array where there are none."""
         if self._ink is None:
             return rgb
-        return np.asarray(rgb * (1 - self._cover) + self._ink, dtype=np.uint8)
+        return np.asarray(cv2.add(cv2.multiply(rgb, self._seen, scale=1 / 255), self._ink), dtype=np.uint8)
 
 
 def _color(rng: np.random.Generator) -> tuple[int, int, int]:

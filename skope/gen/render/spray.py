@@ -66,11 +66,16 @@ class Spray:
         tiled = np.tile(self._mottle, (-(-rows // _TILE) + 1, -(-columns // _TILE) + 1))
         # The pattern moves on from frame to frame.
         y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
-        veil = 1 - np.exp(-thick * tiled[y : y + rows, x : x + columns])
-        veil = cv2.resize(veil, (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
-        cover = veil[: rgb.shape[0], : rgb.shape[1], None]
-        light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0).astype(np.float32)
-        return np.asarray(rgb + cover * (light - rgb), dtype=np.uint8)
+        veil = 255 * (1 - np.exp(-thick * tiled[y : y + rows, x : x + columns]))
+        veil = cv2.resize(veil.astype(np.uint8), (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
+        light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
+        veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))
+        if len(veiled):
+            there = slice(int(veiled[0]), int(veiled[-1]) + 1)
+            cover = cv2.cvtColor(np.ascontiguousarray(veil[there, : rgb.shape[1]]), cv2.COLOR_GRAY2RGB)
+            cloud = cv2.multiply(cover, np.array([*light, 0.0]), scale=1 / 255)
+            rgb[there] = cv2.add(cv2.multiply(rgb[there], cv2.bitwise_not(cover), scale=1 / 255), cloud)
+        return rgb
 
     def _add_plume(
         self,
