@@ -26,6 +26,10 @@ _CORNER_BAND: Final = 0.15
 """Height above and below a bumper's marker within which it is looked for, metres."""
 BACK_SHARE: Final = 0.002
 """Share of rays from outside that may meet a triangle's back first."""
+SIZE_M: Final = 0.03
+"""How far a mesh's length and height may be from what the shape says, metres."""
+ROD_M: Final = 0.01
+"""Half of the width of what counts as a rod on the middle of a roof, metres."""
 GRAZING: Final = 0.1
 """Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's edge."""
 PARTS: Final = {
@@ -109,14 +113,15 @@ def _class(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _size(vehicle: Vehicle) -> Iterator[str]:
-    mesh = straight_mesh(vehicle)
-    low_corner, high_corner = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    vertices = straight_mesh(vehicle).vertices
     length, _, height = straight_lwh(vehicle)
+    # A rod antenna is not counted, as vehicles' papers do not.
+    rod = (vertices[:, 2] > height + SIZE_M) & (np.abs(vertices[:, 1]) < ROD_M)
     for name, found, said in (
-        ("length", high_corner[0] - low_corner[0], length),
-        ("height", high_corner[2], height),
+        ("length", np.ptp(vertices[:, 0]), length),
+        ("height", vertices[~rod, 2].max(), height),
     ):
-        if abs(found - said) > 0.03:
+        if abs(found - said) > SIZE_M:
             yield f"mesh: its {name} is {found:.2f} m, the shape says {said:.2f} m"
 
 

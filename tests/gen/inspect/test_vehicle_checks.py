@@ -95,6 +95,13 @@ def test_distances_to_surfaces_agree_with_another_way_of_working_them_out() -> N
         assert distance_to_surface(point, triangles) == pytest.approx(distance_to_triangles(point, triangles), abs=1e-9)
 
 
+@pytest.mark.parametrize(("model", "seed"), [("van", 9), ("suv", 9)])
+def test_rod_antennas_do_not_count_in_a_height(model: str, seed: int) -> None:
+    vehicle = build(model, jittered(model, np.random.default_rng(seed)))
+    assert vehicle.mesh.vertices[:, 2].max() > vehicle.size_lwh[2] + 0.1
+    assert not list(findings(vehicle))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("vehicle_type", sorted({entry.vehicle.vehicle_type for entry in fleet().values()}))
 def test_200_shapes_of_each_type_are_without_findings(vehicle_type: str) -> None:
