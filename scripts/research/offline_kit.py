@@ -16,7 +16,6 @@ import argparse
 import re
 import shutil
 import subprocess
-import sys
 import tarfile
 import tempfile
 import zipfile
@@ -119,7 +118,7 @@ def main() -> None:
     options = parser.parse_args()
     for package in ("libsumo", "pybullet"):
         if not list(options.wheels.glob(f"{package}-*.whl")):
-            sys.exit(parser.error(f"{options.wheels}: no wheel of {package}"))
+            parser.error(f"{options.wheels}: no wheel of {package}")
     with tempfile.TemporaryDirectory() as scratch:
         site = Path(scratch)
         unpack(options.wheels, site)

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
+from skope.gen.render.glare import COARSE
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
 from skope.types import Array
 
-COARSE: Final = 4
-"""Pixels of the image per cell of the grid, on each axis."""
 _LEAST_SPEED: Final = 5.0
 """Tyres throw up nothing that stays in the air below this, m/s."""
 _FULL_SPEED: Final = 18.0
@@ -44,9 +43,13 @@ class Spray:
     def __init__(self, camera: Camera, conditions: Conditions) -> None:
         self._camera = camera
         self._amount = conditions.spray * conditions.wetness
-        noise = np.random.default_rng(23).standard_normal((_TILE, _TILE)).astype(np.float32)
-        soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[_TILE : 2 * _TILE, _TILE : 2 * _TILE]
-        self._mottle = np.asarray(np.clip(1 + _MOTTLED * soft / soft.std(), 0.1, 3.0), dtype=np.float32)
+        if self._amount > 0:
+            noise = np.random.default_rng(23).standard_normal((_TILE, _TILE)).astype(np.float32)
+            soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[_TILE : 2 * _TILE, _TILE : 2 * _TILE]
+            mottle = np.clip(1 + _MOTTLED * soft / soft.std(), 0.1, 3.0).astype(np.float32)
+            # As large as the grid and a tile more: frames show windows of it.
+            tiles = [-(-side // (COARSE * _TILE)) + 1 for side in (camera.height, camera.width)]
+            self._mottle = np.tile(mottle, tiles)
 
     def drift(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], moment: Moment, frame: int
@@ -63,10 +66,9 @@ class Spray:
         if not thick.any():
             return rgb
         rows, columns = shown.shape
-        tiled = np.tile(self._mottle, (-(-rows // _TILE) + 1, -(-columns // _TILE) + 1))
         # The pattern moves on from frame to frame.
         y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
-        veil = 255 * (1 - np.exp(-thick * tiled[y : y + rows, x : x + columns]))
+        veil = 255 * (1 - np.exp(-thick * self._mottle[y : y + rows, x : x + columns]))
         veil = cv2.resize(veil.astype(np.uint8), (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
         light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
         veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))

@@ -106,7 +106,6 @@ class GLRenderer:
             }
         if recording.conditions.snow_cover > 0:
             self._options += ("SNOW",)
-            self._uniforms["u_snow"] = recording.conditions.snow_cover
         if background.mirrored_depth:
             self._reflections = Reflections(
                 self._device, camera, background.road, background.mirrored_depth, *self._options

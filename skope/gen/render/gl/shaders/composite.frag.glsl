@@ -55,7 +55,8 @@ void main() {
     sunlit *= lit(u_vehicle_sun_map, u_sun_at + v_sun_ray * depth, u_texel);
     vec2 open_at = u_open_at + v_ray.xy * (depth * u_open_scale);
     // Beyond the map nothing is taken; its rim would stretch to the horizon.
-    float open = all(lessThan(abs(open_at - 0.5), vec2(0.5))) ? texture(u_open, open_at).r : 1.0;
+    bool on_map = all(lessThan(abs(open_at - 0.5), vec2(0.5)));
+    float open = on_map ? texture(u_open, open_at).r : 1.0;
     // The map holds for the road; walls and poles beside a vehicle see more of the sky the higher up they are.
     float above = clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0);
     float kept = mix(open, 1.0, above), through = 1.0;
@@ -69,7 +70,7 @@ void main() {
     ambient *= kept;
 #endif
 #ifdef LAMPS
-    float beam = (all(lessThan(abs(open_at - 0.5), vec2(0.5))) ? texture(u_beams, open_at).r : 0.0) * (1.0 - above);
+    float beam = (on_map ? texture(u_beams, open_at).r : 0.0) * (1.0 - above);
     ambient += u_beam_light * (beam * scenery.a * through);
 #endif
 #endif
