@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.gen.render.rain import smaller
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
 
@@ -42,7 +43,7 @@ class LensDirt:
         if self._sharp is None:
             return rgb
         height, width = rgb.shape[:2]
-        small = cv2.resize(rgb, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
+        small = smaller(rgb, 8)
         soft = cv2.GaussianBlur(small, (0, 0), _SOFT * small.shape[1]).astype(np.float32)
         mean = soft.mean(axis=(0, 1))
         soft = np.clip(soft * (1 - _VEIL) + _VEIL * 1.6 * mean, 0, 255).astype(np.uint8)

@@ -12,8 +12,8 @@ from skope.gen.scene.recording import Recording
 
 Image = NDArray[np.uint8]
 
-_FIELD: Final = 1.25
-"""Size of the field that streaks are drawn on, in sizes of the image; each frame shows a window of it."""
+FIELD: Final = 1.25
+"""Size of the field that what falls is drawn on, in sizes of the image; each frame shows a window of it."""
 _STREAKS: Final = 12000
 """Number of streaks in the field of a 1920x1080 image, in rain of 10 mm/h."""
 _EXPOSED: Final = (0.012, 0.025)
@@ -67,7 +67,7 @@ def fallen(rgb: Image, field: Image, rng: np.random.Generator) -> Image:
     y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
     window = field[y : y + height, x : x + width]
     # Drops show the light around them, which stands out before what is neither bright itself nor in the dark.
-    small = cv2.cvtColor(_smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
+    small = cv2.cvtColor(smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
     around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
     light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
     grey = cv2.multiply(window, light, scale=1 / 255)
@@ -77,7 +77,7 @@ def fallen(rgb: Image, field: Image, rng: np.random.Generator) -> Image:
 @lru_cache(maxsize=2)
 def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Image:
     """A field of streaks, from long faint ones of drops near the camera to short ones far away."""
-    width, height = (round(_FIELD * side) for side in size)
+    width, height = (round(FIELD * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(17)
     count = int(_STREAKS * (rate / 10) ** 0.6)
@@ -103,10 +103,11 @@ def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: flo
 
 
 def _out_of_focus(rgb: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(_smaller(rgb, 8), (0, 0), 1.5), dtype=np.uint8)
+    return np.asarray(cv2.GaussianBlur(smaller(rgb, 8), (0, 0), 1.5), dtype=np.uint8)
 
 
-def _smaller(rgb: Image, times: int) -> Image:
+def smaller(rgb: Image, times: int) -> Image:
+    """A picture (H, W, 3) at a fraction of its width and height."""
     size = (max(rgb.shape[1] // times, 1), max(rgb.shape[0] // times, 1))
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 

@@ -7,14 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.render.rain import fallen
+from skope.gen.render.rain import FIELD, fallen
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
 
 Image = NDArray[np.uint8]
 
-_FIELD: Final = 1.25
-"""Size of the field that flakes are drawn on, in sizes of the image; each frame shows a window of it."""
 _FLAKES: Final = 7000
 """Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
 _FALL: Final = 1.3
@@ -50,7 +48,7 @@ class Snowfall:
 @lru_cache(maxsize=2)
 def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Image:
     """A field of flakes, each as long as it moves while the shutter is open."""
-    width, height = (round(_FIELD * side) for side in size)
+    width, height = (round(FIELD * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(19)
     count = int(_FLAKES * rate**0.7)
