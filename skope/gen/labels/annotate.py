@@ -37,8 +37,8 @@ SLOPE_CAP: Final = 5.0
 MIN_PIXELS: Final = 20
 """Vehicles with fewer visible pixels are ignored as `small`."""
 MIN_CONTRAST: Final = 1.0
-"""Vehicles whose visible pixels change by less than this on average, in standard deviations of the camera's noise, are
-ignored as `unseen`."""
+"""Vehicles whose visible pixels change by less than this on average, in units of what the camera's noise and its stream's
+compression hide, are ignored as `unseen`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +171,8 @@ def _find_hidden(
 
     Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
     them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
-    point's own pixel shows it. `inside` (N, 33) are the keypoints in the image.
+    point's own pixel shows it, or where all four show what stands before the point and one of them scenery: the ray
+    that passes by the edge of a road user meets that. `inside` (N, 33) are the keypoints in the image.
     """
     blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
     hidden: Mask = blocked[0].copy()
@@ -184,6 +185,7 @@ def _find_hidden(
         away = np.linalg.norm(points - camera.position, axis=-1)
         hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
         hidden[doubtful] = away - hits > POINT_TOLERANCE
+        hidden |= blocked.all(axis=0) & (shown == STATIC).any(axis=0)
     if beyond.any():
         # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
         to_center, at_center = behind(view, camera, world.points[beyond])

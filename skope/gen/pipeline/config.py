@@ -15,6 +15,7 @@ from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
+from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
@@ -140,7 +141,7 @@ class DatasetRequest:
 
     def _plan(self, name: str, index: int, frames: int) -> RecordingPlan:
         p, planned = self.parameters, self._in_its_light(name, index)
-        return RecordingPlan(
+        plan = RecordingPlan(
             site=planned,
             index=index,
             frames=frames,
@@ -150,7 +151,6 @@ class DatasetRequest:
             seed=p.seed,
             settings=p.settings,
             cameras=p.cameras,
-            **self._asked_vehicles(planned),
             shape_jitter=p.shape_jitter,
             views=p.views if self.site(name).split == "train" else 0,
             town_jitter=p.town_jitter,
@@ -159,6 +159,7 @@ class DatasetRequest:
             further_models=p.further_models,
             randomised=p.randomised,
         )
+        return replace(plan, **self._asked_vehicles(plan))
 
     def simulations(self) -> list[tuple[RecordingPlan, ...]]:
         """The plans, those together that share their traffic."""
@@ -181,13 +182,20 @@ class DatasetRequest:
         lit = in_asked_light(planned, index, p.seed, p.weather, p.time_of_day)
         return varied(lit) if row.get("varied_light") and self.own is None else lit
 
-    def _asked_vehicles(self, planned: Site) -> dict[str, Any]:
-        """Fields of a plan: the models that were asked for, or those that the table of the recording's split wants."""
-        p = self.parameters
-        share = tables()["conditions"].get(planned.split, {}).get("heavy") if self.own is None else None
+    def _asked_vehicles(self, plan: RecordingPlan) -> dict[str, Any]:
+        """Fields of a plan: the models that were asked for, or the lorries and buses that preset or split want."""
+        p, row = self.parameters, presets()[self.parameters.preset]
+        share = None if self.own else tables()["conditions"].get(plan.site.split, {}).get("heavy")
+        if "heavy" in row and not self.own:
+            share = round(float(plan.shared_rng(Stream.HEAVY_SHARE).uniform(*row["heavy"])), 3) or None
         if p.vehicles or share is None:
             return {"vehicles": tuple(p.vehicles), "vehicle_share": p.vehicle_share}
-        heavy = [name for name, entry in fleet(further=p.further_models).items() if entry.vehicle.vehicle_type in HEAVY]
+        models, learnt = fleet(further=p.further_models), plan.site.split == "train"
+        heavy = [
+            name
+            for name, entry in models.items()
+            if entry.vehicle.vehicle_type in HEAVY and not (learnt and entry.held_out)
+        ]
         return {"vehicles": tuple(heavy), "vehicle_share": share}
 
     def frames_of(self, name: str) -> int:

@@ -45,7 +45,7 @@ class Sensor:
         self._clean = make(seen)
 
     def render(self, frame: int) -> RenderedFrame:
-        """Draw a frame; its contrast is in units of the noise's sigma."""
+        """Draw a frame; its contrast is in units of what noise and compression hide."""
         view = self._clean.render(frame)
         if self._lens:
             view = self._lens.bend(view)
@@ -59,7 +59,7 @@ class Sensor:
             rgb = np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
         rgb = self._graphics.draw(with_noise(rgb, self._recording, frame))
         rgb = streamed(rgb, self._recording, frame)
-        return replace(view, rgb=rgb, contrast=view.contrast / max(sigma_of(conditions), LEAST_NOISE))
+        return replace(view, rgb=rgb, contrast=view.contrast / hidden_below(conditions))
 
 
 def grey(conditions: Conditions) -> bool:
@@ -70,6 +70,19 @@ def grey(conditions: Conditions) -> bool:
 def sigma_of(conditions: Conditions) -> float:
     """Standard deviation of the noise, of 255: it grows with less than the root of the gain, as cameras smooth it."""
     return float(conditions.noise * 10 ** (conditions.gain_db / 60))
+
+
+def hidden_below(conditions: Conditions) -> float:
+    """Difference that noise and compression hide, of 255.
+
+    The standard deviation of the noise, or the step in which JPEG rounds the mean of a block of 8 x 8 pixels (16 / 8 at
+    quality 50, by libjpeg's scale at others), whichever is more; the step is one of the picture that is compressed,
+    whose differences the camera has multiplied by its contrast.
+    """
+    quality, step = conditions.compression_quality, 0.0
+    if quality < 100:
+        step = 2 * (50 / quality if quality < 50 else 2 - quality / 50) / conditions.contrast
+    return max(sigma_of(conditions), LEAST_NOISE, step)
 
 
 @lru_cache(maxsize=2)

@@ -17,6 +17,8 @@ class Stream(Enum):
     PEDESTRIANS = auto()
     TRAFFIC_SHARE = auto()
     """Traffic of a recording, as a share of its site's."""
+    HEAVY_SHARE = auto()
+    """Share of lorries and buses in a traffic."""
     PARKED_VEHICLES = auto()
     CONDITIONS = auto()
     """Weather, light, lens and sensor."""
@@ -52,6 +54,7 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.TRAFFIC: (),
     Stream.PEDESTRIANS: (1,),
     Stream.TRAFFIC_SHARE: (2,),
+    Stream.HEAVY_SHARE: (19,),
     Stream.PARKED_VEHICLES: (3,),
     Stream.CONDITIONS: (4,),
     Stream.CAMERA: (5,),

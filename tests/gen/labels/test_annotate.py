@@ -148,6 +148,22 @@ def test_no_visible_pixel_no_annotation() -> None:
     assert annotate(recording.moment(0), hidden, CAMERA, Rules(), 1)[0] == []
 
 
+def test_a_point_past_the_edge_of_a_road_user_is_hidden_by_scenery_around_it() -> None:
+    recording = standing(CAMERA, [("sedan", 0.0, 6.0, 0.3), ("van", 40.0, 60.0, 0.0)])
+    moment, view = recording.moment(0), make_renderer("pybullet", recording).render(0)
+    before = annotate(moment, view, CAMERA, Rules(), 1)[0][0].keypoints
+    k = int(np.flatnonzero(before[:, 2] == 2)[0])
+    column, row = np.floor(before[k, :2]).astype(int)
+    for around, v in ((STATIC, 1), (SKY, 2)):
+        depth, ids = view.depth.copy(), view.ids.copy()
+        # A road user's edge: the point's pixel shows it, and the ray to the point does not meet it.
+        depth[row - 1 : row + 2, column - 1 : column + 2] = 3.0 if around == STATIC else np.inf
+        ids[row - 1 : row + 2, column - 1 : column + 2] = around
+        depth[row, column], ids[row, column] = 3.0, 2
+        changed = RenderedFrame(view.rgb, depth, view.slope, ids, view.silhouettes, view.contrast)
+        assert annotate(moment, changed, CAMERA, Rules(), 1)[0][0].keypoints[k, 2] == v
+
+
 @pytest.mark.parametrize(
     ("rules", "contrast", "reason"),
     [

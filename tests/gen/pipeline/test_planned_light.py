@@ -44,6 +44,18 @@ def test_a_split_of_lorries_and_buses_asks_for_them_and_others_do_not() -> None:
             assert plan.vehicle_share is None
 
 
+def test_world_asks_for_lorries_and_buses_that_may_be_learnt_and_each_traffic_has_a_share() -> None:
+    plans = [plan for plan in asked("world").plans() if plan.site.split == "train"]
+    models = {name for plan in plans for name in plan.vehicles}
+    assert {fleet()[name].vehicle.vehicle_type for name in models} == HEAVY
+    assert not any(fleet()[name].held_out for name in models)
+    shares = {(plan.site.name, plan.leader): plan.vehicle_share for plan in plans}
+    assert all(plan.vehicle_share == shares[plan.site.name, plan.leader] for plan in plans)
+    low, high = presets()["world"]["heavy"]
+    assert low <= min(shares.values()) < 0.1
+    assert high >= max(shares.values()) > 0.3
+
+
 def test_spray_is_asked_for_in_its_split_and_wins_over_what_varies() -> None:
     sprayed = next(p for p in asked("conditions").plans() if p.site.split == "spray")
     assert sprayed.site.conditions["spray"] == (0.8, 1.8)

@@ -1,7 +1,9 @@
 """Every hour and weather: what pictures show of it, and that labels know nothing of it."""
 
+import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from skope.camera.model import Camera
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.render.gl.light import STANDING, _signed_water
-from skope.gen.render.sensor import sigma_of
+from skope.gen.render.sensor import hidden_below, sigma_of
 from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.lamps import LAMPS
@@ -203,6 +205,23 @@ def test_text_and_compression(plain: RenderedFrame) -> None:
         assert poor.shape == plain.rgb.shape
         assert np.abs(np.diff(poor.astype(int), axis=1)).mean() < 0.9 * fine
         assert np.abs(poor.astype(int) - plain.rgb).mean() < 15
+
+
+@pytest.mark.parametrize("quality", [8, 25, 40])
+@pytest.mark.parametrize("contrast", [1.0, 1.5])
+def test_what_compression_hides_is_what_jpeg_rounds_away(quality: int, contrast: float) -> None:
+    least = hidden_below(conditions(noise=0.0, compression_quality=quality, contrast=contrast)) * contrast
+    for difference in (math.ceil(least / 2) - 1, math.floor(least / 2) + 1):
+        picture = np.full((48, 48), 128, dtype=np.uint8)
+        picture[16:32, 16:32] += difference
+        _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        seen = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        assert (seen[16:32, 16:32].mean() != 128) == (difference > least / 2)
+
+
+def test_noise_hides_more_than_good_compression() -> None:
+    assert hidden_below(conditions(noise=3.0, compression_quality=90)) == pytest.approx(3.0)
+    assert hidden_below(conditions(noise=0.0, compression_quality=100)) == pytest.approx(0.3)
 
 
 def test_street_lights_hang_over_the_ground() -> None:

@@ -49,7 +49,7 @@ GROUPS: Final = {
     "WALLS": ("brick", "sandstone"),
     "GROUND": ("asphalt", "grass"),
     "LEAVES": ("leaves", "leaves_pale"),
-    "OTHERS": ("asphalt", "rim"),
+    "OTHERS": ("asphalt", "seam"),
 }
 """Materials, from first to last of the table, that share the programs compiled for their patterns."""
 SUN_RADIUS: Final = 0.0047
