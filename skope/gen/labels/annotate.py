@@ -37,8 +37,8 @@ SLOPE_CAP: Final = 5.0
 MIN_PIXELS: Final = 20
 """Vehicles with fewer visible pixels are ignored as `small`."""
 MIN_CONTRAST: Final = 1.0
-"""Vehicles whose visible pixels change by less than this on average, in units of what the camera's noise and its stream's
-compression hide, are ignored as `unseen`."""
+"""Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide, are
+ignored as `unseen`."""
 
 
 @dataclass(frozen=True, kw_only=True)
