@@ -6,11 +6,12 @@ search, and a bundle adjustment of road and vehicles ends it, as for a camera (`
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.pose.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, camera_of
@@ -21,6 +22,9 @@ from skope.eval.pose.observations import observe
 from skope.eval.pose.solver import levelled, locate
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
+from skope.files.json_files import json_bytes
+from skope.schema import Image
+from skope.terminal.console import counted
 from skope.types import Array
 
 _SLOPE: Final = 0.05
@@ -56,34 +60,80 @@ def with_fitted_ground(
     """The scene with the road that its vehicles show, and a line that says so.
 
     `asked` is "fit" for always, "auto" for: where the vehicles clearly contradict the level plane that the scene has.
+    Each of several cameras has a road of its own.
     """
-    images = scene.file.images
-    if scene.ground is None or not images:
-        if asked == "fit" and images:
+    if scene.ground is None or not scene.file.images:
+        if asked == "fit" and scene.file.images:
             raise UserError("--ground fit: needs a camera whose pose is known; `skope eval camera` finds both")
         return scene, None
-    camera = scene.camera_of(images[0])
-    if any(scene.camera_of(image).to_dict() != camera.to_dict() for image in images[1:]):
+    asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
+    cameras = _images_of_cameras(scene)
+    if len(cameras) > 1:
         if asked == "fit":
             raise UserError(
                 f"{scene.file.name}: --ground fit: its images are of several cameras, which see other roads"
             )
-        return scene, None
+        return _with_roads(scene, cameras, asking)
     try:
-        views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST).views
+        fit = _fit(scene, asked, **asking)
     except UserError as error:
         if asked == "fit":
             raise UserError(f"--ground fit: {error}") from None
         return scene, None
+    return (replace(scene, ground=fit.ground), _words(fit, asked)) if fit else (scene, None)
+
+
+def _images_of_cameras(scene: Scene) -> list[list[Image]]:
+    """The images of each camera, where all cameras are told apart by what their files say."""
+    groups: dict[bytes, list[Image]] = {}
+    for image in scene.file.images:
+        groups.setdefault(json_bytes(scene.camera_of(image).to_dict()), []).append(image)
+    return list(groups.values())
+
+
+def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]) -> tuple[Scene, str | None]:
+    """The scene with the road of each camera whose vehicles contradict the level plane, and a line that says so.
+
+    If any do, the world of the file is not level at that height: where a camera's vehicles are too few to tell, its
+    road is unknown.
+    """
+    roads: dict[int, Ground | None] = {}
+    contradicting, unclear = 0, list[Image]()
+    for images in cameras:
+        try:
+            fit = _fit(replace(scene, file=part(scene.file, images)), "auto", **asking)
+        except UserError:
+            unclear += images
+            continue
+        if fit:
+            contradicting += 1
+            roads |= {image.id: fit.ground for image in images}
+    if not contradicting:
+        return scene, None
+    roads |= {image.id: None for image in unclear}
+    words = (
+        f"{scene.file.name}: the vehicles of {contradicting} of {len(cameras)} cameras contradict a level road at "
+        "z = 0 (--ground 0 insists on it): each of these has a road that was fitted to its vehicles"
+    )
+    if unclear:
+        words += f"; in {counted(len(unclear), 'image')} of others too few tell, and size alone tells distances"
+    return replace(scene, roads=roads), words
+
+
+def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None) -> GroundFit | None:
+    """The road of a scene of one camera; None where that is "auto" and its vehicles bear out the scene's own.
+
+    Raises UserError where too few vehicles show enough.
+    """
+    assert scene.ground is not None
+    camera = scene.camera_of(scene.file.images[0])
+    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
-        gain = (
-            _adjusted(views, camera, scene.ground, free=False).cost - _adjusted(views, camera, begun, free=False).cost
-        )
-        if gain < _CLEAR * len(views.found):
-            return scene, None
-    fit = fit_ground(views, camera, begun)
-    return replace(scene, ground=fit.ground), _words(fit, asked)
+        level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
+        if level - other < _CLEAR * len(views.found):
+            return None
+    return fit_ground(views, camera, begun)
 
 
 def _words(fit: GroundFit, asked: str) -> str:

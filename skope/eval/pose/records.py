@@ -46,7 +46,7 @@ def locate_view(view: View, scene: Scene) -> Located:
         camera,
         view.found[found],
         sigma_px=view.sigma_px[found],
-        ground=scene.ground,
+        ground=scene.road_in(view.image),
         shapes=scene.shapes,
         cut=view.cut[found],
     )

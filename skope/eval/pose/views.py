@@ -1,8 +1,8 @@
 """Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
 
 import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -76,6 +76,8 @@ class Scene:
     """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
     """Where the road is; None: unknown."""
+    roads: Mapping[int, Ground | None] = field(default_factory=dict)
+    """Where it is in single images, by their ids, of a file of several cameras."""
     left_out: str | None = None
     """Which images of the file are not here, as they show another view; None: all are here."""
 
@@ -98,6 +100,10 @@ class Scene:
                 "(`skope eval camera` finds one from vehicles or marked points)"
             )
         return sized(camera, (image.width, image.height), image.file_name)
+
+    def road_in(self, image: Image) -> Ground | None:
+        """Where the road is in an image; None: unknown."""
+        return self.roads.get(image.id, self.ground)
 
     def views(
         self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
@@ -230,9 +236,11 @@ def read_scene(
     results = read_inputs.stream_results(predictions, file) if predictions else None
     file, left_out = _of_one_view(file)
     if camera is None:
-        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out)
+        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out=left_out)
     read, posed = read_camera(camera, _size(file))
-    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None, left_out)
+    return Scene(
+        file, results, read, Ground(height=ground) if posed and ground is not None else None, left_out=left_out
+    )
 
 
 def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:

@@ -361,7 +361,7 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
         T_world_trailer = moment.T_world_trailer[i, 0]
         bend = math.atan2(T_world_trailer[1, 0], T_world_trailer[0, 0]) - yaw
         articulation = {"articulation": math.remainder(bend, 2 * math.pi)}
-        center, size = _box_around(vehicle, vehicle.trailer, T, T_world_trailer)
+        center, size = box_around(vehicle, vehicle.trailer, T, T_world_trailer)
     return {
         "track_id": recorded.track_id,
         "model": recorded.model,
@@ -375,9 +375,7 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
     }
 
 
-def _box_around(
-    vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array
-) -> tuple[Array, Any]:
+def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array) -> tuple[Array, Any]:
     """Middle (3,) and size (3,) of the box around both parts of an articulated vehicle, along the axes of the first."""
     length, width, height = vehicle.size_lwh
     own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])

@@ -373,6 +373,44 @@ def test_a_road_elsewhere_is_found_from_its_vehicles(
     assert told["0"]["refused"] > 10 or told["0"]["position"]["50"] > 2.0
 
 
+def test_each_camera_of_a_file_has_a_road_of_its_own(skope: Any) -> None:
+    """One over a level road, one over a road 5 m lower, one that shows a single vehicle on another one."""
+    seen = (drive(2, 4, speeds=(9.0, 3.0, -6.0)), drive(3, 4, speeds=(9.0, 3.0, -6.0)), drive(4, 2, speeds=(5.0,)))
+    heights = (0.0, -5.0, -4.0)
+    parts = [tilted(file, Ground(height=z).T_world_level) for file, z in zip(seen, heights, strict=True)]
+    coco.write(Path("three.json"), joined(parts))
+    code, out, err = skope("eval", "pose", "--annotations", "three.json", "--noise", 1, "--out", "p", "-q")
+    assert code == 0, err
+    assert "of 1 of 3 cameras contradict a level road" in out
+    assert f"in {len(seen[2].images)} images of others too few tell" in out
+    rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    of_part = {image.id: k for k, file in enumerate(numbered(parts)) for image in file.images}
+    for k, z in enumerate(heights):
+        found = [row for row in rows if of_part[row["image_id"]] == k and not row["refused"]]
+        assert found
+        error = np.abs([row["position"][2] - z for row in found])
+        if k < 2:
+            assert error.max() < 0.5
+        else:  # not told, and so not sure
+            assert (error < 3 * np.array([row["sigma_position"][2] for row in found])).all()
+
+
+def numbered(files: list[AnnotationFile]) -> list[AnnotationFile]:
+    """The files with ids and names that differ."""
+    out = []
+    for k, file in enumerate(files):
+        images = tuple(replace(i, id=i.id + 1000 * k, file_name=f"{k}_{i.file_name}") for i in file.images)
+        vehicles = tuple(replace(a, id=a.id + 1000 * k, image_id=a.image_id + 1000 * k) for a in file.annotations)
+        out.append(replace(file, images=images, annotations=vehicles))
+    return out
+
+
+def joined(files: list[AnnotationFile]) -> AnnotationFile:
+    parts = numbered(files)
+    images, vehicles = ([one for file in parts for one in getattr(file, name)] for name in ("images", "annotations"))
+    return replace(parts[0], images=tuple(images), annotations=tuple(vehicles))
+
+
 def test_a_level_road_stays_where_it_is_said_to_be(skope: Any) -> None:
     coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
     call = ("eval", "pose", "--annotations", "road.json", "--noise", 2, "-q")
