@@ -28,10 +28,10 @@ DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_s
 POOLED = 0.5
 """Share of the other types' variance between models that a type gets besides its own."""
 DIRECTIONS = 8
-BEND_DEG = 8.0
+BEND_DEG = 3.0
 """Standard deviation of the angle between an articulated vehicle and its trailer, degrees."""
-BENDS = 4
-"""Angles that each shape of an articulated vehicle is taken at."""
+BENDS = 2
+"""Angles to either side that each shape of an articulated vehicle is taken at."""
 Array = np.ndarray
 
 
@@ -69,8 +69,9 @@ def main() -> None:
         samples = [row(entry.vehicle)]
         for _ in range(options.samples):
             vehicle = build(model, jittered(model, rng))
-            bends = rng.normal(0, math.radians(BEND_DEG), BENDS) if vehicle.trailer else [0.0]
-            samples += [row(vehicle, bend) for bend in bends]
+            # As much to the left as to the right, so that the mean vehicle is symmetric.
+            bends = rng.normal(0, math.radians(BEND_DEG), BENDS) if vehicle.trailer else np.zeros(1)
+            samples += [row(vehicle, bend) for bend in np.unique([bends, -bends])]
         kinds.setdefault(kind, []).append(np.stack(samples))
         weights.setdefault(kind, []).append(entry.share)
         heavy[kind] = entry.vehicle.mass > HEAVY
