@@ -54,7 +54,7 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.TRAFFIC: (),
     Stream.PEDESTRIANS: (1,),
     Stream.TRAFFIC_SHARE: (2,),
-    Stream.HEAVY_SHARE: (19,),
+    Stream.HEAVY_SHARE: (21,),
     Stream.PARKED_VEHICLES: (3,),
     Stream.CONDITIONS: (4,),
     Stream.CAMERA: (5,),
