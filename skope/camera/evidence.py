@@ -1,0 +1,166 @@
+"""What a user marks in an image to calibrate a camera, with how exactly each is known.
+
+Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the world's; the road is its plane z = 0.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.errors import UserError
+from skope.types import Array
+
+MARKED_PX: Final = 1.5
+"""Standard deviation with which people mark a point in an image, pixels an axis."""
+MEASURED_M: Final = 0.1
+"""Standard deviation of a place that was read off a map or measured, metres an axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedPoint:
+    """A point whose place in the world is known."""
+
+    pixel: Array
+    """(2,) pixels."""
+    place: Array
+    """(3,) metres."""
+    sigma_px: float = MARKED_PX
+    sigma_m: float = MEASURED_M
+    height_known: bool = True
+    """False: its height was not given, and it is taken to lie on the road."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _floats(self, "points", self.name, pixel=(2,), place=(3,))
+        _positive(self, "points", self.name, "sigma_px", "sigma_m")
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedLength:
+    """A distance along the road, such as the length of a marking or the width of a lane."""
+
+    pixels: Array
+    """(2, 2) its ends, pixels."""
+    metres: float
+    sigma_m: float = 0.05
+    sigma_px: float = MARKED_PX
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _floats(self, "lengths", self.name, pixels=(2, 2))
+        _positive(self, "lengths", self.name, "metres", "sigma_m", "sigma_px")
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelLines:
+    """Two or more lines on the road that are parallel to one another."""
+
+    lines: Array
+    """(L, 2, 2) two points of each, pixels."""
+    sigma_px: float = MARKED_PX
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _floats(self, "parallels", self.name, lines=(-1, 2, 2))
+        _positive(self, "parallels", self.name, "sigma_px")
+        if len(self.lines) < 2:
+            raise UserError(f"{_named('parallels', self.name)}: expected two lines or more, got {len(self.lines)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Vertical:
+    """Something upright that stands on the road: a post, the corner of a house."""
+
+    pixels: Array
+    """(2, 2) its foot and its top, pixels."""
+    metres: float | None = None
+    """Its height, if that is known."""
+    sigma_m: float = 0.1
+    sigma_px: float = MARKED_PX
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _floats(self, "verticals", self.name, pixels=(2, 2))
+        _positive(self, "verticals", self.name, "sigma_m", "sigma_px", *(["metres"] if self.metres is not None else []))
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A Gaussian that something else says of a camera: its vehicles, its maker, somebody with a ladder."""
+
+    of: tuple[str, ...]
+    """Names in `skope.camera.calibrate.PARAMETERS`."""
+    mean: Array
+    """(M,) in their units."""
+    covariance: Array
+    """(M, M)"""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        count = len(self.of)
+        _floats(self, "beliefs", self.name, mean=(count,), covariance=(count, count))
+        if (np.linalg.eigvalsh(self.covariance) <= 0).any():
+            raise UserError(f"{_named('beliefs', self.name)}: covariance: expected a positive definite matrix")
+
+    @classmethod
+    def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "Belief":
+        """The horizontal field of view, degrees, of images that are `width` pixels wide."""
+        half = math.radians(fov_deg) / 2
+        slope = math.radians(sigma_deg) / math.sin(2 * half)
+        return cls(
+            ("focal",), np.array([math.log(width / 2 / math.tan(half))]), np.array([[slope**2]]), "field of view"
+        )
+
+    @classmethod
+    def of_height(cls, metres: float, sigma_m: float) -> "Belief":
+        """The camera's height over the road."""
+        return cls(("z",), np.array([metres]), np.array([[sigma_m**2]]), "height")
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that is known of a camera whose images have one size."""
+
+    size: tuple[int, int]
+    """Width and height of the images, pixels."""
+    points: tuple[MarkedPoint, ...] = ()
+    lengths: tuple[MarkedLength, ...] = ()
+    parallels: tuple[ParallelLines, ...] = ()
+    verticals: tuple[Vertical, ...] = ()
+    beliefs: tuple[Belief, ...] = field(default=())
+
+
+def _named(kind: str, name: str) -> str:
+    return f"{kind} {name!r}" if name else kind
+
+
+def _floats(record: object, kind: str, label: str, **shapes: tuple[int, ...]) -> None:
+    """Make fields float arrays of these shapes; -1 stands for any length."""
+    for name, shape in shapes.items():
+        try:
+            value = np.asarray(getattr(record, name), dtype=np.float64)
+        except (TypeError, ValueError):
+            value = np.full(1, np.nan)
+        fits = value.ndim == len(shape) and all(b in (-1, a) for a, b in zip(value.shape, shape, strict=True))
+        if not fits or not np.isfinite(value).all():
+            wanted = " x ".join("N" if n < 0 else str(n) for n in shape)
+            raise UserError(f"{_named(kind, label)}: {name}: expected {wanted} finite numbers")
+        object.__setattr__(record, name, value)
+
+
+def _positive(record: object, kind: str, label: str, *names: str) -> None:
+    for name in names:
+        value = getattr(record, name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise UserError(f"{_named(kind, label)}: {name}: expected a number above 0, got {value!r}")
+
+
+def marked_points(pixels: ArrayLike, places: ArrayLike, names: Iterable[str] = ()) -> tuple[MarkedPoint, ...]:
+    """Points (N, 2) pixels and (N, 3) metres, marked as exactly as people do."""
+    labels = list(names) or [str(i + 1) for i in range(len(np.asarray(pixels)))]
+    rows = zip(np.asarray(pixels), np.asarray(places), labels, strict=True)
+    return tuple(MarkedPoint(pixel, place, name=label) for pixel, place, label in rows)
