@@ -159,7 +159,8 @@ def _point_term(point: MarkedPoint) -> _Term:
 
     def covariance(camera: Camera) -> Array:
         J = _slopes(lambda place: camera.project(place)[0], point.place, 0.01)
-        return np.asarray(point.sigma_px**2 * np.eye(2) + point.sigma_m**2 * J @ J.T)
+        of_place = np.diag([point.sigma_m, point.sigma_m, point.sigma_z_m]) ** 2
+        return np.asarray(point.sigma_px**2 * np.eye(2) + J @ of_place @ J.T)
 
     return _Term("point", point.name, residual, covariance)
 

@@ -17,7 +17,9 @@ from skope.types import Array
 MARKED_PX: Final = 1.5
 """Standard deviation with which people mark a point in an image, pixels an axis."""
 MEASURED_M: Final = 0.1
-"""Standard deviation of a place that was read off a map or measured, metres an axis."""
+"""Standard deviation of a place that was read off a map or measured, metres along x and y."""
+UNEVEN_M: Final = 0.03
+"""Standard deviation of a road's height over its plane, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +32,14 @@ class MarkedPoint:
     """(3,) metres."""
     sigma_px: float = MARKED_PX
     sigma_m: float = MEASURED_M
-    height_known: bool = True
-    """False: its height was not given, and it is taken to lie on the road."""
+    """Of x and y, metres."""
+    sigma_z_m: float = UNEVEN_M
+    """Of z, metres; more for points above the road whose heights were not measured well."""
     name: str = ""
 
     def __post_init__(self) -> None:
         _floats(self, "points", self.name, pixel=(2,), place=(3,))
-        _positive(self, "points", self.name, "sigma_px", "sigma_m")
+        _positive(self, "points", self.name, "sigma_px", "sigma_m", "sigma_z_m")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from skope.camera.calibrate import PARAMETERS, calibrate, ground_places, radius_of
-from skope.camera.evidence import Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical, marked_points
+from skope.camera.evidence import (
+    UNEVEN_M,
+    Belief,
+    Evidence,
+    MarkedLength,
+    MarkedPoint,
+    ParallelLines,
+    Vertical,
+    marked_points,
+)
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
@@ -46,7 +55,7 @@ def test_the_pose_is_opencvs_where_the_lens_is_known() -> None:
     camera = replace(CAMERA, distortion=Distortion())
     pixels = camera.project(places)[0] + rng.normal(0, 1.5, (8, 2))
     # Places that are known exactly, so that both minimise the distances in the image.
-    points = tuple(MarkedPoint(a, b, sigma_m=1e-6) for a, b in zip(pixels, places, strict=True))
+    points = tuple(MarkedPoint(a, b, sigma_m=1e-6, sigma_z_m=1e-6) for a, b in zip(pixels, places, strict=True))
     lens = Belief(("focal", "k1"), np.array([math.log(CAMERA.K[0, 0]), 0.0]), 1e-14 * np.eye(2))
     prior = Belief(("roll",), np.zeros(1), np.array([[1e6]]))
     found = calibrate(Evidence(SIZE, points=points, beliefs=(lens, prior))).camera
@@ -118,7 +127,7 @@ def test_stated_errors_are_those_of_repeated_calibrations() -> None:
     rng, at = np.random.default_rng(5), np.array([[700.0, 300.0], [300.0, 600.0]])
     found, stated = [], []
     for _ in range(40):
-        off = np.column_stack([rng.normal(0, 0.1, (8, 2)), np.zeros(8)])
+        off = rng.normal(0, [0.1, 0.1, UNEVEN_M], (8, 3))
         points = marked_points(PIXELS + rng.normal(0, 1.5, (8, 2)), on_road(PIXELS) + off)
         one = calibrate(Evidence(SIZE, points=points), start=CAMERA)
         found.append(one.places(at))
