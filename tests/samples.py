@@ -13,7 +13,7 @@ from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.files.json_files import write_json
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, RoadUser
 
 # A vehicle seen from its front left, in units of its box: x, y and v of each keypoint, all distinct.
 _RNG = np.random.default_rng(33)
@@ -62,6 +62,33 @@ def make_annotation(
         ignore_reason="small" if iscrowd else None,
         track_id=annotation_id,
         vehicle_type=vehicle_type,
+        distance=20.0,
+        occlusion=0.0,
+        truncation=0.0,
+    )
+
+
+def make_road_user(
+    user_id: int,
+    image_id: int,
+    bbox: tuple[float, float, float, float],
+    category: str = "pedestrian",
+    *,
+    iscrowd: int = 0,
+) -> RoadUser:
+    """Somebody on foot or on two wheels who fills the box."""
+    area = bbox[2] * bbox[3]
+    return RoadUser(
+        id=user_id,
+        image_id=image_id,
+        category_id=CATEGORIES.index(category) + 1,
+        bbox=np.array(bbox),
+        bbox_visible=np.array(bbox),
+        area=area,
+        area_full=area,
+        iscrowd=iscrowd,
+        ignore_reason="small" if iscrowd else None,
+        track_id=user_id,
         distance=20.0,
         occlusion=0.0,
         truncation=0.0,

@@ -19,6 +19,7 @@ def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
         file,
         images=tuple(image for image in file.images if image.id in wanted),
         annotations=tuple(a for a in file.annotations if a.image_id in wanted),
+        road_users=tuple(user for user in file.road_users if user.image_id in wanted),
     )
 
 

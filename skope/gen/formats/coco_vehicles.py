@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope import keypoints, schema
+from skope import field_checks, keypoints, schema
 from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
 from skope.dataset import coco
 from skope.errors import UserError
@@ -113,7 +113,7 @@ def vehicle_of(
     """
     size = image.record.width, image.record.height
     with telling(where):
-        theirs = schema.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
+        theirs = field_checks.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
         points = np.zeros((K, 3))
         points[list(label.places)] = theirs[list(label.columns)]
         if image.turned is not None:
@@ -149,7 +149,7 @@ def _box(stated: Any, points: Array, image: ImportedImage) -> Any:
         return xyxy_to_xywh(np.concatenate([known.min(axis=0), known.max(axis=0)]))
     if image.turned is None:
         return stated
-    corners = image.turned.shown_points(xywh_to_xyxy(schema.array("bbox", stated, 4)).reshape(2, 2))
+    corners = image.turned.shown_points(xywh_to_xyxy(field_checks.array("bbox", stated, 4)).reshape(2, 2))
     return xyxy_to_xywh(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
 
 
