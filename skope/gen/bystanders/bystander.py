@@ -1,7 +1,7 @@
-"""Road users that are drawn but not labelled: people on foot, on bicycles and on motorcycles.
+"""Road users beside the vehicles: people on foot, on bicycles and on motorcycles.
 
 Each is a body with four moving parts, as a vehicle has four wheels. They hide vehicles, and a detector must not take
-them for one.
+them for one; some datasets label them, in categories of their own.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,6 +23,8 @@ _FIGURES: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Lo
     "motorcyclist": (motorcyclist, rolled),
 }
 KINDS: Final = tuple(_FIGURES)
+CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
+"""The category (of `skope.schema.CATEGORIES`) of each kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +58,17 @@ class Bystander:
         """(4, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres."""
         return _FIGURES[self.kind][1](self.look, travelled)
 
+    @cached_property
+    def box(self) -> Array:
+        """(2, 3) lowest and highest corner of the box around it at rest, with what is ridden, in the body's frame."""
+        at_rest = zip(self.parts, [np.eye(4), *self.pose(0.0)], strict=True)
+        points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
     @property
     def extent(self) -> Array:
         """(2, 3) corners of a box around it, however its parts move."""
-        at_rest = zip(self.parts, [np.eye(4), *self.pose(0.0)], strict=True)
-        points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
-        return np.stack([points.min(axis=0) - [0.4, 0.1, 0.1], points.max(axis=0) + [0.4, 0.1, 0.05]])
+        return self.box + [[-0.4, -0.1, -0.1], [0.4, 0.1, 0.05]]
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:

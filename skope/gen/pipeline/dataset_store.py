@@ -252,7 +252,7 @@ class Store:
     def merge(self) -> Counts:
         """Write the annotation files or shards, and the manifest; returns the counts of images and vehicles."""
         plan = self.plan
-        writer = writer_of(plan.parameters.format, self.root)
+        writer = writer_of(plan.parameters.format, self.root, categories=plan.parameters.categories)
         for info in plan.recordings:
             writer.add_file(self.recording_path(info).relative_to(self.root))
             writer.add(info.split, self._frames(info))

@@ -249,4 +249,5 @@ class Recorder:
             T_world_trailer=trailers if (trailers != np.eye(4)).any() else None,
             velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
+            road_users=plan.road_users,
         )
