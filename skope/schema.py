@@ -309,6 +309,11 @@ class AnnotationFile:
         """Other road users of each image id, in file order; images without one have an empty list."""
         return _grouped(self.images, self.road_users)
 
+    def labels_by_image(self) -> dict[int, list[Annotation | RoadUser]]:
+        """Vehicles of each image id and, after them, its other road users."""
+        others = self.road_users_by_image()
+        return {number: [*vehicles, *others[number]] for number, vehicles in self.by_image().items()}
+
 
 def _grouped(images: Iterable[Image], labels: Iterable[L]) -> dict[int, list[L]]:
     groups: dict[int, list[L]] = {image.id: [] for image in images}

@@ -434,10 +434,10 @@ def label_rows(file: AnnotationFile) -> Iterator[dict[str, Any]]:
     if not file.road_users:
         yield from map(annotation_to_dict, file.annotations)
         return
-    vehicles, others = file.by_image(), file.road_users_by_image()
-    for image in file.images:
-        yield from map(annotation_to_dict, vehicles[image.id])
-        yield from map(road_user_to_dict, others[image.id])
+    for labels in file.labels_by_image().values():
+        yield from (
+            annotation_to_dict(one) if isinstance(one, Annotation) else road_user_to_dict(one) for one in labels
+        )
 
 
 def write_rows(
