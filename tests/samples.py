@@ -113,12 +113,18 @@ def make_dataset(
     splits: tuple[str, ...] = ("train", "easy"),
     seed: int = 0,
     scheme: keypoints.Scheme = keypoints.SKOPE33,
+    *,
+    road_users: bool = False,
 ) -> Path:
-    """Write a dataset folder of PNG images, two vehicles in each; returns `root`."""
+    """Write a dataset folder of PNG images, two vehicles in each; returns `root`.
+
+    With `road_users` each has a pedestrian too, a bicycle and an ignored motorcycle, all labelled.
+    """
+    categories = CATEGORIES if road_users else CATEGORIES[:1]
     rng = np.random.default_rng(seed)
     image_id = annotation_id = 0
     for split in splits:
-        records, annotations = [], []
+        records, annotations, others = [], [], []
         for _ in range(images):
             image_id += 1
             record = make_image(image_id, split=split)
@@ -128,14 +134,29 @@ def make_dataset(
             ]
             vehicles = [make_annotation(annotation_id + i, image_id, box) for i, box in enumerate(boxes, start=1)]
             annotation_id += len(boxes)
+            if road_users:
+                kinds = (("pedestrian", 0), ("bicycle", 0), ("motorcycle", 1))
+                others += [
+                    make_road_user(annotation_id + k, image_id, (10.0 * k, 2.0, 8.0, 20.0), kind, iscrowd=ignored)
+                    for k, (kind, ignored) in enumerate(kinds, start=1)
+                ]
+                annotation_id += len(kinds)
             path = root / record.file_name
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), cv2.cvtColor(draw(record, vehicles, rng), cv2.COLOR_RGB2BGR))
             records.append(record)
             annotations.extend(vehicles)
-        file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split, scheme=scheme)
+        file = AnnotationFile(
+            images=tuple(records),
+            annotations=tuple(annotations),
+            name=split,
+            scheme=scheme,
+            road_users=tuple(others),
+            categories=categories,
+        )
         coco.write(root / "annotations" / f"{split}.json", file)
-    write_json(root / "dataset.json", {"version": 1, **scheme.fields(), "seed": seed})
+    told = {"categories": list(categories)} if road_users else {}
+    write_json(root / "dataset.json", {"version": 1, **scheme.fields(), **told, "seed": seed})
     return root
 
 

@@ -89,8 +89,8 @@ class Bystander:
     @property
     def extent(self) -> Array:
         """(2, 3) corners of a box around it, however its parts move."""
-        aside = 0.3 if self.jointed else 0.1
-        return self.box + [[-0.4, -aside, -0.1], [0.4, aside, 0.05]]
+        along, aside = (0.65, 0.3) if self.jointed else (0.4, 0.1)
+        return self.box + [[-along, -aside, -0.1], [along, aside, 0.05]]
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:

@@ -16,6 +16,8 @@ SHIN: Final = 0.245
 """From knee to ankle."""
 SOLE: Final = HIP - THIGH - SHIN
 """From ankle to ground."""
+_HEEL, _TOES = -0.036, 0.105
+"""Where a shoe ends behind and before the ankle, as shares of the body's height."""
 _SWING: Final = 0.40
 """Largest angle of a walker's thigh from upright, radians."""
 _BEND: Final = 0.95
@@ -40,8 +42,8 @@ def shin(look: Look) -> Mesh:
     return merged(
         [
             limb(path, (0.035 * h * g, 0.036 * h * g, 0.024 * h * g), bottom),
-            ball((0.03 * h, 0, low + 0.020 * h), (0.075 * h, 0.028 * h, 0.026 * h), shoes),
-            box((-0.036 * h, -0.026 * h, low), (0.105 * h, 0.026 * h, low + 0.014 * h), shoes),
+            ball((0.03 * h, 0, low + 0.024 * h), (0.075 * h, 0.028 * h, 0.023 * h), shoes),
+            box((_HEEL * h, -0.026 * h, low), (_TOES * h, 0.026 * h, low + 0.014 * h), shoes),
         ]
     )
 
@@ -73,10 +75,12 @@ def stepping(look: Look, travelled: float, speed: float) -> Array:
 
 def sunk(look: Look, travelled: float, speed: float) -> float:
     """How far a walker's body comes down so that the lower foot is on the ground, metres."""
-    down = [
-        THIGH * np.cos(angle) + (SHIN + SOLE) * np.cos(angle - knee)
-        for angle, knee in leg_angles(look, travelled, speed)
-    ]
+    down = []
+    for angle, knee in leg_angles(look, travelled, speed):
+        shin_angle = angle - knee
+        # A shoe that is turned stands on its heel or on its toes.
+        sole = (SHIN + SOLE) * np.cos(shin_angle) - np.sin(shin_angle) * np.array([_HEEL, _TOES])
+        down.append(THIGH * np.cos(angle) + sole.max())
     return float(look.height * (HIP - max(down)))
 
 

@@ -22,7 +22,7 @@ from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
 _VARIED: Final = ("world", "conditions")
-"""Presets that have views and jitter unless they are told otherwise."""
+"""Presets that have views, jitter and labelled road users unless they are told otherwise."""
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
@@ -91,10 +91,12 @@ def command(p: Parameters) -> str:
     parts += [f"--share {p.vehicle_share}"] if p.vehicle_share else []
     if p.preset in _VARIED:
         parts += [f"--views {p.views}", _switch("town-jitter", p.town_jitter), _switch("shape-jitter", p.shape_jitter)]
+        parts += [] if p.road_users else ["--no-road-users"]
     else:
         parts += ["--shape-jitter"] if p.shape_jitter else []
         parts += [f"--views {p.views}"] if p.views else []
         parts += ["--town-jitter"] if p.town_jitter else []
+        parts += ["--road-users"] if p.road_users else []
     parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
     parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT else []
     return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
