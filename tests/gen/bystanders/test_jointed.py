@@ -80,6 +80,8 @@ def test_feet_turn_with_the_pedals_and_come_down_where_the_rider_stands() -> Non
             end = pedal[np.argmax(np.abs(pedal[:, 1]))]
             near = np.linalg.norm(sole[:, [0, 2]] - end[[0, 2]], axis=1).min()
             assert near < 0.08
+    before, after = (placed(body, travelled)[-3] for travelled in (0.0, 0.2))
+    assert after[:, 0].mean() < before[:, 0].mean() - 0.01  # the right pedal begins below, and goes back there
     _, _, left, _ = placed(body, 1.0, 0.0)[-4:]
     lean = standing_lean(0.0)
     # On the side to which the bicycle leans the road is higher in its own frame.
