@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 Kind = tuple[str, str | None, str]
@@ -12,6 +12,12 @@ Kind = tuple[str, str | None, str]
 def kind_of(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> Kind:
     """The kind of a vehicle, by two fields of its annotation, or of another road user, by its category."""
     return "ignored" if iscrowd else "ground_truth", vehicle_type, category
+
+
+def saved_kind(values: Sequence[Any]) -> Kind:
+    """A kind as JSON has it; what was begun before there were categories has vehicles alone."""
+    status, vehicle_type = values[:2]
+    return status, vehicle_type, values[2] if len(values) > 2 else "vehicle"
 
 
 class Counts:

@@ -19,7 +19,7 @@ from skope.files import safe_names
 from skope.files.atomic import file_in_place_of, locked, no_links_out, write_bytes, writing
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.files.reading import read_bytes
-from skope.gen.output.card_counts import Counts
+from skope.gen.output.card_counts import Counts, saved_kind
 from skope.gen.output.dataset_card import write as write_card
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.output.writers import FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
@@ -245,7 +245,7 @@ class Store:
             whole = False
         if not whole:
             raise UserError(f"{path}: is damaged; move it away, and its frame is drawn anew")
-        return Labels(name, head["image"], rows, [*map(tuple, head["kinds"])], head["sha256"], head["tally"])
+        return Labels(name, head["image"], rows, [*map(saved_kind, head["kinds"])], head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 
