@@ -19,7 +19,7 @@ from skope.gen.bystanders.riders import (
     spoked,
     upper_body,
 )
-from skope.gen.bystanders.shapes import ball, limb, trunk
+from skope.gen.bystanders.shapes import ball, lens, limb, trunk
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.types import Array
 
@@ -92,8 +92,10 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
         tube([grip + [0, -0.27, 0], bar, grip + [0, 0.27, 0]], (0.013,) * 3, "trim", 5),
         trunk([((-0.21, 0, 0.86), 0.13, 0.06), ((-0.22, 0, 0.90), 0.14, 0.09), ((-0.23, 0, 0.91), 0.12, 0.08)], "trim"),
         tube([seat, seat + [-0.01, 0, 0.08]], (0.014,) * 2, "rail", 5),
-        ball((0.47, 0, 0.80), (0.035, 0.03, 0.03), "reverse_light"),
-        box((-0.31, -0.025, 0.70), (-0.28, 0.025, 0.75), "taillight"),
+        ball((0.47, 0, 0.80), (0.035, 0.03, 0.03), "trim"),
+        lens((0.507, 0, 0.80), 0.028, "reverse_light"),
+        box((-0.31, -0.025, 0.70), (-0.28, 0.025, 0.75), "trim"),
+        lens((-0.312, 0, 0.725), 0.03, "taillight"),
     ]
     if int(look.machine) == 0:
         rack = np.array([[-0.22, 0.06, 0.76], [-0.66, 0.06, 0.76]])
@@ -160,7 +162,18 @@ def motorcycle(look: Look) -> tuple[Mesh, ...]:
     """Motorcycle, rider and passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
     machine, paint = int(look.machine), motor_paint(look)
     wheel = motor_wheel(_SCOOTER_WHEEL if machine == 1 else MOTOR_WHEEL)
-    parts = _scooter(paint) if machine == 1 else roadster(paint)
+    if machine == 1:
+        parts = [
+            *_scooter(paint),
+            lens((0.503, 0, 0.94), 0.06, "headlight"),
+            lens((-0.862, 0, 0.62), 0.05, "taillight"),
+        ]
+    else:
+        parts = [
+            *roadster(paint),
+            lens((0.716, 0, 0.86), 0.07, "headlight"),
+            lens((-0.882, 0, 0.73), 0.04, "taillight"),
+        ]
     if machine == 2:
         parts += _fairing(paint)
     h = look.height
@@ -213,7 +226,7 @@ def _fairing(paint: str) -> list[Mesh]:
             [((0.54, 0, 0.97), 0.10, 0.17), ((0.46, 0, 1.14), 0.07, 0.14), ((0.41, 0, 1.24), 0.03, 0.08)],
             "glass_tinted",
         ),
-        ball((0.735, 0, 0.82), (0.05, 0.13, 0.07), "headlight"),
+        lens((0.79, 0, 0.82), 0.07, "headlight"),
     ]
 
 

@@ -13,6 +13,7 @@ from skope.gen.bystanders.luggage import LOADS
 from skope.gen.bystanders.people import Look
 from skope.gen.bystanders.riding import standing_lean
 from skope.gen.mesh import Mesh
+from skope.gen.render.vehicle_lamps import lamps_of
 from skope.types import Array
 
 
@@ -102,6 +103,17 @@ def test_a_leg_ends_where_it_has_to() -> None:
         assert shin[0, 3] > min(0.0, ankle[0])  # the knee is in front
     far = leg_to(look, (0.0, 0.0, 0.0), (0.0, 0.0, -2.0))[1] @ [0, 0, -0.245 * look.height, 1]
     assert far[2] == pytest.approx(-(0.53 - SOLE) * look.height, abs=0.002)
+
+
+@pytest.mark.parametrize("machine", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["cyclist", "motorcyclist"])
+def test_lamps_shine_ahead_and_behind(kind: str, machine: int) -> None:
+    lamps = lamps_of(build(kind, Look(jointed=1.0, machine=float(machine)).to_dict()))
+    ahead = {"cyclist": "reverse_light", "motorcyclist": "headlight"}[kind]
+    assert {lamp.material for lamp in lamps} == {ahead, "taillight"}
+    for lamp in lamps:
+        assert lamp.facing[0] == pytest.approx(-1 if lamp.material == "taillight" else 1, abs=0.01)
+        assert np.sign(lamp.center[0]) == lamp.facing[0].round()
 
 
 def test_people_differ_and_old_bodies_keep_their_numbers() -> None:
