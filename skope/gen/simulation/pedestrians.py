@@ -32,6 +32,12 @@ _GROUPS: Final = (0.62, 0.24, 0.09, 0.05)
 """Share of the groups of one, two, three and four people."""
 _RUNNING: Final = 0.04
 """Share of the groups that run."""
+_WIDEST: Final = 0.65
+"""Labelled pedestrians keep to this distance from the middle of a sidewalk, metres."""
+_CIRCLE: Final = 0.55
+"""Distance of people who stand together from their middle, metres."""
+_ABREAST: Final = 0.64
+"""Distance of two people who walk side by side, metres."""
 _ASIDE: Final = 0.45
 """Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
 
@@ -174,6 +180,9 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
     count = 1 + int(rng.choice(len(_GROUPS), p=_GROUPS))
     start, aside = float(rng.uniform(0, length)), float(rng.normal(0, _ASIDE))
     stands, way = rng.random() < _STANDING, float(rng.choice([-1, 1]))
+    # Walls stand where a sidewalk ends.
+    room = _WIDEST - ((_CIRCLE if stands else _ABREAST / 2) if count > 1 else 0.0)
+    aside = min(max(aside, -room), room)
     speed = way * float(rng.choice([rng.normal(1.35, 0.2), rng.normal(2.7, 0.3)], p=[1 - _RUNNING, _RUNNING]))
     facing = float(rng.uniform(-math.pi, math.pi))
     out = []
@@ -181,12 +190,12 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
         body = build("pedestrian", looks.drawn("pedestrian", rng, raining=raining).to_dict())
         if stands and count > 1:
             around = 2 * math.pi * k / count
-            ahead, beside = 0.55 * math.cos(around), 0.55 * math.sin(around)
+            ahead, beside = _CIRCLE * math.cos(around), _CIRCLE * math.sin(around)
             facing = math.atan2(beside, -ahead)
         elif stands:
             ahead = beside = 0.0
         else:  # in pairs: a sidewalk is not wide
-            ahead, beside = float(0.15 * rng.normal()) - 0.9 * (k // 2), 0.64 * (k % 2) - 0.32 * (count > 1)
+            ahead, beside = float(0.15 * rng.normal()) - 0.9 * (k // 2), _ABREAST * (k % 2 - 0.5 * (count > 1))
         speed_of = 0.0 if stands else speed
         out.append(_Walk(body, path, start + ahead, speed_of, aside + beside, facing if stands else 0.0))
     return out
