@@ -8,9 +8,8 @@ import numpy as np
 
 from skope.gen.bystanders.luggage import LOADS
 from skope.gen.bystanders.people import Look
+from skope.gen.bystanders.riding import MACHINES
 
-MACHINES: Final = {"cyclist": ("city bicycle", "racing bicycle"), "motorcyclist": ("roadster", "scooter", "tourer")}
-"""What is ridden, by number (see `Look.machine`)."""
 _MACHINE_SHARES: Final = {"cyclist": (0.75, 0.25), "motorcyclist": (0.40, 0.38, 0.22)}
 _LOAD_SHARES: Final[Mapping[str, Mapping[str, float]]] = {
     "pedestrian": {"backpack": 0.22, "shopping bag": 0.16, "suitcase": 0.04, "pushchair": 0.05},
@@ -37,7 +36,7 @@ def drawn(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look
     load = LOADS.index(names[k]) if k < len(names) else 0
     helmet, second = rng.random() < _HELMETS, rng.random() < _PASSENGERS.get(kind, 0.0)
     machine = int(rng.choice(len(_MACHINE_SHARES[kind]), p=_MACHINE_SHARES[kind])) if kind in MACHINES else 0
-    if kind == "cyclist" and machine == 1:
+    if kind == "cyclist" and MACHINES[kind][machine] == "racing bicycle":
         # Nobody hangs a child's seat or bags on a racing bicycle.
         second, load = False, load if LOADS[load] == "backpack" else 0
     if kind == "motorcyclist" and second and LOADS[load] == "delivery box":

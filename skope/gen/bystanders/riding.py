@@ -23,6 +23,10 @@ from skope.gen.bystanders.shapes import ball, lens, limb, trunk
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.types import Array
 
+MACHINES: Final = {"cyclist": ("city bicycle", "racing bicycle"), "motorcyclist": ("roadster", "scooter", "tourer")}
+"""What is ridden, by number (see `Look.machine`)."""
+_CITY, _RACING = range(2)
+_ROADSTER, _SCOOTER, _TOURER = range(3)
 _USUAL: Final = 1.72
 """Height of the body that bicycles are drawn for, metres; smaller ones have smaller bicycles."""
 _WHEEL: Final = 0.34
@@ -33,8 +37,8 @@ _GEAR: Final = 2.4
 """Turns of the wheel for one of the pedals."""
 _HIP: Final = np.array([-0.20, 0.0, 0.94])
 _HELMETS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
-_MOTOR_HIP: Final = {0: (-0.20, 0.0, 0.88), 1: (-0.24, 0.0, 0.86), 2: (-0.22, 0.0, 0.88)}
-_PEGS: Final = {0: (-0.06, 0.17, 0.36), 1: (0.16, 0.12, 0.33), 2: (-0.14, 0.17, 0.38)}
+_MOTOR_HIP: Final = {_ROADSTER: (-0.20, 0.0, 0.88), _SCOOTER: (-0.24, 0.0, 0.86), _TOURER: (-0.22, 0.0, 0.88)}
+_PEGS: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
 """Where the soles are, on the left, by the number of the machine."""
 _SCOOTER_WHEEL, _SCOOTER_AXLES = 0.24, (0.64, -0.62)
 _STANDS: Final = 1.6
@@ -49,7 +53,7 @@ _LEAN: Final = 0.09
 def bicycle(look: Look) -> tuple[Mesh, ...]:
     """Bicycle and rider; front wheel, rear wheel, right thigh, left thigh; right shin, left shin, pedals."""
     usual, scale = replace(look, height=_USUAL), look.height / _USUAL
-    racing = int(look.machine) == 1
+    racing = int(look.machine) == _RACING
     bar = np.array([0.40, 0.0, 0.92 if racing else 1.04])
     shoulder = _HIP + ([0.46, 0.0, 0.30] if racing else [0.26, 0.0, 0.43])
     parts = _frame(look, bar) + upper_body(usual, _HIP, shoulder, bar + [0.04 if racing else -0.06, 0.24, 0.02], 1.0)
@@ -86,7 +90,7 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
         aside = np.array([0, side, 0])
         parts += [tube([end, rear + aside], (0.012, 0.010), paint, 5) for end in (_CRANK, seat * [1, 1, 0.92])]
         parts.append(tube([low, low + aside - [0, 0, 0.02], front + aside], (0.016, 0.014, 0.012), paint, 5))
-    grip = bar + ([0.05, 0, 0.0] if int(look.machine) == 1 else [-0.08, 0, 0.0])
+    grip = bar + ([0.05, 0, 0.0] if int(look.machine) == _RACING else [-0.08, 0, 0.0])
     parts += [
         tube([stem, bar], (0.014, 0.014), "trim", 5),
         tube([grip + [0, -0.27, 0], bar, grip + [0, 0.27, 0]], (0.013,) * 3, "trim", 5),
@@ -97,7 +101,7 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
         box((-0.31, -0.025, 0.70), (-0.28, 0.025, 0.75), "trim"),
         lens((-0.312, 0, 0.725), 0.03, "taillight"),
     ]
-    if int(look.machine) == 0:
+    if int(look.machine) == _CITY:
         rack = np.array([[-0.22, 0.06, 0.76], [-0.66, 0.06, 0.76]])
         parts += [tube(rack * [1, s, 1], (0.008,) * 2, "trim", 4) for s in (-1, 1)]
         parts += [_mudguard(x) for x in (_FRONT, _REAR)]
@@ -161,10 +165,10 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
 def motorcycle(look: Look) -> tuple[Mesh, ...]:
     """Motorcycle, rider and passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
     machine, paint = int(look.machine), motor_paint(look)
-    wheel = motor_wheel(_SCOOTER_WHEEL if machine == 1 else MOTOR_WHEEL)
-    if machine == 1:
+    wheel = motor_wheel(_SCOOTER_WHEEL if machine == _SCOOTER else MOTOR_WHEEL)
+    if machine == _SCOOTER:
         parts = [
-            *_scooter(paint),
+            *_scooter_body(paint),
             lens((0.503, 0, 0.94), 0.06, "headlight"),
             lens((-0.862, 0, 0.62), 0.05, "taillight"),
         ]
@@ -174,12 +178,12 @@ def motorcycle(look: Look) -> tuple[Mesh, ...]:
             lens((0.716, 0, 0.86), 0.07, "headlight"),
             lens((-0.882, 0, 0.73), 0.04, "taillight"),
         ]
-    if machine == 2:
+    if machine == _TOURER:
         parts += _fairing(paint)
     h = look.height
     hip = np.array(_MOTOR_HIP[machine])
-    shoulder = hip + np.array([0.10 if machine == 1 else 0.20, 0.0, 0.47]) * h / _USUAL
-    hands = (0.40, 0.30, 1.02) if machine == 1 else (0.47, 0.34, 1.04)
+    shoulder = hip + np.array([0.10 if machine == _SCOOTER else 0.20, 0.0, 0.47]) * h / _USUAL
+    hands = (0.40, 0.30, 1.02) if machine == _SCOOTER else (0.47, 0.34, 1.04)
     parts += upper_body(look, hip, shoulder, hands, 0.5)
     parts += full_helmet(shoulder + [0.05, 0.0, 0.01], h, paint)
     if look.passenger > 0.5:
@@ -188,7 +192,7 @@ def motorcycle(look: Look) -> tuple[Mesh, ...]:
     return merged(parts), wheel, wheel, thigh(look), thigh(look), shin(look), shin(look)
 
 
-def _scooter(paint: str) -> list[Mesh]:
+def _scooter_body(paint: str) -> list[Mesh]:
     """A scooter without its wheels."""
     front, _ = _SCOOTER_AXLES
     parts = [
@@ -262,7 +266,7 @@ def _motor_load(look: Look, shoulder: Array) -> list[Mesh]:
 def riding(look: Look, travelled: float, speed: float) -> Array:
     """(6, 4, 4) poses of a motorcycle's wheels and its rider's legs."""
     machine = int(look.machine)
-    radius, axles = (_SCOOTER_WHEEL, _SCOOTER_AXLES) if machine == 1 else (MOTOR_WHEEL, MOTOR_AXLES)
+    radius, axles = (_SCOOTER_WHEEL, _SCOOTER_AXLES) if machine == _SCOOTER else (MOTOR_WHEEL, MOTOR_AXLES)
     wheels = [turned(-travelled / radius, (x, 0.0, radius)) for x in axles]
     sole, (x, y, z) = SOLE * look.height, _PEGS[machine]
     ankles = [np.array([x, side * y, z + sole]) for side in (-1, 1)]

@@ -11,7 +11,7 @@ from skope.gen.bystanders.bystander import KINDS, Bystander, build
 from skope.gen.bystanders.joints import SOLE, leg_to, sunk
 from skope.gen.bystanders.luggage import LOADS
 from skope.gen.bystanders.people import Look
-from skope.gen.bystanders.riding import standing_lean
+from skope.gen.bystanders.riding import MACHINES, standing_lean
 from skope.gen.mesh import Mesh
 from skope.gen.render.vehicle_lamps import lamps_of
 from skope.types import Array
@@ -37,7 +37,7 @@ def drawn(kind: str, count: int = 60) -> list[Look]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str) -> None:
-    machines = range(len(looks.MACHINES.get(kind, (0,))))
+    machines = range(len(MACHINES.get(kind, (0,))))
     for load, machine, passenger in itertools.product(range(len(LOADS)), machines, (0.0, 1.0)):
         look = Look(jointed=1.0, load=float(load), machine=float(machine), passenger=passenger, helmet=1.0)
         body = build(kind, look.to_dict())
@@ -125,7 +125,7 @@ def test_people_differ_and_old_bodies_keep_their_numbers() -> None:
         assert len({look.palette for look in every}) == 300
         assert {look.helmet for look in every} == ({0.0, 1.0} if kind == "cyclist" else {0.0})
         assert {look.passenger for look in every} == ({0.0} if kind == "pedestrian" else {0.0, 1.0})
-        assert {int(look.machine) for look in every} == set(range(len(looks.MACHINES.get(kind, (0,)))))
+        assert {int(look.machine) for look in every} == set(range(len(MACHINES.get(kind, (0,)))))
     assert any(look.load == LOADS.index("umbrella") for look in drawn("pedestrian", 40))
     dry = [looks.drawn("pedestrian", np.random.default_rng(k)) for k in range(100)]
     assert not any(look.load == LOADS.index("umbrella") for look in dry)
