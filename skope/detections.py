@@ -1,6 +1,6 @@
 """What a detector found in an image."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -8,7 +8,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from skope import boxes
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import Result
+from skope.schema import Result, RoadUserResult
+
+
+@dataclass(frozen=True)
+class RoadUserDetections:
+    """People on foot and on two wheels found in one image, best score first; they have no keypoints."""
+
+    boxes_xyxy: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    """(M, 4) pixels of the original image."""
+    scores: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    """(M,) confidence that this is one of its category, 0 to 1."""
+    categories: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """(M,) ids of their categories, 2 to 4, see `schema.CATEGORIES`."""
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """Some of them: (M,) whether each is chosen, or the numbers of those that are, in their new order."""
+        return replace(
+            self, boxes_xyxy=self.boxes_xyxy[chosen], scores=self.scores[chosen], categories=self.categories[chosen]
+        )
+
+    def to_results(self, image_id: int) -> list[RoadUserResult]:
+        """The detections as COCO results of image `image_id`."""
+        rows = zip(boxes.xyxy_to_xywh(self.boxes_xyxy), self.scores, self.categories.tolist(), strict=True)
+        return [
+            RoadUserResult(image_id=image_id, bbox=box, score=float(score), category_id=category)
+            for box, score, category in rows
+        ]
 
 
 @dataclass(frozen=True)
@@ -29,6 +58,8 @@ class Detections:
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33
     """What the keypoints are, and by which edition of their definition they are marked."""
+    road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
+    """Who else was found, by a detector that has learnt other categories; no vehicles."""
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -36,10 +67,17 @@ class Detections:
     def above(self, score: float) -> Self:
         """The detections that score higher than `score`, which is from 0 to 1."""
         kept = self.scores > score
-        return replace(self, boxes_xyxy=self.boxes_xyxy[kept], scores=self.scores[kept], keypoints=self.keypoints[kept])
+        others = self.road_users.of(self.road_users.scores > score)
+        return replace(
+            self,
+            boxes_xyxy=self.boxes_xyxy[kept],
+            scores=self.scores[kept],
+            keypoints=self.keypoints[kept],
+            road_users=others,
+        )
 
     def to_results(self, image_id: int) -> list[Result]:
-        """The detections as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
+        """The vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
         return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
 
 
