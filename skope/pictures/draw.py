@@ -20,7 +20,7 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser
+from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser, RoadUserResult
 
 Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -118,13 +118,26 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     return canvas.pixels
 
 
-def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
-    """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
+def results(
+    image: Pixels,
+    found: Iterable[Result],
+    road_users: Iterable[RoadUserResult] = (),
+    *,
+    scale: int = 1,
+    scheme: Scheme = SKOPE33,
+) -> Pixels:
+    """Draw what was found on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
     Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
-    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score.
+    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score; that of other road
+    users, who have a box in the colour of their category, begins with its first letter.
     """
     canvas = _Canvas(image, scale, scheme)
+    for user in sorted(road_users, key=lambda r: r.score):
+        color = PALETTE[user.category_id]
+        canvas.box(user.bbox, color)
+        if not canvas.is_small(user.bbox):
+            canvas.label(user.bbox, f"{user.category[0]} {user.score:.2f}", color)
     ordered = sorted(found, key=lambda r: r.score)
     canvas.faint_points(ordered)
     for i, result in enumerate(ordered):
