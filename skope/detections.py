@@ -1,7 +1,8 @@
 """What a detector found in an image."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from skope import boxes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Result, RoadUserResult
+
+AnyResult: TypeAlias = Result | RoadUserResult
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,12 @@ class RoadUserDetections:
         return replace(
             self, boxes_xyxy=self.boxes_xyxy[chosen], scores=self.scores[chosen], categories=self.categories[chosen]
         )
+
+    @classmethod
+    def together(cls, parts: Sequence["RoadUserDetections"]) -> "RoadUserDetections":
+        """Those of all parts, of which there is one at least, in their order."""
+        names = ("boxes_xyxy", "scores", "categories")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def to_results(self, image_id: int) -> list[RoadUserResult]:
         """The detections as COCO results of image `image_id`."""
@@ -79,6 +88,22 @@ class Detections:
     def to_results(self, image_id: int) -> list[Result]:
         """The vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
         return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
+
+    def all_results(self, image_id: int) -> list[AnyResult]:
+        """Vehicles, then other road users, as COCO results of image `image_id`, for `skope.dataset.coco`."""
+        return [*self.to_results(image_id), *self.road_users.to_results(image_id)]
+
+
+def apart(found: Iterable[AnyResult]) -> tuple[list[Result], list[RoadUserResult]]:
+    """The vehicles among results, and the other road users, in their order."""
+    vehicles: list[Result] = []
+    road_users: list[RoadUserResult] = []
+    for one in found:
+        if isinstance(one, Result):
+            vehicles.append(one)
+        else:
+            road_users.append(one)
+    return vehicles, road_users
 
 
 def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
