@@ -15,7 +15,7 @@ from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
-from skope.schema import AnnotationFile, Found, Result
+from skope.schema import AnnotationFile, Found, Result, RoadUserResult
 
 F = TypeVar("F", bound=Found)
 
@@ -104,6 +104,17 @@ class ResultsFile:
 
     def __iter__(self) -> Iterator[Result]:
         return _for_file(self.path, self.file, None)
+
+
+@dataclass(frozen=True)
+class RoadUsersFile:
+    """The other road users of a results file for the images of `file`, in its order, read again each time."""
+
+    path: Path
+    file: AnnotationFile
+
+    def __iter__(self) -> Iterator[RoadUserResult]:
+        return (result for result in _all_for_file(self.path, self.file, None) if isinstance(result, RoadUserResult))
 
 
 def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:

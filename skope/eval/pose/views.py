@@ -20,7 +20,7 @@ from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
 from skope.metrics.match import match
-from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import counted
 from skope.types import Array
 
@@ -78,6 +78,8 @@ class Scene:
     """Where the road is; None: unknown."""
     left_out: str | None = None
     """Which images of the file are not here, as they show another view; None: all are here."""
+    road_users: Iterable[RoadUserResult] | None = None
+    """The other road users that were found, in any order; may be of other images too. None: the annotations' own."""
 
     @property
     def shapes(self) -> Shapes:
@@ -228,11 +230,13 @@ def read_scene(
     if edition is not None:
         file = replace(file, scheme=keypoints.scheme_of(keypoints.SCHEME, edition))
     results = read_inputs.stream_results(predictions, file) if predictions else None
+    users = read_inputs.RoadUsersFile(predictions, file) if predictions else None
     file, left_out = _of_one_view(file)
     if camera is None:
-        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out)
+        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out, users)
     read, posed = read_camera(camera, _size(file))
-    return Scene(file, results, read, Ground(height=ground) if posed and ground is not None else None, left_out)
+    road = Ground(height=ground) if posed and ground is not None else None
+    return Scene(file, results, read, road, left_out, users)
 
 
 def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
