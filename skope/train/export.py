@@ -145,7 +145,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
         moments = None
         if data:
             with activation_ranges.noted(model) as ranges:
-                moments = _moments(model, data, console)
+                moments = _moments(model, data, config.categories, console)
             metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
         write_new(out, checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
@@ -161,13 +161,13 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     return out
 
 
-def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Tensor]:
+def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
     images = image_selection.take(opened.read(SPLIT), IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
-    return input_moments.gather(model.to(choose_device("auto")), seen)
+    return input_moments.gather(model.to(choose_device("auto")), seen, categories)
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skope import boxes, schema
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
+from skope.detector import activation_ranges
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import MIN_SCORE, detect
@@ -21,7 +24,7 @@ from skope.terminal.console import Console
 from skope.train import ignored_regions, init_weights, loop, splits
 from skope.train.augment import STEPS, Augment
 from skope.train.data import DetectionDataset, TrainingSet
-from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export
+from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export, torchvision_code
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
 from skope.train.run_folder import RunConfig
@@ -316,3 +319,34 @@ def test_exports_say_the_category(learnt: tuple[Path, Path], to: str, tmp_path: 
     assert sure_points[categories == 1].mean() > 0.5
     for one, other in zip(expected, answer, strict=True):
         assert torch.allclose(one[:sure].double(), other[:sure].double(), rtol=0, atol=0.1)
+
+
+def test_other_forms_have_as_many_classes(
+    learnt: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Compact weights with the ranges of eight bits load as such; the lines for torchvision build five classes."""
+    data, checkpoint = learnt
+    quiet = Console(quiet=True)
+    packed = export(checkpoint, "compact", tmp_path / "a.safetensors", data=data, console=quiet)
+    model, config, metadata = load_weights(packed, "cpu")
+    assert config.categories == schema.CATEGORIES
+    assert activation_ranges.read(model, metadata) is not None
+    dataset = open_dataset(data)
+    (image,) = dataset.read("train").images
+    (found,) = detect(model, [dataset.image(image)], CPU, categories=config.categories)
+    assert sorted(found.above(0.8).road_users.categories.tolist()) == [2, 4]
+
+    lines = torchvision_code(tmp_path / "a.pth", config)
+    assert "num_classes=5, num_keypoints=33" in lines
+    assert lines.endswith("# labels 1 to 4: vehicle, bicycle, motorcycle, pedestrian")
+    # Of torchvision's own size: these lines build the whole network.
+    with monkeypatch.context() as whole:
+        whole.setattr("skope.detector.build.resnet_fpn_backbone", resnet_fpn_backbone)
+        whole.setattr("skope.detector.build.KeypointRCNN", KeypointRCNN)
+        save_weights(tmp_path / "whole.safetensors", build(FOUR), FOUR, {})
+        export(tmp_path / "whole.safetensors", "state_dict", tmp_path / "it's.pth", console=Console())
+    names: dict[str, Any] = {}
+    exec(capsys.readouterr().out, names)
+    assert names["model"].roi_heads.box_predictor.cls_score.out_features == 5
+    stock = keypointrcnn_resnet50_fpn(weights=None, weights_backbone=None, num_classes=5, num_keypoints=33)
+    stock.load_state_dict(torch.load(tmp_path / "it's.pth"), strict=True)
