@@ -147,7 +147,7 @@ class _Run:
         if self._file.images and all(vehicle.ignored for vehicle in self._file.annotations):
             said = f"{counted(len(self._file.images), 'image')} to validate on show no vehicle: nothing is validated"
             self.console.say(f"{said} (--val-fraction)")
-            self._file = replace(self._file, images=(), annotations=())
+            self._file = replace(self._file, images=(), annotations=(), road_users=())
         self._loader = Loader(
             self.training_set,
             workers=self.workers,
