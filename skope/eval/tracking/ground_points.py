@@ -85,10 +85,12 @@ def _in_image(
         points = ground_points(scene.camera_of(image), scene.ground, feet, spread)
     out = []
     for one, foot, point in zip(found, feet, points, strict=True):
-        label = isinstance(one, RoadUser)
-        shown = foot[1] < image.height - _EDGE_PX and not (isinstance(one, RoadUserResult) and one.interpolated)
-        confidence = 1.0 if label else float(getattr(one, "score", 1.0))
-        out.append(Sight(one.category_id, one.bbox, confidence, one.track_id, point if shown else None))
+        shown = point if foot[1] < image.height - _EDGE_PX else None
+        if isinstance(one, RoadUser):  # as with vehicles, labels do not tell who is who
+            out.append(Sight(one.category_id, one.bbox, 1.0, None, shown))
+        else:
+            measured = None if one.interpolated else shown
+            out.append(Sight(one.category_id, one.bbox, one.score, one.track_id, measured))
     return out
 
 

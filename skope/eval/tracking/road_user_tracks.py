@@ -177,16 +177,23 @@ def _pairs(live: Sequence[_Open], sights: Sequence[Sight]) -> list[tuple[_Open |
     taken = {id(track) for track in of_sight.values()}
     free = [track for track in live if id(track) not in taken]
     rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
-    cost = np.array([[_distance(track, sight) for _, sight in rest] for track in free]).reshape(len(free), len(rest))
-    for row, column in cheapest_pairs(cost, GATE):
+    points = [(sight.category_id, sight.point) for _, sight in rest if sight.point is not None]
+    for row, column in cheapest_pairs(_distances(free, points), GATE):
         of_sight[rest[column][0]] = free[row]
     return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
 
 
-def _distance(track: _Open, sight: Sight) -> float:
-    """Squared distance of a sight from where a track is expected, in variances; infinite for another category."""
-    if track.category_id != sight.category_id or sight.point is None:
-        return float("inf")
-    mean, spread = track.state
-    away = sight.point.place - mean[:2]
-    return float(away @ np.linalg.solve(spread[:2, :2] + sight.point.covariance + _SLACK_M**2 * np.eye(2), away))
+def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
+    """(T, P) squared distances of places, with their categories, from where tracks are expected, in variances.
+
+    Infinite for another category.
+    """
+    means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
+    spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)
+    places = np.array([point.place for _, point in points]).reshape(1, -1, 2)
+    covariances = np.array([point.covariance for _, point in points]).reshape(1, -1, 2, 2)
+    away = places - means
+    total = spreads + covariances + _SLACK_M**2 * np.eye(2)
+    squared = np.einsum("tpi,tpij,tpj->tp", away, np.linalg.inv(total), away)
+    alike = np.equal.outer([track.category_id for track in tracks], [category for category, _ in points])
+    return np.where(alike, squared, np.inf)
