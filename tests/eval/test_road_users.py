@@ -1,6 +1,7 @@
 """`skope eval` and `skope eval predict` with a detector that finds people on foot and on two wheels too."""
 
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +38,10 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     assert entry["ground_truth"] == 6, "vehicles alone"
     first = next(line for line in said.splitlines() if " pedestrian " in line)
     assert first.split()[:3] == ["easy", "pedestrian", "all"]
-    assert "People on foot and on two wheels" in Path("eval/report.html").read_text()
+    page = Path("eval/report.html").read_text()
+    assert "People on foot and on two wheels" in page
+    assert re.search(r'data-tip="pedestrian \d+"', page), "labelled ones in the pictures"
+    assert re.search(r'data-tip="(bicycle|motorcycle|pedestrian), score 0\.\d\d"', page), "and those that are found"
     vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))
     assert len(vehicles) > 3
     assert {other.category for other in others} == set(CATEGORIES[1:])
