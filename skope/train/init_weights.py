@@ -1,6 +1,7 @@
 """The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
 import argparse
+import math
 import pickle
 import re
 from dataclasses import replace
@@ -33,6 +34,9 @@ _DEFAULT_EPS: Final = 1e-5
 _NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
 _PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
 _BOX_PREDICTOR: Final = "roi_heads.box_predictor."
+_RARE: Final = math.log(0.01)
+"""Bias of a class that begins anew: a hundredth as likely as what has a logit of 0, as in RetinaNet (Lin et al.,
+2017)."""
 
 State = dict[str, torch.Tensor]
 
@@ -190,7 +194,8 @@ def _with_categories(
     """`state`, trained for `categories`, with a box predictor for those that are wanted: new rows are those of `drawn`.
 
     The rows of the predictor's weights are those of the background and of each category, one for classes and four for
-    boxes.
+    boxes. New classes begin as rare: the scores of those taken over stay about what they were, where classes as likely
+    as the background would take most of them away.
     """
     before, after = (("background", *names) for names in (categories, wanted))
     out = dict(state)
@@ -206,6 +211,8 @@ def _with_categories(
         for i, category in enumerate(after):
             if category in before:
                 new[i] = old[before.index(category)]
+            elif name.endswith("cls_score.bias"):
+                new[i] = _RARE
         out[name] = new.flatten(0, 1)
     return out
 

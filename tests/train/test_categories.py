@@ -206,6 +206,14 @@ def test_weights_of_one_class_begin_a_training_of_several(tmp_path: Path) -> Non
         other, _, _ = initialise(tmp_path / name, ("vehicle", "bicycle", "pedestrian"), seed=1)
         assert alike(rows(model, 3), rows(again, 3))
         assert not alike(rows(model, 3), rows(other, 3))
+        # Vehicles' scores hardly change by classes that nothing is known of yet.
+        pixels = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
+        (few,), (many,) = (
+            detect(one, [pixels], CPU, min_score=0.1, max_detections=5, categories=names)
+            for one, names in ((own, ("vehicle",)), (model, chosen.categories))
+        )
+        assert few.scores.min() > 0.3
+        assert many.scores == pytest.approx(few.scores, rel=0.2)
         theirs = own.state_dict()
         others = [key for key in theirs if "box_predictor" not in key]
         assert all(torch.equal(theirs[key], model.state_dict()[key]) for key in others)
