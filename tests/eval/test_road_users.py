@@ -38,6 +38,9 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     assert entry["ground_truth"] == 6, "vehicles alone"
     first = next(line for line in said.splitlines() if " pedestrian " in line)
     assert first.split()[:3] == ["easy", "pedestrian", "all"]
+    motorcycle = entry["categories"]["motorcycle"]
+    sizes = [size for size, figures in motorcycle.items() if size == "all" or figures["detections"]]
+    assert sum(" motorcycle " in line for line in said.splitlines()) == len(sizes)
     page = Path("eval/report.html").read_text()
     assert "People on foot and on two wheels" in page
     assert re.search(r'data-tip="pedestrian \d+"', page), "labelled ones in the pictures"

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.report.table import COLUMNS, SIZES, evidence, published_row, row_of
+from skope.eval.report.table import COLUMNS, SIZES, category_rows, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
 from skope.metrics.road_users import IOU
@@ -171,8 +171,7 @@ def _categories(splits: Mapping[str, Any]) -> str:
         [escape(split), name, SIZES[size], *(str(figures[key]) for key in ("ground_truth", "ignored", "detections"))]
         + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
-        for name, by_size in entry.get("categories", {}).items()
-        for size, figures in by_size.items()
+        for name, size, figures in category_rows(entry)
     ]
     head = (
         "split",

@@ -1,7 +1,7 @@
 """The paper's table on a terminal: splits side by side, a row per IoU threshold, and what belongs beside it."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, Final
@@ -113,14 +113,21 @@ SIZES: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px"
 """COCO's ranges of areas in words."""
 
 
+def category_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Category, size and figures of a split's other road users; sizes of which there is nobody are left out."""
+    for name, by_size in entry.get("categories", {}).items():
+        for size, figures in by_size.items():
+            if size == "all" or figures["ground_truth"] or figures["detections"]:
+                yield name, size, figures
+
+
 def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
     """The other road users by category and size; nothing where the ground truth labels none."""
     rows = [
         [split, name, SIZES[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
         + [number(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
-        for name, by_size in entry.get("categories", {}).items()
-        for size, figures in by_size.items()
+        for name, size, figures in category_rows(entry)
     ]
     if not rows:
         return []

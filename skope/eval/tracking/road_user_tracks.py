@@ -8,7 +8,7 @@ category in variances, as each moves by the filter that vehicles move by.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _FEWEST: Final = 3
 """A track has at least so many places."""
 _SHORTEST_S: Final = 0.4
 """A track lasts at least this long."""
+_SIDEWALK_M: Final = 0.1
+"""Standard deviation of the height of pedestrians' feet over the road: a kerb is 10 to 15 cm high."""
 _MOVES: Final = 2.0
 """Who moves by so many standard deviations of the speed, and by `_LEAST_SPEED`, has a heading."""
 _LEAST_SPEED: Final = 0.5
@@ -42,6 +44,17 @@ class RoadUserTrack(GroundTrack):
     """Somebody on foot or on two wheels over M frames: all from the first to the last place, seen or not."""
 
     category: str
+
+    def on_sidewalks(self, eye: Array) -> Self:
+        """The track where who walks may do so above the road all the way, seen by a camera at `eye` (3,).
+
+        That is no noise that more frames would average away.
+        """
+        if self.category != "pedestrian":
+            return self
+        away = np.linalg.norm(self.position[:, :2] - eye[:2], axis=1)
+        per_metre = away / np.maximum(1.0, eye[2] - self.position[:, 2])
+        return replace(self, position_sigma=np.hypot(self.position_sigma, _SIDEWALK_M * per_metre))
 
     @cached_property
     def heading(self) -> Array:

@@ -136,6 +136,18 @@ def test_sigmas_are_as_large_as_errors() -> None:
     assert np.sqrt(np.mean(np.square(errors)) / 2) == pytest.approx(np.sqrt(np.mean(np.square(sigmas))), rel=0.35)
 
 
+def test_sidewalks_make_pedestrians_alone_uncertain_all_the_way() -> None:
+    """0.1 m of height, 20 m away from a camera 5 m high."""
+    times = np.arange(0, 4, 0.1).tolist()
+    both = [(PEDESTRIAN, straight(20, 0, 0, 0)), (BICYCLE, straight(20, 9, 0, 0))]
+    for track in follow_road_users(walked(both, times), times):
+        sure = track.on_sidewalks(np.array([0.0, 0.0, 5.0])).position_sigma
+        expected = (
+            np.hypot(track.position_sigma, 0.1 * 20 / 5) if track.category == "pedestrian" else track.position_sigma
+        )
+        assert sure == pytest.approx(expected, rel=0.02)
+
+
 def test_who_stands_has_no_heading() -> None:
     times = np.arange(0, 4, 0.1).tolist()
     (track,) = follow_road_users(walked([(PEDESTRIAN, straight(3, 4, 0, 0))], times), times)
