@@ -115,7 +115,8 @@ def _write_heading(
         )
     if road_users:
         kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
-        note += f" Dotted: {', '.join(kinds)} (road_users.csv)."
+        words = f"dotted: {', '.join(kinds)}, as in road_users.csv"
+        figure.text(_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT, ha="right")
     figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
     figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
 
