@@ -87,6 +87,8 @@ def train(
         console = console if processes.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
         categories = splits.common_categories(parts, config.categories)
+        unlearnt = [name for name in CATEGORIES if any(name in part.categories for part in parts)]
+        unlearnt = [name for name in unlearnt if name not in categories]
         parts = [part.of_categories(categories) for part in parts]
         config = config.of([part.dataset for part in parts], splits.common_scheme(parts), categories)
         recipe = config.recipe
@@ -109,6 +111,8 @@ def train(
                 run_folder.record(out, config)
             where = f"on {device} x {processes.size}, {workers} extra processes"
             _announce(config, training, training_set, parts, where, console)
+            if unlearnt:
+                console.say(f"{', '.join(unlearnt)}: labelled, and background to this run, as --categories has it")
             return _Run(
                 config, out, training, training_set, parts, processes, device, workers, saving, stop, console
             ).go()

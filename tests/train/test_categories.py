@@ -246,6 +246,21 @@ def test_a_run_of_one_class_says_nothing_of_categories(tmp_path: Path) -> None:
     assert "one class" in (tmp_path / "run" / "README.md").read_text()
 
 
+def test_what_is_labelled_and_not_learnt_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = road_users.make_dataset(
+        tmp_path / "data", images=1, splits=("train",), categories=("vehicle", "bicycle", "pedestrian")
+    )
+    config = RunConfig(
+        recipe=replace(TINY, epochs=1), seed=0, data=(str(data),), mix=None, max_images=None, categories=("vehicle",)
+    )
+    run = tmp_path / "run"
+    checkpoint = loop.train(config, run, device=CPU, workers=0, resume=False, console=Console(), saving=Saving())
+    said = "".join(capsys.readouterr())
+    assert "bicycle, pedestrian: labelled, and background to this run" in said
+    assert load_weights(checkpoint, "cpu")[1].categories == ("vehicle",)
+    assert b"categories" not in checkpoint.read_bytes()[:20000]
+
+
 def test_a_run_of_several_categories_records_and_resumes_them(tmp_path: Path) -> None:
     data = road_users.make_dataset(tmp_path / "data", images=4, splits=("train",))
     recipe = replace(TINY, epochs=1, val_fraction=0.25)
