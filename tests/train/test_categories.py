@@ -32,6 +32,7 @@ from skope.train.targets import LEAST_INSIDE, Vehicles
 from tests import road_users, samples
 from tests.train.conftest import shrink
 from tests.train.test_ignored_regions import BOXES, IGNORED, VEHICLES
+from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY
 from tests.train.test_overfits import BY_HEART, pck
 
@@ -217,6 +218,21 @@ def test_weights_of_one_class_begin_a_training_of_several(tmp_path: Path) -> Non
         theirs = own.state_dict()
         others = [key for key in theirs if "box_predictor" not in key]
         assert all(torch.equal(theirs[key], model.state_dict()[key]) for key in others)
+
+
+def test_weights_trained_on_coco_begin_a_training_of_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From torchvision's cache: COCO's person is taken for the vehicle, as ever, and 17 keypoints make room for 33."""
+    torch.manual_seed(5)
+    coco_like = build(replace(FOUR, norm="frozen", norm_eps=0.0, categories=("vehicle",)), num_keypoints=17)
+    path = tmp_path / "hub" / "checkpoints" / COCO_FILE
+    path.parent.mkdir(parents=True)
+    torch.save(coco_like.state_dict(), path)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    model, chosen, words = initialise(Path("auto"), schema.CATEGORIES)
+    assert words == "weights trained on COCO; bicycle, motorcycle, pedestrian anew"
+    assert (chosen.norm, chosen.norm_eps, chosen.categories) == ("frozen", 0.0, schema.CATEGORIES)
+    assert model.roi_heads.keypoint_predictor.kps_score_lowres.out_channels == 33
+    assert all(alike(rows(model, label), rows(coco_like, label)) for label in (0, 1))
 
 
 def test_weights_of_several_classes_begin_one_of_fewer_or_of_others(tmp_path: Path) -> None:
