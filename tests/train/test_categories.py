@@ -1,7 +1,7 @@
 """Training with people on foot and on two wheels: targets, refusals, first weights, and that it learns."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import MIN_SCORE, detect
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train import ignored_regions, init_weights, loop, splits
+from skope.train import ignored_regions, init_weights, input_moments, loop, splits
 from skope.train.augment import STEPS, Augment
 from skope.train.data import DetectionDataset, TrainingSet
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export, torchvision_code
@@ -371,6 +371,14 @@ def test_other_forms_have_as_many_classes(
     """Compact weights with the ranges of eight bits load as such; the lines for torchvision build five classes."""
     data, checkpoint = learnt
     quiet = Console(quiet=True)
+
+    def gather(model: KeypointRCNN, images: Iterable[Any], categories: tuple[str, ...]) -> dict[str, torch.Tensor]:
+        """Without the moments, from which rounding takes minutes."""
+        for pixels in images:
+            detect(model, [pixels], CPU, categories=categories)
+        return {}
+
+    monkeypatch.setattr(input_moments, "gather", gather)
     packed = export(checkpoint, "compact", tmp_path / "a.safetensors", data=data, console=quiet)
     model, config, metadata = load_weights(packed, "cpu")
     assert config.categories == schema.CATEGORIES
