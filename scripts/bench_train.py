@@ -211,6 +211,7 @@ def skope(
         fold_norms(model)
     training = TrainingState(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
     source = splits.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
+    source = source.of_categories(config.categories)
     images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
     groups = [[(0, i, 0) for i in group] for group in order(options, processes)]
     workers = configure.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.dataset import coco, folder
 from skope.dataset.folder import Dataset
+from skope.detections import AnyResult, apart
 from skope.detector import weights
 from skope.errors import UserError
-from skope.schema import AnnotationFile, Result
+from skope.schema import AnnotationFile
 
 if TYPE_CHECKING:
     from skope.detections import Detections
@@ -57,7 +58,8 @@ def torch_dataset(path: str | Path, split: str = "train", *, supervise: str = "v
     Returns:
         A `torch.utils.data.Dataset` of pairs: pixels (3, H, W) float32 from 0 to 1, and a dict of `boxes` (N, 4) xyxy
         in pixels, `labels` (N,), `keypoints` (N, 33, 3) x, y, v, and `ignored_boxes` (M, 4), which count neither as
-        vehicles nor as background.
+        vehicles nor as background. Vehicles have label 1; where the dataset labels other road users, these follow with
+        labels from 2, in the order of the file's `categories`, and keypoints that are all v = 0.
 
     Raises:
         UserError: There is no such dataset or split.
@@ -86,7 +88,8 @@ class Detector:
 
         Returns:
             Detections with `boxes_xyxy` (N, 4), `scores` (N,) and `keypoints` (N, 33, 3), in pixels of the image and
-            best score first; `detections.above(0.5)` keeps those with higher scores.
+            best score first; `detections.above(0.5)` keeps those with higher scores. Where the detector has learnt
+            them, `road_users` has boxes, scores and categories of people on foot and on two wheels.
 
         Raises:
             UserError: The file cannot be read.
@@ -212,7 +215,7 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "list[Track]
 
 
 def score(
-    predictions: str | Path | Sequence[Result],
+    predictions: str | Path | Sequence[AnyResult],
     annotations: str | Path | AnnotationFile,
     *,
     min_score: float = 0.9,
@@ -231,17 +234,23 @@ def score(
     Returns:
         A split's entry as in `metrics.json`: counts, and for each IoU ("0.6") `pck` and the precision and recall of
         boxes and keypoints, `pooled` over all images and as the `paper` counts them. A ratio without anything to
-        divide by is None.
+        divide by is None. Where the predictions hold other road users than vehicles, `categories` has the figures of
+        those that the ground truth labels, by category and size.
 
     Raises:
         UserError: A file cannot be read, or the predictions are of other images.
     """
     from skope.metrics import read_inputs
     from skope.metrics.precision_recall import Options, score_split
+    from skope.metrics.road_users import category_figures
 
     file = annotations if isinstance(annotations, AnnotationFile) else coco.read(Path(annotations))
-    results = read_inputs.read_results(Path(predictions), file) if isinstance(predictions, str | Path) else predictions
-    return score_split(file, results, Options(score=min_score, alpha=alpha, iou=tuple(iou)))
+    given = predictions
+    found = read_inputs.read_all_results(Path(given), file) if isinstance(given, str | Path) else given
+    vehicles, road_users = apart(found)
+    entry = score_split(file, vehicles, Options(score=min_score, alpha=alpha, iou=tuple(iou)))
+    figures = category_figures(file, road_users, score=min_score) if road_users else {}
+    return entry | ({"categories": figures} if figures else {})
 
 
 def generate(

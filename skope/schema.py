@@ -5,23 +5,32 @@ plain COCO files do not have are optional, so that the same records hold anybody
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.errors import UserError, one_of
+from skope.errors import UserError
+from skope.field_checks import array, choice, integer, number, probability, share
 from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 
 VERSION: Final = 1
+CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", "pedestrian")
+"""Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
+VEHICLE_ALONE: Final = CATEGORIES[:1]
+"""The categories of a file whose makers labelled vehicles alone."""
 CATEGORY_ID: Final = 1
+"""Id of the category `vehicle`."""
+ROAD_USER_IDS: Final = (2, 3, 4)
+"""Ids of the categories without keypoints."""
+_SUPERCATEGORIES: Final = ("vehicle", "vehicle", "vehicle", "person")
 
 VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
@@ -37,7 +46,7 @@ IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 
 def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
-    """The one COCO category, `vehicle`, with names, 1-based skeleton and sigmas."""
+    """The COCO category `vehicle`, with names, 1-based skeleton and sigmas."""
     return {
         "id": CATEGORY_ID,
         "name": "vehicle",
@@ -48,34 +57,25 @@ def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
     }
 
 
-def array(name: str, value: Any, *shape: int) -> Array:
-    """`value` as a float array of `shape`, or a UserError that names the field."""
-    try:
-        result = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise UserError(f"{name}: expected numbers, got {str(value)[:60]!r}") from None
-    if result.size != math.prod(shape):
-        expected = " x ".join(map(str, shape))
-        raise UserError(f"{name}: expected {expected} numbers, got {result.size}")
-    if not np.isfinite(result).all():
-        raise UserError(f"{name}: not all numbers are finite")
-    return result.reshape(shape)
+def category_rows(categories: Iterable[str], scheme: Scheme = SKOPE33) -> list[dict[str, Any]]:
+    """The COCO categories of these names; those without keypoints have empty lists, which pycocotools draws."""
+    rows = [category(scheme)]
+    for name in categories:
+        if name != "vehicle":
+            which = CATEGORIES.index(name)
+            kind = _SUPERCATEGORIES[which]
+            rows.append({"id": which + 1, "name": name, "supercategory": kind, "keypoints": [], "skeleton": []})
+    return rows
 
 
-def _integer(name: str, value: Any, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise UserError(f"{name}: expected a whole number from {least}, got {value!r}")
-    return value
-
-
-def _share(name: str, value: float | None) -> None:
-    if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
-        raise UserError(f"{name}: expected a share from 0 to 1, got {value!r}")
-
-
-def _choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
-    if value is not None:
-        one_of(name, value, choices)
+def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
+    """Names of categories in the order of their ids; a UserError where one is unknown or `vehicle` is missing."""
+    names = tuple(categories)
+    for name in names:
+        choice("categories", name, CATEGORIES)
+    if "vehicle" not in names:
+        raise UserError(f"categories: expected vehicle among {', '.join(names) or 'no names'}")
+    return tuple(name for name in CATEGORIES if name in names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,9 +98,9 @@ class Image:
     camera: Camera | None = None
 
     def __post_init__(self) -> None:
-        _integer("id", self.id, 0)
-        _integer("width", self.width, 1)
-        _integer("height", self.height, 1)
+        integer("id", self.id, 0)
+        integer("width", self.width, 1)
+        integer("height", self.height, 1)
         safe_names.relative("file_name", self.file_name)
         if self.depth_file_name is not None:
             safe_names.relative("depth_file_name", self.depth_file_name)
@@ -109,8 +109,8 @@ class Image:
             if value is not None:
                 safe_names.name(field_name, value)
         if self.frame_index is not None:
-            _integer("frame_index", self.frame_index, 0)
-        _choice("weather", self.weather, WEATHERS)
+            integer("frame_index", self.frame_index, 0)
+        choice("weather", self.weather, WEATHERS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,38 +134,25 @@ class Box3D:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Annotation:
-    """One vehicle in one image."""
+class Labelled:
+    """What the labels of vehicles, riders and people on foot have in common, in one image."""
 
     id: int
     image_id: int
     bbox: Array
     """(4,) x, y, width, height: the whole silhouette as if nothing stood before it, clipped to the image."""
-    keypoints: Array
-    """(33, 3) x, y, v: v = 2 visible, 1 inside the image but hidden, 0 (x = y = 0) outside or unlabelled."""
     area: float
     """Number of visible pixels."""
     iscrowd: int = 0
-    """1: an ignored vehicle, neither ground truth nor background."""
+    """1: ignored, neither ground truth nor background."""
     segmentation: Mapping[str, Any] | list[Any] | None = None
     """COCO RLE of the visible pixels."""
-    category_id: int = CATEGORY_ID
     track_id: int | None = None
-    model: str | None = None
-    vehicle_type: str | None = None
-    color: str | None = None
-    parked: bool | None = None
     bbox_visible: Array | None = None
     """(4,) box of the visible pixels."""
     area_full: float | None = None
     """Number of the whole silhouette's pixels inside the image."""
-    keypoints_3d: Array | None = None
-    """(33, 3) world positions of all keypoints, whatever v says, metres."""
     box_3d: Box3D | None = None
-    box_3d_pixels: Array | None = None
-    """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
-    articulation: float | None = None
-    """Of an articulated vehicle: heading of the trailer minus that of the vehicle before it, radians."""
     velocity: Array | None = None
     """(3,) velocity in the world, m/s."""
     distance: float | None = None
@@ -175,57 +162,104 @@ class Annotation:
     truncation: float | None = None
     """Share of the silhouette outside the image."""
     contrast: float | None = None
-    """Mean absolute difference that the vehicle makes on its visible pixels, in units of the noise's sigma."""
+    """Mean absolute difference that it makes on its visible pixels, in units of the noise's sigma."""
     ignore_reason: str | None = None
 
     def __post_init__(self) -> None:
-        _integer("id", self.id, 0)
-        _integer("image_id", self.image_id, 0)
-        _integer("category_id", self.category_id, 0)
+        integer("id", self.id, 0)
+        integer("image_id", self.image_id, 0)
         if self.track_id is not None:
-            _integer("track_id", self.track_id, 0)
+            integer("track_id", self.track_id, 0)
         if self.iscrowd not in (0, 1):
             raise UserError(f"iscrowd: expected 0 or 1, got {self.iscrowd!r}")
-        shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
-            ("bbox", (4,)),
-            ("keypoints", (keypoints.K, 3)),
-            ("bbox_visible", (4,)),
-            ("keypoints_3d", (keypoints.K, 3)),
-            ("box_3d_pixels", (8, 2)),
-            ("velocity", (3,)),
-        )
-        for name, shape in shapes:
-            value = getattr(self, name)
-            if value is not None or name in ("bbox", "keypoints"):
-                object.__setattr__(self, name, array(name, value, *shape))
+        self._set_array("bbox", 4)
+        for name, length in (("bbox_visible", 4), ("velocity", 3)):
+            if getattr(self, name) is not None:
+                self._set_array(name, length)
         if (self.bbox[2:] < 0).any():
             raise UserError(f"bbox: width and height must not be negative, got {self.bbox.tolist()}")
-        v = self.keypoints[:, 2]
-        if not ((v == 0) | (v == 1) | (v == 2)).all():  # np.isin takes five times as long
-            raise UserError("keypoints: v is 0, 1 or 2")
-        for name in ("area", "area_full", "distance", "contrast"):
+        number("area", self.area)
+        for name in ("area_full", "distance", "contrast"):
             value = getattr(self, name)
-            if value is None and name != "area":
-                continue
-            if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-                raise UserError(f"{name}: expected a number from 0, got {value!r}")
-        if self.articulation is not None:
-            angle = self.articulation
-            if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
-                raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
-        _share("occlusion", self.occlusion)
-        _share("truncation", self.truncation)
-        _choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
-        _choice("color", self.color, COLORS)
-        _choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
+            if value is not None:
+                number(name, value)
+        share("occlusion", self.occlusion)
+        share("truncation", self.truncation)
+        choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
+
+    def _set_array(self, name: str, *shape: int) -> None:
+        """Put a field's numbers in place as an array of a shape."""
+        object.__setattr__(self, name, array(name, getattr(self, name), *shape))
 
     @property
     def ignored(self) -> bool:
         return self.iscrowd == 1
 
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Annotation(Labelled):
+    """One vehicle in one image."""
+
+    keypoints: Array
+    """(33, 3) x, y, v: v = 2 visible, 1 inside the image but hidden, 0 (x = y = 0) outside or unlabelled."""
+    category_id: int = CATEGORY_ID
+    model: str | None = None
+    vehicle_type: str | None = None
+    color: str | None = None
+    parked: bool | None = None
+    keypoints_3d: Array | None = None
+    """(33, 3) world positions of all keypoints, whatever v says, metres."""
+    box_3d_pixels: Array | None = None
+    """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
+    articulation: float | None = None
+    """Of an articulated vehicle: heading of the trailer minus that of the vehicle before it, radians."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        integer("category_id", self.category_id, 0)
+        self._set_array("keypoints", keypoints.K, 3)
+        if self.keypoints_3d is not None:
+            self._set_array("keypoints_3d", keypoints.K, 3)
+        if self.box_3d_pixels is not None:
+            self._set_array("box_3d_pixels", 8, 2)
+        v = self.keypoints[:, 2]
+        if not ((v == 0) | (v == 1) | (v == 2)).all():  # np.isin takes five times as long
+            raise UserError("keypoints: v is 0, 1 or 2")
+        if self.articulation is not None:
+            angle = self.articulation
+            if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
+                raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
+        choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
+        choice("color", self.color, COLORS)
+
     @property
     def num_keypoints(self) -> int:
         return int((self.keypoints[:, 2] > 0).sum())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoadUser(Labelled):
+    """One bicycle or motorcycle, each with whoever rides it, or one person on foot, in one image."""
+
+    category_id: int
+    """2 to 4, see `CATEGORIES`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_road_user(self.category_id)
+
+    @property
+    def category(self) -> str:
+        """Name of its category."""
+        return CATEGORIES[self.category_id - 1]
+
+
+def _check_road_user(category_id: Any) -> None:
+    if isinstance(category_id, bool) or category_id not in ROAD_USER_IDS:
+        raise UserError(f"category_id: expected 2 (bicycle), 3 (motorcycle) or 4 (pedestrian), got {category_id!r}")
+
+
+L = TypeVar("L", bound=Labelled)
 
 
 def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
@@ -242,51 +276,104 @@ def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AnnotationFile:
-    """One split: images and the vehicles in them, in file order."""
+    """One split: images, and the vehicles and other road users in them, in file order.
+
+    Ids are unique over annotations and road users together.
+    """
 
     images: tuple[Image, ...]
     annotations: tuple[Annotation, ...]
+    """The vehicles, and they alone."""
     info: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
     """The split's name: the file's stem."""
     scheme: Scheme = SKOPE33
     """Keypoint scheme of the file."""
+    road_users: tuple[RoadUser, ...] = ()
+    """People on foot and on two wheels, where the file's makers labelled them."""
+    categories: tuple[str, ...] = VEHICLE_ALONE
+    """Names of the categories that were labelled, in the order of their ids, whether or not there is one of each: in
+    images of a file that does not name pedestrians there may be some without a label."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "categories", checked_categories(self.categories))
+        for user in self.road_users:
+            if user.category not in self.categories:
+                raise UserError(f"categories: road user {user.id} is a {user.category}, which is not among them")
 
     def by_image(self) -> dict[int, list[Annotation]]:
-        """Annotations of each image id, in file order; images without a vehicle have an empty list."""
-        groups: dict[int, list[Annotation]] = {image.id: [] for image in self.images}
-        for annotation in self.annotations:
-            groups[annotation.image_id].append(annotation)
-        return groups
+        """Vehicles of each image id, in file order; images without one have an empty list."""
+        return _grouped(self.images, self.annotations)
+
+    def road_users_by_image(self) -> dict[int, list[RoadUser]]:
+        """Other road users of each image id, in file order; images without one have an empty list."""
+        return _grouped(self.images, self.road_users)
+
+    def labels_by_image(self) -> dict[int, list[Annotation | RoadUser]]:
+        """Vehicles of each image id and, after them, its other road users."""
+        others = self.road_users_by_image()
+        return {number: [*vehicles, *others[number]] for number, vehicles in self.by_image().items()}
+
+
+def _grouped(images: Iterable[Image], labels: Iterable[L]) -> dict[int, list[L]]:
+    groups: dict[int, list[L]] = {image.id: [] for image in images}
+    for label in labels:
+        groups[label.image_id].append(label)
+    return groups
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Result:
-    """One predicted vehicle of a COCO results file."""
+class Found:
+    """What results of vehicles and of other road users have in common."""
 
     image_id: int
     score: float
     """Confidence, 0 to 1."""
     bbox: Array
     """(4,) x, y, width, height."""
-    keypoints: Array
-    """(33, 3) x, y, probability that the point is right."""
-    category_id: int = CATEGORY_ID
     interpolated: bool = False
     """Whether it was followed from other frames, and no detector has seen it in this one."""
     track_id: int | None = None
-    """Number of the vehicle among those of its video, which results of other frames share; None: not known."""
+    """Its number among those of its video, which results of other frames share; None: not known."""
+
+    def __post_init__(self) -> None:
+        integer("image_id", self.image_id, 0)
+        if self.track_id is not None:
+            integer("track_id", self.track_id, 0)
+        if not isinstance(self.interpolated, bool):
+            raise UserError(f"interpolated: expected true or false, got {self.interpolated!r}")
+        object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))
+        probability("score", self.score)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result(Found):
+    """One predicted vehicle of a COCO results file."""
+
+    keypoints: Array
+    """(33, 3) x, y, probability that the point is right."""
+    category_id: int = CATEGORY_ID
     boxed: bool = True
     """Whether its file has a box for it; else that is the extent of the keypoints that were found."""
 
     def __post_init__(self) -> None:
-        _integer("image_id", self.image_id, 0)
-        _integer("category_id", self.category_id, 0)
-        if self.track_id is not None:
-            _integer("track_id", self.track_id, 0)
-        if not isinstance(self.interpolated, bool):
-            raise UserError(f"interpolated: expected true or false, got {self.interpolated!r}")
-        object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))
+        super().__post_init__()
+        integer("category_id", self.category_id, 0)
         object.__setattr__(self, "keypoints", array("keypoints", self.keypoints, keypoints.K, 3))
-        if isinstance(self.score, bool) or not isinstance(self.score, int | float) or not 0 <= self.score <= 1:
-            raise UserError(f"score: expected a number from 0 to 1, got {self.score!r}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoadUserResult(Found):
+    """One predicted bicycle, motorcycle or person on foot of a COCO results file."""
+
+    category_id: int
+    """2 to 4, see `CATEGORIES`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_road_user(self.category_id)
+
+    @property
+    def category(self) -> str:
+        """Name of its category."""
+        return CATEGORIES[self.category_id - 1]

@@ -13,7 +13,7 @@ from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.files.json_files import write_json
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, RoadUser
 
 # A vehicle seen from its front left, in units of its box: x, y and v of each keypoint, all distinct.
 _RNG = np.random.default_rng(33)
@@ -68,6 +68,33 @@ def make_annotation(
     )
 
 
+def make_road_user(
+    user_id: int,
+    image_id: int,
+    bbox: tuple[float, float, float, float],
+    category: str = "pedestrian",
+    *,
+    iscrowd: int = 0,
+) -> RoadUser:
+    """Somebody on foot or on two wheels who fills the box."""
+    area = bbox[2] * bbox[3]
+    return RoadUser(
+        id=user_id,
+        image_id=image_id,
+        category_id=CATEGORIES.index(category) + 1,
+        bbox=np.array(bbox),
+        bbox_visible=np.array(bbox),
+        area=area,
+        area_full=area,
+        iscrowd=iscrowd,
+        ignore_reason="small" if iscrowd else None,
+        track_id=user_id,
+        distance=20.0,
+        occlusion=0.0,
+        truncation=0.0,
+    )
+
+
 def draw(image: Image, annotations: list[Annotation], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Grey noise with a coloured box per vehicle and a coloured dot per keypoint."""
     pixels = rng.integers(90, 130, (image.height, image.width, 3), dtype=np.uint8)
@@ -86,12 +113,18 @@ def make_dataset(
     splits: tuple[str, ...] = ("train", "easy"),
     seed: int = 0,
     scheme: keypoints.Scheme = keypoints.SKOPE33,
+    *,
+    road_users: bool = False,
 ) -> Path:
-    """Write a dataset folder of PNG images, two vehicles in each; returns `root`."""
+    """Write a dataset folder of PNG images, two vehicles in each; returns `root`.
+
+    With `road_users` each has a pedestrian too, a bicycle and an ignored motorcycle, all labelled.
+    """
+    categories = CATEGORIES if road_users else CATEGORIES[:1]
     rng = np.random.default_rng(seed)
     image_id = annotation_id = 0
     for split in splits:
-        records, annotations = [], []
+        records, annotations, others = [], [], []
         for _ in range(images):
             image_id += 1
             record = make_image(image_id, split=split)
@@ -101,14 +134,29 @@ def make_dataset(
             ]
             vehicles = [make_annotation(annotation_id + i, image_id, box) for i, box in enumerate(boxes, start=1)]
             annotation_id += len(boxes)
+            if road_users:
+                kinds = (("pedestrian", 0), ("bicycle", 0), ("motorcycle", 1))
+                others += [
+                    make_road_user(annotation_id + k, image_id, (10.0 * k, 2.0, 8.0, 20.0), kind, iscrowd=ignored)
+                    for k, (kind, ignored) in enumerate(kinds, start=1)
+                ]
+                annotation_id += len(kinds)
             path = root / record.file_name
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), cv2.cvtColor(draw(record, vehicles, rng), cv2.COLOR_RGB2BGR))
             records.append(record)
             annotations.extend(vehicles)
-        file = AnnotationFile(images=tuple(records), annotations=tuple(annotations), name=split, scheme=scheme)
+        file = AnnotationFile(
+            images=tuple(records),
+            annotations=tuple(annotations),
+            name=split,
+            scheme=scheme,
+            road_users=tuple(others),
+            categories=categories,
+        )
         coco.write(root / "annotations" / f"{split}.json", file)
-    write_json(root / "dataset.json", {"version": 1, **scheme.fields(), "seed": seed})
+    told = {"categories": list(categories)} if road_users else {}
+    write_json(root / "dataset.json", {"version": 1, **scheme.fields(), **told, "seed": seed})
     return root
 
 

@@ -18,7 +18,8 @@ from skope.detector.checkpoint import load_weights
 from skope.detector.detect import detect
 from skope.errors import UserError
 from skope.eval.pose.records import records
-from tests import hostile
+from skope.schema import Result, RoadUserResult
+from tests import hostile, road_users
 from tests.eval.sightings import CAMERA, drive
 from tests.samples import make_dataset
 
@@ -183,3 +184,26 @@ def test_generating_is_the_command(skope: Any, monkeypatch: pytest.MonkeyPatch, 
     with pytest.raises(UserError, match="--frames"):
         door.generate(tmp_path / "c", **{**asked, "frames": 0})
     assert not (tmp_path / "c").exists()
+
+
+def test_other_road_users_are_found_and_scored_beside_vehicles(
+    random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = road_users.make_dataset(tmp_path / "data", images=1, splits=("train",))
+    (image,) = door.open_dataset(root).images("train")
+    assert len(door.load_detector(random_run, device="cpu")(image.pixels()).road_users) == 0
+    _, target = door.torch_dataset(root, "train")[0]
+    assert target["labels"].tolist() == [1, 1, 4, 2]
+    file = door.open_dataset(root).read("train")
+    perfect = [
+        *(Result(image_id=1, score=0.95, bbox=a.bbox, keypoints=a.keypoints) for a in file.annotations),
+        *(RoadUserResult(image_id=1, score=0.95, bbox=u.bbox, category_id=u.category_id) for u in file.road_users[:1]),
+    ]
+    entry = door.score(perfect, file)
+    assert entry["iou"]["0.6"]["pck"] == 1.0
+    assert {name: by["all"]["recall"] for name, by in entry["categories"].items()} == {
+        "bicycle": 0.0, "motorcycle": None, "pedestrian": 1.0
+    }  # fmt: skip
+    assert "categories" not in door.score(perfect[:2], file)
+    coco.write_results(tmp_path / "found.json", perfect)
+    assert door.score(tmp_path / "found.json", root / "annotations" / "train.json") == entry

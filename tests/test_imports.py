@@ -79,7 +79,7 @@ GEN = (
 SHARED = (
     {"errors", "types", "version"},
     {"keypoints"},
-    {"boxes", "files"},
+    {"boxes", "field_checks", "files"},
     {"camera", "terminal"},
     {"schema"},
     {"dataset", "detections", "pictures"},

@@ -5,8 +5,8 @@ import pytest
 
 from skope import keypoints, schema
 from skope.errors import UserError
-from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
-from tests.samples import make_annotation, make_image
+from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result, RoadUser, RoadUserResult
+from tests.samples import make_annotation, make_image, make_road_user
 
 
 def annotation(**changes: Any) -> Annotation:
@@ -113,3 +113,58 @@ def test_the_category_is_what_coco_readers_expect() -> None:
     assert min(min(edge) for edge in category["skeleton"]) == 1
     assert max(max(edge) for edge in category["skeleton"]) == 33
     assert len(category["keypoint_sigmas"]) == 33
+
+
+@pytest.mark.parametrize("category_id", [0, 1, 5, True, 2.5, "pedestrian", None])
+def test_a_road_user_is_of_one_of_three_categories(category_id: Any) -> None:
+    said = r"category_id: expected 2 \(bicycle\), 3 \(motorcycle\) or 4 \(pedestrian\), got "
+    with pytest.raises(UserError, match=said):
+        RoadUser(id=1, image_id=1, category_id=category_id, bbox=np.zeros(4), area=0)
+    with pytest.raises(UserError, match=said):
+        RoadUserResult(image_id=1, category_id=category_id, bbox=np.zeros(4), score=0.5)
+
+
+def test_road_users_are_checked_as_vehicles_are() -> None:
+    values: dict[str, Any] = {"id": 1, "image_id": 1, "category_id": 4, "bbox": [0, 0, 1, 1], "area": 1}
+    for change, said in (
+        ({"bbox": [0, 0, -1, 5]}, "bbox: width and height must not be negative"),
+        ({"occlusion": 1.5}, "occlusion: expected a share from 0 to 1"),
+        ({"velocity": [1.0]}, "velocity: expected 3 numbers, got 1"),
+        ({"ignore_reason": "ugly"}, "ignore_reason: 'ugly' is not one of"),
+    ):
+        with pytest.raises(UserError, match=said):
+            RoadUser(**(values | change))
+    with pytest.raises(UserError, match="score: expected a number from 0 to 1"):
+        RoadUserResult(image_id=1, category_id=2, bbox=np.zeros(4), score=1.5)
+    assert [RoadUser(**(values | {"category_id": k})).category for k in (2, 3, 4)] == [
+        "bicycle",
+        "motorcycle",
+        "pedestrian",
+    ]
+
+
+def test_a_file_names_the_categories_that_it_has() -> None:
+    images, user = (make_image(1),), make_road_user(1, 1, (0, 0, 9, 9), "bicycle")
+    file = AnnotationFile(
+        images=images, annotations=(), road_users=(user,), categories=("vehicle", "pedestrian", "bicycle")
+    )
+    assert file.categories == ("vehicle", "bicycle", "pedestrian")  # by their ids
+    assert file.road_users_by_image() == {1: [user]}
+    assert file.by_image() == {1: []}
+    assert AnnotationFile(images=images, annotations=()).categories == ("vehicle",)
+    for categories, said in (
+        (("vehicle", "pedestrian"), "categories: road user 1 is a bicycle, which is not among them"),
+        (("bicycle",), "categories: expected vehicle among bicycle"),
+        (("vehicle", "tram"), "categories: 'tram' is not one of vehicle, bicycle, motorcycle, pedestrian"),
+    ):
+        with pytest.raises(UserError, match=said):
+            AnnotationFile(images=images, annotations=(), road_users=(user,), categories=categories)
+
+
+def test_categories_without_keypoints_have_what_coco_readers_ask_for() -> None:
+    rows = schema.category_rows(("vehicle", "motorcycle", "pedestrian"))
+    assert rows[0] == schema.category()
+    assert rows[1:] == [
+        {"id": 3, "name": "motorcycle", "supercategory": "vehicle", "keypoints": [], "skeleton": []},
+        {"id": 4, "name": "pedestrian", "supercategory": "person", "keypoints": [], "skeleton": []},
+    ]

@@ -189,12 +189,16 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
         console=console,
         saving=loop.Saving(),
     )
-    model, _, _ = load_weights(checkpoint, device)
-    found = figures(options, model, options.data, device)
+    model, detector, _ = load_weights(checkpoint, device)
+
+    def figures_on(folder: Path) -> dict[str, Row]:
+        return figures(options, model, detector.categories, folder, device)
+
+    found = figures_on(options.data)
     if variant.measured_so:
-        found |= {f"{split}, its own boxes": row for split, row in figures(options, model, own, device).items()}
+        found |= {f"{split}, its own boxes": row for split, row in figures_on(own).items()}
     if options.varied:
-        found |= {f"{split}, varied": row for split, row in figures(options, model, options.varied, device).items()}
+        found |= {f"{split}, varied": row for split, row in figures_on(options.varied).items()}
     row = {"variant": name, "seed": seed, "splits": found, "recipe": recipe.to_dict()}
     if options.photographs:
         row["photographs"] = on_photographs(options.photographs, checkpoint, folder / "photographs", device)
@@ -258,12 +262,14 @@ def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Pa
     return out
 
 
-def figures(options: argparse.Namespace, model: KeypointRCNN, folder: Path, device: torch.device) -> dict[str, Row]:
+def figures(
+    options: argparse.Namespace, model: KeypointRCNN, categories: Sequence[str], folder: Path, device: torch.device
+) -> dict[str, Row]:
     """Of each test split, and of its pickups alone where there are some."""
     data = open_dataset(folder)
     found = {}
     for split in options.splits:
-        file = take(data.read(split), options.test_images)
+        file = splits.of_categories(take(data.read(split), options.test_images), categories)
         paths = [data.root / image.file_name for image in file.images]
         results = validate.run_model(model, file, paths, device)
         found[split] = validate.figures(file, results)

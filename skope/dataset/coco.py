@@ -2,26 +2,34 @@
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from skope import keypoints, schema
+from skope import field_checks, keypoints, schema
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes, parse_json, read_json
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
+from skope.schema import Annotation, AnnotationFile, Box3D, Image, Labelled, Result, RoadUser, RoadUserResult
 from skope.version import __version__
 
 T = TypeVar("T")
 
 _IMAGE_FIELDS = tuple(Image.__dataclass_fields__)
-_ANNOTATION_FIELDS = tuple(Annotation.__dataclass_fields__)
+_ANNOTATION_FIELDS = (
+    "id", "image_id", "bbox", "keypoints", "area", "iscrowd", "segmentation", "category_id", "track_id", "model",
+    "vehicle_type", "color", "parked", "bbox_visible", "area_full", "keypoints_3d", "box_3d", "box_3d_pixels",
+    "articulation", "velocity", "distance", "occlusion", "truncation", "contrast", "ignore_reason",
+)  # fmt: skip
+"""The fields of `Annotation` in the order in which files have them."""
+_ROAD_USER_FIELDS = tuple(name for name in _ANNOTATION_FIELDS if name in RoadUser.__dataclass_fields__)
+_NO_KEYPOINTS = [0] * (3 * keypoints.K)
+"""What a road user's row has for keypoints: all v = 0, not labelled. torchvision's readers ask every row for some."""
 
 
 # ----------------------------------------------------------------------------------------------------------- reading
@@ -31,7 +39,8 @@ def read(path: Path) -> AnnotationFile:
     """Read an annotation file.
 
     Args:
-        path: A file that skope wrote, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`.
+        path: A file that skope wrote, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`,
+            whose categories are one alone, or `vehicle` and others of `schema.CATEGORIES` with their ids.
 
     Raises:
         UserError: Something is missing, malformed or inconsistent; it names file, record and field.
@@ -39,16 +48,27 @@ def read(path: Path) -> AnnotationFile:
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected a COCO object with images and annotations, got a {type(document).__name__}")
+    categories = _categories(path, document)
     scheme = _scheme(path, document)
     images = _records(path, document, "images", image_from_dict)
-    annotations = _records(path, document, "annotations", annotation_from_dict)
-    _check_ids(path, images, annotations)
-    info = document.get("info") or {}
-    return AnnotationFile(images=images, annotations=annotations, info=info, name=path.stem, scheme=scheme)
+    labels = _records(path, document, "annotations", _label_parser(categories))
+    _check_ids(path, images, labels)
+    return AnnotationFile(
+        images=images,
+        info=document.get("info") or {},
+        name=path.stem,
+        scheme=scheme,
+        categories=categories,
+        **_by_kind(labels),
+    )
 
 
 def assembled(
-    rows: Iterable[tuple[Mapping[str, Any], list[Any]]], path: Path, split: str, scheme: Scheme
+    rows: Iterable[tuple[Mapping[str, Any], list[Any]]],
+    path: Path,
+    split: str,
+    scheme: Scheme,
+    categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> AnnotationFile:
     """Make an annotation file of JSON rows.
 
@@ -57,15 +77,45 @@ def assembled(
         path: What messages name as the file.
         split: Name of the split.
         scheme: What the keypoints are.
+        categories: Names of the categories that were labelled.
     """
     images: list[Image] = []
-    annotations: list[Annotation] = []
+    labels: list[Annotation | RoadUser] = []
+    parse = _label_parser(categories)
     for image, annotation_rows in rows:
         images += images_of(path, [image])
-        annotations += _parse_rows(path, "annotations", annotation_rows, annotation_from_dict)
-    _check_ids(path, tuple(images), tuple(annotations))
+        labels += _parse_rows(path, "annotations", annotation_rows, parse)
+    _check_ids(path, images, labels)
     info = {"split": split, **scheme.fields(), "schema_version": schema.VERSION}
-    return AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=split, scheme=scheme)
+    return AnnotationFile(
+        images=tuple(images), info=info, name=split, scheme=scheme, categories=categories, **_by_kind(labels)
+    )
+
+
+def _by_kind(labels: Iterable[Annotation | RoadUser]) -> dict[str, Any]:
+    """The fields of `AnnotationFile` that hold vehicles and other road users."""
+    labels = tuple(labels)
+    return {
+        "annotations": tuple(label for label in labels if isinstance(label, Annotation)),
+        "road_users": tuple(label for label in labels if isinstance(label, RoadUser)),
+    }
+
+
+def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], Annotation | RoadUser]:
+    """What makes a record of an element of `annotations` in a file of these categories.
+
+    Where vehicles are the only category, each row is one, whatever id the file's makers gave to vehicles.
+    """
+
+    def parse(row: Mapping[str, Any]) -> Annotation | RoadUser:
+        number = row.get("category_id", schema.CATEGORY_ID)
+        if len(categories) == 1 or number == schema.CATEGORY_ID:
+            return annotation_from_dict(row)
+        if number not in (schema.CATEGORIES.index(name) + 1 for name in categories):
+            raise UserError(f"category_id: {number!r} is none of the file's categories")
+        return road_user_from_dict(row)
+
+    return parse
 
 
 def images_of(path: Path, rows: Iterable[Any]) -> tuple[Image, ...]:
@@ -99,14 +149,29 @@ def _parsed(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]
         yield record
 
 
+def _categories(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of a file's categories: `vehicle` for one alone, whatever its makers call it, else several of ours."""
+    rows = document.get("categories")
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise UserError(f"{path}: field categories: expected exactly one category")
+    if len(rows) == 1:
+        return schema.VEHICLE_ALONE
+    ours = dict(enumerate(schema.CATEGORIES, start=1))
+    found = [(row.get("id"), row.get("name")) for row in rows]
+    if found[0][0] != schema.CATEGORY_ID or any(ours.get(number) != name for number, name in found[1:]):
+        listed = ", ".join(f"{number} {name}" for number, name in ours.items())
+        raise UserError(f"{path}: field categories: expected exactly one category, or the first of {listed} and others")
+    if len(set(found)) != len(found):
+        raise UserError(f"{path}: field categories: a category stands twice")
+    return schema.checked_categories(["vehicle", *(name for _, name in found[1:])])
+
+
 def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
-    """The scheme that a file says it has, or else the one whose names it has."""
+    """The scheme that a file says it has, or else the one whose names its first category has."""
     info = document.get("info")
     info = info if isinstance(info, dict) else {}
     stated = info.get("keypoint_scheme")
-    categories = document.get("categories")
-    if not isinstance(categories, list) or len(categories) != 1 or not isinstance(categories[0], dict):
-        raise UserError(f"{path}: field categories: expected exactly one category")
+    categories = document["categories"]
     names = categories[0].get("keypoints")
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
@@ -127,7 +192,7 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     return scheme
 
 
-def _check_ids(path: Path, images: tuple[Image, ...], annotations: tuple[Annotation, ...]) -> None:
+def _check_ids(path: Path, images: Sequence[Image], annotations: Sequence[Labelled]) -> None:
     by_id = {image.id: image for image in images}
     if len(by_id) != len(images):
         raise UserError(f"{path}: field images: two images share an id")
@@ -162,22 +227,32 @@ def _known_camera(row_and_size: bytes) -> Camera:
 
 
 def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
-    """One element of `annotations`; unknown fields are left out."""
-    values = {name: row[name] for name in _ANNOTATION_FIELDS if name in row}
-    for name in ("id", "image_id", "bbox", "keypoints"):
+    """An element of `annotations` that is a vehicle; unknown fields are left out."""
+    return Annotation(**_values(row, _ANNOTATION_FIELDS, ("id", "image_id", "bbox", "keypoints")))
+
+
+def road_user_from_dict(row: Mapping[str, Any]) -> RoadUser:
+    """An element of `annotations` of another category than vehicle; unknown fields and keypoints are left out."""
+    return RoadUser(**_values(row, _ROAD_USER_FIELDS, ("id", "image_id", "bbox", "category_id")))
+
+
+def _values(row: Mapping[str, Any], fields: Iterable[str], needed: Iterable[str]) -> dict[str, Any]:
+    """The fields of an annotation or road user that a row has; a KeyError where one that is needed is missing."""
+    values = {name: row[name] for name in fields if name in row}
+    for name in needed:
         values[name] = row[name]
     if "area" not in row:
-        values["area"] = math.prod(schema.array("bbox", row["bbox"], 4)[2:].tolist())
+        values["area"] = math.prod(field_checks.array("bbox", row["bbox"], 4)[2:].tolist())
     if values.get("box_3d") is not None:
         box = row["box_3d"]
         if not isinstance(box, Mapping):
             raise UserError(f"box_3d: expected an object with center, size_lwh, yaw and R, got {str(box)[:40]!r}")
         values["box_3d"] = Box3D(center=box["center"], size_lwh=box["size_lwh"], yaw=float(box["yaw"]), R=box["R"])
-    return Annotation(**values)
+    return values
 
 
 def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
-    """Read a COCO keypoint results file; a result without `bbox` gets the extent of its keypoints of a score above 0.
+    """Read the vehicles of a COCO results file; one without `bbox` gets the extent of its keypoints of a score above 0.
 
     Args:
         path: A .json file with a list of results.
@@ -190,12 +265,22 @@ def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
     return tuple(iter_results(path, foreign))
 
 
+def read_road_user_results(path: Path) -> tuple[RoadUserResult, ...]:
+    """Read the people on foot and on two wheels of a COCO results file; a UserError as in `read_results`."""
+    return tuple(result for result in iter_all_results(path) if isinstance(result, RoadUserResult))
+
+
 def iter_results(path: Path, foreign: str | None = None) -> Iterator[Result]:
     """The results of `read_results` one by one.
 
     No more than one is in memory where the file has a line for each, as the files that skope writes.
     """
-    return _parsed(path, "results", _result_rows(path), lambda row: result_from_dict(row, foreign))
+    return (result for result in iter_all_results(path, foreign) if isinstance(result, Result))
+
+
+def iter_all_results(path: Path, foreign: str | None = None) -> Iterator[Result | RoadUserResult]:
+    """The results of a file one by one, in its order, of vehicles and of other road users (see `iter_results`)."""
+    return _parsed(path, "results", _result_rows(path), lambda row: any_result_from_dict(row, foreign))
 
 
 def _result_rows(path: Path) -> Iterator[Any]:
@@ -223,9 +308,28 @@ def _result_rows(path: Path) -> Iterator[Any]:
     yield from document[count:]
 
 
+def any_result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result | RoadUserResult:
+    """One element of a results file: a road user where it has one of their categories and no keypoints.
+
+    Other people number their vehicles as they like; theirs have keypoints, and all of `foreign` are vehicles.
+    """
+    if foreign is None and "keypoints" not in row and row.get("category_id") in schema.ROAD_USER_IDS:
+        return RoadUserResult(
+            image_id=row["image_id"],
+            category_id=row["category_id"],
+            bbox=row["bbox"],
+            score=row["score"],
+            interpolated=row.get("interpolated", False),
+            track_id=row.get("track_id"),
+        )
+    return result_from_dict(row, foreign)
+
+
 def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:
-    """One element of a results file (see `read_results`)."""
-    theirs = schema.array("keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3)
+    """One element of a results file that is a vehicle (see `read_results`)."""
+    theirs = field_checks.array(
+        "keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3
+    )
     bbox = row.get("bbox")
     if bbox is None:
         found = theirs[theirs[:, 2] > 0, :2]
@@ -265,7 +369,7 @@ def _rounded(values: Any, digits: int) -> Any:
 
 
 _DIGITS = {
-    **dict.fromkeys(("bbox", "bbox_visible", "keypoints", "box_3d_pixels"), 2),
+    **dict.fromkeys(("bbox", "bbox_visible", "box_3d_pixels"), 2),
     **dict.fromkeys(("keypoints_3d", "velocity", "distance", "occlusion", "truncation"), 4),
     "contrast": 2,
 }
@@ -282,10 +386,24 @@ def image_to_dict(image: Image) -> dict[str, Any]:
 
 
 def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
-    """One element of `annotations`: 0.01 px and 0.1 mm, matrices unrounded; fields that are None are left out."""
+    """A vehicle's element of `annotations`: 0.01 px and 0.1 mm, matrices unrounded; without fields that are None."""
+    row = _label_row(annotation, _ANNOTATION_FIELDS)
+    places = _rounded(annotation.keypoints[:, :2], 2)
+    visible = annotation.keypoints[:, 2].tolist()
+    row["keypoints"] = [x for place, v in zip(places, visible, strict=True) for x in (*place, int(v))]
+    row["num_keypoints"] = annotation.num_keypoints
+    return row
+
+
+def road_user_to_dict(user: RoadUser) -> dict[str, Any]:
+    """A road user's element of `annotations`, rounded as a vehicle's; its keypoints are not labelled, all zero."""
+    return _label_row(user, _ROAD_USER_FIELDS) | {"keypoints": _NO_KEYPOINTS, "num_keypoints": 0}
+
+
+def _label_row(label: Labelled, fields: Iterable[str]) -> dict[str, Any]:
     row: dict[str, Any] = {}
-    for name in _ANNOTATION_FIELDS:
-        value = getattr(annotation, name)
+    for name in fields:
+        value = getattr(label, name)
         if value is None:
             continue
         if isinstance(value, Box3D):
@@ -295,13 +413,9 @@ def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
                 "yaw": value.yaw,
                 "R": value.R.tolist(),
             }
-        elif name == "keypoints":
-            places = _rounded(value[:, :2], 2)
-            value = [x for place, v in zip(places, value[:, 2].tolist(), strict=True) for x in (*place, int(v))]
         elif name in _DIGITS:
             value = _rounded(value, _DIGITS[name])
         row[name] = value
-    row["num_keypoints"] = annotation.num_keypoints
     return row
 
 
@@ -312,8 +426,18 @@ def write(path: Path, file: AnnotationFile) -> None:
         path: The .json file to write; it is replaced as a whole or not at all.
         file: Images and annotations. Pixels are rounded to 0.01, metres to 0.0001.
     """
-    images, annotations = map(image_to_dict, file.images), map(annotation_to_dict, file.annotations)
-    write_rows(path, file.info, images, annotations, file.scheme)
+    write_rows(path, file.info, map(image_to_dict, file.images), label_rows(file), file.scheme, file.categories)
+
+
+def label_rows(file: AnnotationFile) -> Iterator[dict[str, Any]]:
+    """The elements of `annotations`: vehicles in file order; with road users by image, in each the vehicles first."""
+    if not file.road_users:
+        yield from map(annotation_to_dict, file.annotations)
+        return
+    for labels in file.labels_by_image().values():
+        yield from (
+            annotation_to_dict(one) if isinstance(one, Annotation) else road_user_to_dict(one) for one in labels
+        )
 
 
 def write_rows(
@@ -322,9 +446,10 @@ def write_rows(
     images: Iterable[Mapping[str, Any]],
     annotations: Iterable[Mapping[str, Any]],
     scheme: Scheme = SKOPE33,
+    categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
-    """Write already serialised records (see `image_to_dict`, `annotation_to_dict`) as an annotation file."""
-    write_lines(path, info, map(json_bytes, images), map(json_bytes, annotations), scheme)
+    """Write already serialised records (see `image_to_dict`, `label_rows`) as an annotation file."""
+    write_lines(path, info, map(json_bytes, images), map(json_bytes, annotations), scheme, categories)
 
 
 def write_lines(
@@ -333,11 +458,13 @@ def write_lines(
     images: Iterable[bytes],
     annotations: Iterable[bytes],
     scheme: Scheme = SKOPE33,
+    categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
     """Write records that are JSON already as an annotation file, a line each."""
     head = {**scheme.fields(), "schema_version": schema.VERSION, "skope": __version__}
     head |= {name: value for name, value in info.items() if name != "keypoint_edition"} | scheme.fields()
-    begin = f'{{"info":{json.dumps(head)},\n"categories":{json.dumps([schema.category(scheme)])},\n"images":[\n'
+    listed = json.dumps(schema.category_rows(categories, scheme))
+    begin = f'{{"info":{json.dumps(head)},\n"categories":{listed},\n"images":[\n'
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(begin.encode())
         file.writelines(_separated(images))
@@ -351,13 +478,19 @@ def _separated(rows: Iterable[bytes]) -> Iterator[bytes]:
         yield b",\n" + row if i else row
 
 
-def result_to_dict(result: Result) -> dict[str, Any]:
-    """One element of a results file; what was followed between key frames, most of it, is rounded to pixels."""
+def result_to_dict(result: Result | RoadUserResult) -> dict[str, Any]:
+    """One element of a results file; what was followed between key frames, most of it, is rounded to pixels.
+
+    That of a road user has no keypoints: pycocotools takes results with a box for boxes.
+    """
+    points = {}
+    if isinstance(result, Result):
+        points["keypoints"] = _followed_points(result) if result.interpolated else _points(result)
     return {
         "image_id": result.image_id,
         "category_id": result.category_id,
         "bbox": _rounded(result.bbox, 1 if result.interpolated else 2),
-        "keypoints": _followed_points(result) if result.interpolated else _points(result),
+        **points,
         "score": round(result.score, 6),
         **({} if result.track_id is None else {"track_id": result.track_id}),
         **({"interpolated": True} if result.interpolated else {}),
@@ -376,7 +509,7 @@ def _followed_points(result: Result) -> list[float]:
     return [value for (x, y), p in zip(places, sure, strict=True) for value in (x, y, int(p) if p in (0.0, 1.0) else p)]
 
 
-def write_results(path: Path, results: Iterable[Result]) -> None:
+def write_results(path: Path, results: Iterable[Result | RoadUserResult]) -> None:
     """Write a COCO results file, one result a line."""
     write_result_rows(path, map(result_to_dict, results))
 

@@ -17,7 +17,7 @@ from skope.errors import UserError
 from skope.files import safe_names
 from skope.files.json_files import check_version, read_json
 from skope.keypoints import Scheme
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 
 CARD: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
@@ -32,7 +32,7 @@ CHANGES: Final = "view_changes"
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),
-    **dict.fromkeys(("label_rules", "sources", "takes"), list),
+    **dict.fromkeys(("categories", "label_rules", "sources", "takes"), list),
     **dict.fromkeys(("command", "depth", "format", "licence", "renderer"), str),
 }
 _NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "text"}
@@ -46,6 +46,9 @@ class LabelledImage:
     split: str
     record: Image
     annotations: tuple[Annotation, ...]
+    """Its vehicles."""
+    road_users: tuple[RoadUser, ...] = ()
+    """People on foot and on two wheels, where the dataset labels them."""
 
     @property
     def camera(self) -> Camera | None:
@@ -95,6 +98,11 @@ class Dataset:
         return keypoints.scheme_in(self.card)
 
     @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that the dataset labels."""
+        return schema.checked_categories(self.card.get("categories", schema.VEHICLE_ALONE))
+
+    @property
     def licence(self) -> str:
         """The licence that the card states, on one line."""
         stated = self.card.get("licence") or self.card.get("license") or "not stated"
@@ -111,7 +119,7 @@ class Dataset:
             for shard in shards.shards_of(self.root, split)
             for labels in shards.labels_in(shard)
         )
-        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme)
+        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme, self.categories)
 
     def __iter__(self) -> Iterator[LabelledImage]:
         return (labelled for split in self.splits for labelled in self.images(split))
@@ -119,8 +127,11 @@ class Dataset:
     def images(self, split: str) -> Iterator[LabelledImage]:
         """The images of a split with their annotations; a UserError lists the splits there are."""
         file = self.read(split)
-        annotations = file.by_image()
-        return (LabelledImage(self, split, image, tuple(annotations[image.id])) for image in file.images)
+        vehicles, others = file.by_image(), file.road_users_by_image()
+        return (
+            LabelledImage(self, split, image, tuple(vehicles[image.id]), tuple(others[image.id]))
+            for image in file.images
+        )
 
     def _read_file(self, path: Path) -> AnnotationFile:
         file = coco.read(path)
@@ -159,6 +170,10 @@ def read_card(root: Path) -> dict[str, Any]:
         if not isinstance(card.get(name, kind()), kind):
             raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")
     check_takes(path, card.get("takes", []))
+    try:
+        schema.checked_categories(card.get("categories", schema.VEHICLE_ALONE))
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     return dict(card)
 
 

@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 from skope.errors import UserError
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import AnnotationFile, Image, Labelled
+
+L = TypeVar("L", bound=Labelled)
 
 GAP_S: Final = 1.0
 """Seconds left out between the frames of a recording that are learnt from and those that are validated on: a vehicle
@@ -19,6 +21,7 @@ def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
         file,
         images=tuple(image for image in file.images if image.id in wanted),
         annotations=tuple(a for a in file.annotations if a.image_id in wanted),
+        road_users=tuple(user for user in file.road_users if user.image_id in wanted),
     )
 
 
@@ -72,20 +75,33 @@ def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, An
 
 
 def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFile:
-    """`validated` with those vehicles ignored (`iscrowd` = 1) that `learnt` shows too, by recording and track."""
-    seen = {track for image, a in _with_images(learnt) if not a.ignored and (track := _track(image, a)) is not None}
-    rows = (replace(a, iscrowd=1) if _track(image, a) in seen else a for image, a in _with_images(validated))
-    return replace(validated, annotations=tuple(rows))
+    """`validated` with those ignored (`iscrowd` = 1) that `learnt` shows too, by recording and track."""
+    return replace(
+        validated,
+        annotations=_ignoring(learnt, learnt.annotations, validated, validated.annotations),
+        road_users=_ignoring(learnt, learnt.road_users, validated, validated.road_users),
+    )
 
 
-def _with_images(file: AnnotationFile) -> Iterator[tuple[Image, Annotation]]:
+def _ignoring(
+    learnt: AnnotationFile, known: Sequence[Labelled], validated: AnnotationFile, labels: Sequence[L]
+) -> tuple[L, ...]:
+    """`labels`, of `validated`, of which those are ignored whose track one of `known`, of `learnt`, has too."""
+    seen = {
+        track for image, a in _with_images(learnt, known) if not a.ignored and (track := _track(image, a)) is not None
+    }
+    rows = _with_images(validated, labels)
+    return tuple(replace(a, iscrowd=1) if _track(image, a) in seen else a for image, a in rows)
+
+
+def _with_images(file: AnnotationFile, labels: Iterable[L]) -> Iterator[tuple[Image, L]]:
     images = {image.id: image for image in file.images}
-    return ((images[a.image_id], a) for a in file.annotations)
+    return ((images[label.image_id], label) for label in labels)
 
 
-def _track(image: Image, annotation: Annotation) -> tuple[str | None, str | None, int] | None:
-    """Which vehicle it is in its whole recording; None where the file does not say."""
-    return None if annotation.track_id is None else (image.site, image.recording, annotation.track_id)
+def _track(image: Image, label: Labelled) -> tuple[str | None, str | None, int] | None:
+    """Which one it is in its whole recording; None where the file does not say."""
+    return None if label.track_id is None else (image.site, image.recording, label.track_id)
 
 
 def last_frames(file: AnnotationFile, fraction: float) -> AnnotationFile:

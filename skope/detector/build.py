@@ -15,7 +15,7 @@ from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope import keypoints
+from skope import keypoints, schema
 from skope.errors import UserError, one_of
 
 NORMS: Final = ("frozen", "batch")
@@ -24,7 +24,8 @@ ANCHORS: Final = (32, 64, 128, 256, 512)
 ASPECTS: Final = (0.5, 1.0, 2.0)
 """Heights of the anchors of a level over their widths, as in torchvision's own model."""
 MAX_DETECTIONS: Final = 300
-"""Vehicles that may be found in one image; torchvision's own 100 is too few for a queue at rush hour."""
+"""What may be found in one image, vehicles and other road users together; torchvision's own 100 is too few for a queue
+at rush hour."""
 PROPOSALS: Final = 300
 """Regions of an image that are looked at closely when vehicles are found; of torchvision's own 1000 the others cost a
 third of the time on a CPU and found no further vehicle (docs/results.md)."""
@@ -48,10 +49,14 @@ class DetectorConfig:
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
     keypoint_edition: int = keypoints.EDITION
     """By which edition of the scheme the keypoints were marked that it has learnt."""
+    categories: tuple[str, ...] = schema.VEHICLE_ALONE
+    """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
+    Vehicles are label 1, and they alone have keypoints."""
 
     def __post_init__(self) -> None:
         keypoints.scheme_of(self.scheme, self.keypoint_edition)
         check_anchors(self.anchors)
+        object.__setattr__(self, "categories", schema.checked_categories(self.categories))
         one_of("norm", self.norm, NORMS)
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
@@ -73,20 +78,27 @@ class DetectorConfig:
         return keypoints.scheme_of(self.scheme, self.keypoint_edition)
 
     def to_dict(self) -> dict[str, Any]:
-        """The config as JSON values, without the first edition: checkpoints say nothing of it."""
-        return {name: value for name, value in asdict(self).items() if name != "keypoint_edition" or value != 1}
+        """The config as JSON values, without what older checkpoints do not name either (`_UNNAMED`)."""
+        return {name: value for name, value in asdict(self).items() if _UNNAMED.get(name) != value}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
         names = {field.name for field in fields(cls)}
-        # Older checkpoints do not name their scheme and anchors; the first edition is not named.
-        if not isinstance(values, Mapping) or {"scheme", "anchors", "keypoint_edition", *values} != names:
+        # Older checkpoints do not name their scheme and anchors.
+        if not isinstance(values, Mapping) or {"scheme", "anchors", *_UNNAMED, *values} != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
-        anchors = values.get("anchors", ANCHORS)
-        if not isinstance(anchors, list | tuple):
-            raise UserError(f"anchors: expected a list of pixels, got {anchors!r}")
-        return cls(**{"keypoint_edition": 1, **values, "anchors": tuple(anchors)})
+        lists = {name: values.get(name, default) for name, default in _LISTS.items()}
+        for name, value in lists.items():
+            if not isinstance(value, list | tuple):
+                raise UserError(f"{name}: expected a list, got {value!r}")
+        return cls(**{**_UNNAMED, **values, **{name: tuple(value) for name, value in lists.items()}})
+
+
+_UNNAMED: Final[dict[str, Any]] = {"keypoint_edition": 1, "categories": schema.VEHICLE_ALONE}
+"""Values of fields that a checkpoint leaves out: those of before there were others."""
+_LISTS: Final[dict[str, tuple[Any, ...]]] = {"anchors": ANCHORS, "categories": schema.VEHICLE_ALONE}
+"""Fields that are lists in JSON, with the values of checkpoints that do not name them."""
 
 
 def check_anchors(anchors: Sequence[int]) -> None:
@@ -97,10 +109,10 @@ def check_anchors(anchors: Sequence[int]) -> None:
 
 
 def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointRCNN:
-    """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for one class, with weights drawn from torch's random state.
+    """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for a config, with weights drawn from torch's random state.
 
     Args:
-        config: Normalisation and size of the images inside the network.
+        config: Categories, normalisation, and size of the images inside the network.
         trainable_layers: How many of the backbone's stages learn, 0 to 5 from the last one, where normalisation is
             frozen; with normalisation that learns all of them do, as in torchvision.
         num_keypoints: Another number than 33 is for weights that were trained on such a scheme and whose predictor is
@@ -115,7 +127,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
     )
     return KeypointRCNN(
         backbone,
-        num_classes=2,  # 0 is the background
+        num_classes=1 + len(config.categories),  # 0 is the background
         num_keypoints=num_keypoints,
         min_size=config.min_size,
         max_size=config.max_size,

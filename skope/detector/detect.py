@@ -1,7 +1,8 @@
-"""Run a detector on images: vehicles and their keypoints, or keypoints in given boxes."""
+"""Run a detector on images: vehicles and their keypoints, other road users, or keypoints in given boxes."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.transform import resize_boxes
 
-from skope import keypoints
-from skope.detections import Detections
+from skope import keypoints, schema
+from skope.detections import Detections, RoadUserDetections
 from skope.detector.build import MAX_DETECTIONS
 from skope.detector.heatmap_peaks import heatmap_peaks
 
@@ -28,8 +29,9 @@ def detect(
     *,
     min_score: float = MIN_SCORE,
     max_detections: int = MAX_DETECTIONS,
+    categories: Sequence[str] = schema.VEHICLE_ALONE,
 ) -> list[Detections]:
-    """Find vehicles in images, which go through the network as one batch.
+    """Find vehicles, and other road users, in images, which go through the network as one batch.
 
     In an image that is less than a pixel wide or high inside the network there are none.
 
@@ -38,33 +40,68 @@ def detect(
         images: (H, W, 3) uint8 sRGB each, of any sizes.
         device: Where the model is.
         min_score: Only detections that score above this are made.
-        max_detections: The best of an image, at most so many.
+        max_detections: The best of an image, at most so many, those of all categories together.
+        categories: What the network's labels are, as in `DetectorConfig`.
 
     Returns:
         The detections of each image.
     """
     seen = [i for i, image in enumerate(images) if _short_side(model, image) >= 1]
     with _inference(model, min_score, max_detections):
-        found = dict(zip(seen, _found(model, [images[i] for i in seen], device), strict=True)) if seen else {}
+        found = (
+            dict(zip(seen, _found(model, [images[i] for i in seen], device, categories), strict=True)) if seen else {}
+        )
     return [found[i] if i in found else _nothing(image) for i, image in enumerate(images)]
 
 
 def _found(
-    model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str
+    model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str, categories: Sequence[str]
 ) -> Iterator[Detections]:
-    """The detections of images: torchvision's own path through the model, but for how heat maps are read."""
+    """The detections of images: torchvision's own path through the model, but for how heat maps are read.
+
+    Only vehicles go through the keypoint head, where torchvision sends all categories through it.
+    """
     batch, _ = model.transform([as_tensor(image, device) for image in images])
     features = model.backbone(batch.tensors)
     proposals, _ = model.rpn(batch, features)
     heads = model.roi_heads
     regions = heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes))
-    rectangles, scores, _ = heads.postprocess_detections(*heads.box_predictor(regions), proposals, batch.image_sizes)
+    logits, offsets = heads.box_predictor(regions)
+    if logits.shape[1] != 1 + len(categories):
+        raise ValueError(f"categories: the network has {logits.shape[1] - 1}, got {', '.join(categories)}")
+    rectangles, scores, labels = heads.postprocess_detections(logits, offsets, proposals, batch.image_sizes)
+    others = [RoadUserDetections()] * len(images)
+    if len(categories) > 1:
+        others = list(_road_users(images, batch.image_sizes, rectangles, scores, labels, categories))
+        vehicles = [each == schema.CATEGORY_ID for each in labels]
+        rectangles, scores = ([x[v] for x, v in zip(each, vehicles, strict=True)] for each in (rectangles, scores))
     points = _keypoints(model, features, rectangles, batch.image_sizes)
     # One way to the processor for the whole batch: on a GPU each takes as long as a small one.
     together = torch.cat([torch.cat(rectangles), torch.cat(scores)[:, None], points.flatten(1)], dim=1).cpu().double()
     of_image = torch.split(together, [len(one) for one in scores])
-    for image, inner_size, found in zip(images, batch.image_sizes, of_image, strict=True):
-        yield _in_image(image, inner_size, found[:, :4], found[:, 4], found[:, 5:].view(-1, keypoints.K, 3))
+    for image, inner_size, found, users in zip(images, batch.image_sizes, of_image, others, strict=True):
+        points = found[:, 5:].view(-1, keypoints.K, 3)
+        yield replace(_in_image(image, inner_size, found[:, :4], found[:, 4], points), road_users=users)
+
+
+def _road_users(
+    images: Sequence[NDArray[np.uint8]],
+    inner_sizes: Sequence[tuple[int, int]],
+    rectangles: Sequence[torch.Tensor],
+    scores: Sequence[torch.Tensor],
+    labels: Sequence[torch.Tensor],
+    categories: Sequence[str],
+) -> Iterator[RoadUserDetections]:
+    """Those of each image's detections that are no vehicles, in its own pixels.
+
+    Boxes, scores and labels are (N, 4), (N,) and (N,) of each image, the boxes in pixels inside the network.
+    """
+    ids = np.array([0, *(1 + schema.CATEGORIES.index(name) for name in categories)], dtype=np.int64)
+    for image, inner_size, own, sure, label in zip(images, inner_sizes, rectangles, scores, labels, strict=True):
+        chosen = label != schema.CATEGORY_ID
+        in_pixels = _in_pixels(own[chosen].cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))
+        of_category = ids[label[chosen].cpu().numpy()]
+        yield RoadUserDetections(in_pixels.numpy(), sure[chosen].cpu().double().numpy(), of_category)
 
 
 def _keypoints(
@@ -91,8 +128,13 @@ def _in_image(
     """What was found in an image, in its own pixels."""
     size = (image.shape[1], image.shape[0])
     scale = _scale(inner_size, size)
-    in_pixels = (rectangles.reshape(-1, 2, 2) * scale).reshape(-1, 4)
+    in_pixels = _in_pixels(rectangles, scale)
     return Detections(in_pixels.numpy(), scores.numpy(), _with_probability(points, scale), size)
+
+
+def _in_pixels(rectangles: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+    """(N, 4) boxes inside the network in pixels of an image that is (2,) times as large."""
+    return (rectangles.reshape(-1, 2, 2) * scale).reshape(-1, 4)
 
 
 def _scale(inner_size: tuple[int, int], size: tuple[int, int]) -> torch.Tensor:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope import boxes as box_math
 from skope.eval.assignment import cheapest_pairs
-from skope.schema import Result
+from skope.schema import Found
 from skope.types import Array
 
 Integers = NDArray[np.int32]
@@ -62,7 +62,7 @@ class BoxLinks:
         self._live: dict[int, _Last] = {}
         self._count = 0
 
-    def add(self, time_s: float, found: Sequence[Result], first: Sequence[bool] | None = None) -> Integers:
+    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers:
         """Take the detections of the next frame, which is later; see `add_boxes`."""
         boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
         return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)

@@ -10,6 +10,7 @@ from skope import keypoints
 from skope.dataset import coco, shards
 from skope.dataset.folder import read_image
 from skope.dataset.image_selection import take
+from skope.detections import AnyResult, apart
 from skope.errors import UserError
 from skope.eval import report
 from skope.eval.inference.settings import Settings
@@ -23,7 +24,7 @@ from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.pictures import draw
-from skope.schema import AnnotationFile, Result, far_outside
+from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult, far_outside
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
@@ -75,15 +76,27 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     if job.checkpoint:
         _check_images(splits, job.truth.root)
     predictor = _predictor(job, console) if job.checkpoint else None
-    results = {} if predictor else _read(job, splits)
-    for text in _doubts(job, splits, results):
+    found = {} if predictor else _read(job, splits)
+    for text in _doubts(job, splits, found):
         console.warn(text)
     work = _claim(job, predictor)
-    results |= _predicted(job, predictor, splits) if predictor else {}
+    found |= _predicted(job, predictor, splits) if predictor else {}
     calibrated = predictor.calibrated if predictor else None
-    measured = [
-        measure(file, results[file.name], job.options, job.truth.fleet, all_scores=not job.fast) for file in splits
-    ]
+    known = _known(job, predictor, found)
+    measured = []
+    for file in splits:
+        vehicles, road_users = apart(found[file.name])
+        measured.append(
+            measure(
+                file,
+                vehicles,
+                job.options,
+                job.truth.fleet,
+                all_scores=not job.fast,
+                road_users=road_users,
+                known=known,
+            )
+        )
     entries = {split.file.name: split.entry for split in measured}
     document = precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
@@ -93,13 +106,21 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
     page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
     write_text(job.out / REPORT, page)
-    pictures = [path for file in splits for path in _overlays(job, file, results[file.name], console)]
+    pictures = [path for file in splits for path in _overlays(job, file, found[file.name], console)]
 
     console.result(table.render(document, job.protocol, width, beside=beside))
-    for line in _advice(job, entries, results):
+    for line in _advice(job, entries, {split.file.name: split.results for split in measured}):
         console.result(line)
     console.result(_last_line(job, splits, pictures))
     return document
+
+
+def _known(job: EvalJob, predictor: "Predictor | None", found: Mapping[str, Sequence[AnyResult]]) -> tuple[str, ...]:
+    """The categories that the detector has learnt; of others a results file says nothing where it holds none."""
+    if predictor is not None:
+        return VEHICLE_ALONE if job.settings.given else predictor.categories
+    others = any(isinstance(one, RoadUserResult) for results in found.values() for one in results)
+    return CATEGORIES if others else VEHICLE_ALONE
 
 
 def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
@@ -132,7 +153,9 @@ def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
     return claim_output(job.out, "skope eval", [*job.truth.sources, *scored], {**options, **settings, **more})
 
 
-def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+def _predicted(
+    job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]
+) -> dict[str, tuple[AnyResult, ...]]:
     """Run the detector on all splits; split name -> its results. Goes on after what a stopped run has found."""
     out = {}
     for file in splits:
@@ -142,24 +165,26 @@ def _predicted(job: EvalJob, predictor: "Predictor", splits: Sequence[Annotation
         for image_id, results in predictor.by_image(file, job.truth.root, rows):
             rows[image_id] = [coco.result_to_dict(result) for result in results]
             progress.add({"image_id": image_id, "results": rows[image_id]})
-        found = [coco.result_from_dict(row) for image in file.images for row in rows[image.id]]
+        found = [coco.any_result_from_dict(row) for image in file.images for row in rows[image.id]]
         coco.write_results(path, found)
         progress.end()
         # Results are read back from the file, which rounds them, so that scoring the file later gives the same figures.
-        out[file.name] = coco.read_results(path)
+        out[file.name] = tuple(coco.iter_all_results(path))
     return out
 
 
-def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Result, ...]]:
+def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[AnyResult, ...]]:
     assert job.predictions is not None
     (whole,), (part,) = job.truth.splits, splits
-    return {part.name: read_inputs.for_images(read_inputs.read_results(job.predictions, whole, job.scheme), part)}
+    return {part.name: read_inputs.for_images(read_inputs.read_all_results(job.predictions, whole, job.scheme), part)}
 
 
-def _doubts(job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str, Sequence[Result]]) -> Iterator[str]:
+def _doubts(
+    job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str, Sequence[AnyResult]]
+) -> Iterator[str]:
     """What was guessed of a results file, and what in annotations cannot be right, in words."""
     for found in results.values():
-        unboxed = [result for result in found if not result.boxed]
+        unboxed = [result for result in apart(found)[0] if not result.boxed]
         if unboxed:
             yield (
                 f"{job.predictions}: {counted(len(unboxed), 'result')} without bbox, first for image "
@@ -176,10 +201,10 @@ def _doubts(job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str
                 yield f"split {file.name}: {count} with {what}, which nobody can find; first: annotation {wrong[0].id}"
 
 
-def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[Result], console: Console) -> list[Path]:
+def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], console: Console) -> list[Path]:
     """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
     few = take(file, OVERLAYS)
-    truth = few.by_image()
+    truth, users = few.by_image(), few.road_users_by_image()
     written = []
     for i, image in enumerate(few.images, start=1):
         source = job.truth.root / image.file_name
@@ -192,8 +217,8 @@ def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[Result], con
             continue
         scale = 2 if image.width < 960 else 1
         found = [r for r in results if r.image_id == image.id and r.score > job.options.score]
-        labels = draw.annotations(pixels, truth[image.id], scale=scale, scheme=file.scheme)
-        answers = draw.results(pixels, found, scale=scale, scheme=file.scheme)
+        labels = draw.annotations(pixels, truth[image.id], users[image.id], scale=scale, scheme=file.scheme)
+        answers = draw.results(pixels, *apart(found), scale=scale, scheme=file.scheme)
         panels = [
             draw.caption(labels, f"ground truth  {image.file_name}"),
             draw.caption(answers, f"{len(found)} detections > {job.options.score:g}"),

@@ -2,8 +2,8 @@
 
 import contextlib
 import io
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from skope import keypoints, schema
 from skope.metrics.counts import Options
 from skope.metrics.match import box_of
-from skope.schema import Annotation, AnnotationFile, Result
+from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 
 MAX_DETECTIONS: Final = 300
 """Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
 NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
 """What is reported where results leave out what scores low: AP of those would mean nothing."""
+_WHATEVER_SIZE: Final = {"all": (0.0, 1e10)}
+
+Row: TypeAlias = dict[str, Any]
 
 
 def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
@@ -39,8 +42,8 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     found = [_result_row(i, result) for i, result in enumerate(results, start=1)]
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     sigmas = options.scheme.sigmas
-    box, box50 = _ap(images, truth, found, "bbox", sigmas)
-    points, points50 = _ap(images, truth, found, "keypoints", sigmas)
+    box, box50 = _ap(evaluated(images, truth, found, "bbox", _WHATEVER_SIZE, sigmas))
+    points, points50 = _ap(evaluated(images, truth, found, "keypoints", _WHATEVER_SIZE, sigmas))
     return {"box_ap": box, "box_ap50": box50, "keypoint_ap": points, "keypoint_ap50": points50}
 
 
@@ -50,22 +53,34 @@ def _truth_row(annotation: Annotation, options: Options, left_out: NDArray[np.bo
     unlabelled = points[:, 2] < (1 if hidden_too else 2)
     # A crowd region has a box and no points of its own.
     points[unlabelled | left_out | annotation.ignored] = 0.0
-    box = box_of(annotation, options.boxes)
-    area = annotation.area_full if annotation.area_full is not None else annotation.area
     return {
-        # pycocotools takes id 0 for "matched nothing".
-        "id": annotation.id + 1,
-        "image_id": annotation.image_id,
-        "category_id": schema.CATEGORY_ID,
-        "iscrowd": annotation.iscrowd,
-        "bbox": box.tolist(),
-        "area": float(area or box[2] * box[3]),
+        **truth_box(annotation, options.boxes),
         "keypoints": points.ravel().tolist(),
         "num_keypoints": int((points[:, 2] > 0).sum()),
     }
 
 
 def _result_row(number: int, result: Result) -> dict[str, Any]:
+    return {**found_box(number, result), "keypoints": result.keypoints.ravel().tolist()}
+
+
+def truth_box(label: Labelled, kind: str) -> Row:
+    """A label's box of `kind` (see `match.BOX_KINDS`) as pycocotools takes it, all as of one category."""
+    box = box_of(label, kind)
+    area = label.area_full if label.area_full is not None else label.area
+    return {
+        # pycocotools takes id 0 for "matched nothing".
+        "id": label.id + 1,
+        "image_id": label.image_id,
+        "category_id": schema.CATEGORY_ID,
+        "iscrowd": label.iscrowd,
+        "bbox": box.tolist(),
+        "area": float(area or box[2] * box[3]),
+    }
+
+
+def found_box(number: int, result: Found) -> Row:
+    """The box of a result of some `number` from 1 as pycocotools takes it, all as of one category."""
     x, y, width, height = result.bbox.tolist()
     width, height = max(width, 0.0), max(height, 0.0)
     return {
@@ -75,33 +90,48 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
         "iscrowd": 0,
         "bbox": [x, y, width, height],
         "area": width * height,
-        "keypoints": result.keypoints.ravel().tolist(),
         "score": float(result.score),
     }
 
 
-def _ap(
-    images: list[dict[str, Any]],
-    truth: list[dict[str, Any]],
-    found: list[dict[str, Any]],
+def evaluated(
+    images: list[Row],
+    truth: list[Row],
+    found: list[Row],
     kind: str,
-    sigmas: Sequence[float],
-) -> tuple[float | None, float | None]:
+    areas: Mapping[str, Sequence[float]],
+    sigmas: Sequence[float] = (),
+) -> Any:
+    """pycocotools' COCOeval of one category, evaluated and accumulated.
+
+    Args:
+        images: Rows with "id", "width" and "height".
+        truth: Rows of the ground truth, as of `truth_box`.
+        found: Rows of results, as of `found_box`.
+        kind: "bbox" or "keypoints".
+        areas: Least and largest area of each range of sizes by its name, square pixels.
+        sigmas: Of the keypoints.
+    """
     from pycocotools.cocoeval import COCOeval
 
     # pycocotools prints as it goes, and squares of far-off keypoints overflow in it.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
         evaluation.params.maxDets = [MAX_DETECTIONS]
-        evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0.0, 1e10]], ["all"]
+        evaluation.params.areaRng, evaluation.params.areaRngLbl = [list(a) for a in areas.values()], list(areas)
         evaluation.params.kpt_oks_sigmas = np.array(sigmas)
         evaluation.evaluate()
         evaluation.accumulate()
+    return evaluation
+
+
+def _ap(evaluation: Any) -> tuple[float | None, float | None]:
+    """AP and AP50 over all sizes."""
     precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none
-    return _mean(precision), _mean(precision[:1])
+    return mean_precision(precision), mean_precision(precision[:1])
 
 
-def _index(images: list[dict[str, Any]], annotations: list[dict[str, Any]]) -> Any:
+def _index(images: list[Row], annotations: list[Row]) -> Any:
     """A pycocotools COCO object made directly: its `loadRes` crashes on an empty list."""
     from pycocotools.coco import COCO
 
@@ -116,7 +146,7 @@ def _index(images: list[dict[str, Any]], annotations: list[dict[str, Any]]) -> A
     return coco
 
 
-def _mean(precision: Any) -> float | None:
+def mean_precision(precision: Any) -> float | None:
     """Mean of the precisions that pycocotools could tell; it writes -1 for the others."""
     told = precision[precision > -1]
     return float(told.mean()) if told.size else None

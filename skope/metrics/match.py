@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skope import boxes as box_math
 from skope import keypoints
 from skope.errors import UserError, one_of
-from skope.schema import Annotation, AnnotationFile, Result
+from skope.schema import Annotation, AnnotationFile, Labelled, Result
 
 THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
 """IoU thresholds of the paper's table, in its order."""
@@ -63,7 +63,7 @@ class Matches:
     """IoU threshold -> (D,) the ground-truth vehicle that each detection took, -1 for none."""
 
 
-def box_of(annotation: Annotation, kind: str) -> Floats:
+def box_of(annotation: Labelled, kind: str) -> Floats:
     """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
     box = annotation.bbox_visible if kind == "visible" else annotation.bbox
     if box is None:

@@ -4,17 +4,20 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import CARD, MANIFEST, open_dataset
 from skope.dataset.image_selection import take
+from skope.detections import AnyResult
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
-from skope.schema import AnnotationFile, Result
+from skope.schema import AnnotationFile, Found, Result, RoadUserResult
+
+F = TypeVar("F", bound=Found)
 
 SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
 """Keypoint schemes of results that can be held against ours."""
@@ -80,11 +83,16 @@ def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, 
 
 
 def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
-    """Results of a detector of `scheme`, by default that of `file`, for its images.
+    """The vehicles of a detector of `scheme`, by default that of `file`, for its images.
 
     A UserError names a result that is for none of them.
     """
     return tuple(_for_file(path, file, scheme))
+
+
+def read_all_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[AnyResult, ...]:
+    """The results of `read_results` and those of other road users, in the order of the results file."""
+    return tuple(_all_for_file(path, file, scheme))
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,17 @@ class ResultsFile:
         return _for_file(self.path, self.file, None)
 
 
+@dataclass(frozen=True)
+class RoadUsersFile:
+    """The other road users of a results file for the images of `file`, in its order, read again each time."""
+
+    path: Path
+    file: AnnotationFile
+
+    def __iter__(self) -> Iterator[RoadUserResult]:
+        return (result for result in _all_for_file(self.path, self.file, None) if isinstance(result, RoadUserResult))
+
+
 def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
     """The results of `read_results`, all checked; in memory only where they do not lie in the order of the images."""
     place = {image.id: i for i, image in enumerate(file.images)}
@@ -108,12 +127,16 @@ def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Resu
 
 
 def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[Result]:
+    return (result for result in _all_for_file(path, file, scheme) if isinstance(result, Result))
+
+
+def _all_for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[AnyResult]:
     images = {image.id for image in file.images}
     categories = {a.category_id for a in file.annotations}
-    for i, result in enumerate(coco.iter_results(path, None if scheme == file.scheme.name else scheme)):
+    for i, result in enumerate(coco.iter_all_results(path, None if scheme == file.scheme.name else scheme)):
         if result.image_id not in images:
             raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
-        if categories and result.category_id not in categories:
+        if isinstance(result, Result) and categories and result.category_id not in categories:
             expected = ", ".join(map(str, sorted(categories)))
             raise UserError(f"{path}: results[{i}]: category_id {result.category_id} is not the vehicles' {expected}")
         yield result
@@ -125,15 +148,15 @@ def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
 
 
 def check_boxes(file: AnnotationFile, kind: str) -> None:
-    """Raise a UserError if a vehicle of `file` lacks its box of `kind`, before hours are spent on predicting."""
-    for annotation in file.annotations:
+    """Raise a UserError if a label of `file` lacks its box of `kind`, before hours are spent on predicting."""
+    for annotation in (*file.annotations, *file.road_users):
         try:
             box_of(annotation, kind)
         except UserError as error:
             raise UserError(f"{file.name}: {error}") from None
 
 
-def for_images(results: Sequence[Result], file: AnnotationFile) -> tuple[Result, ...]:
+def for_images(results: Sequence[F], file: AnnotationFile) -> tuple[F, ...]:
     """The results that belong to the images of `file`."""
     images = {image.id for image in file.images}
     return tuple(result for result in results if result.image_id in images)

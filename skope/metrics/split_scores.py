@@ -12,7 +12,8 @@ from skope.metrics.coco_ap import NO_PRECISION, average_precision
 from skope.metrics.counts import Options, Outcomes, Tally
 from skope.metrics.intervals import Blocks, blocks_of, intervals
 from skope.metrics.match import Matches
-from skope.schema import AnnotationFile, Result
+from skope.metrics.road_users import category_figures
+from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,6 +22,8 @@ class SplitScores:
 
     file: AnnotationFile
     results: Sequence[Result]
+    road_users: Sequence[RoadUserResult]
+    """What it found of the other road users."""
     matches: Matches
     outcomes: Mapping[float, Outcomes]
     """IoU threshold -> what became of each vehicle."""
@@ -32,7 +35,14 @@ class SplitScores:
 
 
 def measure(
-    file: AnnotationFile, results: Sequence[Result], options: Options, fleet: FleetInfo, *, all_scores: bool = True
+    file: AnnotationFile,
+    results: Sequence[Result],
+    options: Options,
+    fleet: FleetInfo,
+    *,
+    all_scores: bool = True,
+    road_users: Sequence[RoadUserResult] = (),
+    known: Sequence[str] = VEHICLE_ALONE,
 ) -> SplitScores:
     """Match a split once, then measure all that `metrics.json` holds of it.
 
@@ -42,6 +52,8 @@ def measure(
         options: What counts, and at which IoU thresholds.
         fleet: What the dataset's card says of the vehicle models.
         all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
+        road_users: The other road users that it found.
+        known: Categories that it has learnt: the entry has figures of those that the ground truth labels too.
     """
     matches = precision_recall.match_split(file, results, options)
     outcomes = {t: counts.outcomes_at(matches, t, options) for t in options.iou}
@@ -64,8 +76,20 @@ def measure(
             "iou": {f"{t:g}": intervals(counts.quotients(tallies[t]), blocks) for t in options.iou},
         },
     }
+    categories = category_figures(
+        file, road_users, score=options.score, boxes=options.boxes, all_scores=all_scores, known=known
+    )
+    if categories:
+        entry["categories"] = categories
     return SplitScores(
-        file=file, results=results, matches=matches, outcomes=outcomes, tallies=tallies, blocks=blocks, entry=entry
+        file=file,
+        results=results,
+        road_users=road_users,
+        matches=matches,
+        outcomes=outcomes,
+        tallies=tallies,
+        blocks=blocks,
+        entry=entry,
     )
 
 

@@ -20,7 +20,7 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import Annotation, Box3D, Result
+from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser, RoadUserResult
 
 Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -50,37 +50,52 @@ _SHIFT: Final = 4
 """OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
 
 
-def annotations(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
+def annotations(
+    image: Pixels,
+    vehicles: Iterable[Annotation],
+    road_users: Iterable[RoadUser] = (),
+    *,
+    scale: int = 1,
+    scheme: Scheme = SKOPE33,
+) -> Pixels:
     """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
 
-    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); an ignored vehicle is a dashed box with
-    its reason. The label is the track's number, or the annotation's id.
+    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); who is ignored is a dashed box with the
+    reason. The label is the track's number, or the annotation's id; that of other road users begins with a letter.
     """
     canvas = _Canvas(image, scale, scheme)
-    for vehicle in sorted(vehicles, key=lambda a: not a.ignored):
-        color = color_of(vehicle)
-        if vehicle.ignored:
-            canvas.dashed_box(vehicle.bbox, color)
-            canvas.note(vehicle.bbox, vehicle.ignore_reason or "ignored", color)
-            continue
-        canvas.vehicle(vehicle.bbox, vehicle.keypoints, vehicle.keypoints[:, 2] > 0, vehicle.keypoints[:, 2] > 1, color)
-        canvas.label(vehicle.bbox, str(number_of(vehicle)), color)
+    labels: list[Annotation | RoadUser] = [*vehicles, *road_users]
+    for one in sorted(labels, key=lambda label: not label.ignored):
+        color = color_of(one)
+        if one.ignored:
+            canvas.dashed_box(one.bbox, color)
+            canvas.note(one.bbox, one.ignore_reason or "ignored", color)
+        elif isinstance(one, Annotation):
+            v = one.keypoints[:, 2]
+            canvas.vehicle(one.bbox, one.keypoints, v > 0, v > 1, color)
+            canvas.label(one.bbox, str(number_of(one)), color)
+        else:
+            canvas.box(one.bbox, color)
+            canvas.label(one.bbox, f"{one.category[0]}{number_of(one)}", color)
     return canvas.pixels
 
 
-def number_of(vehicle: Annotation) -> int:
-    """Label of a vehicle: its track's number, or the annotation's id."""
-    return vehicle.id if vehicle.track_id is None else vehicle.track_id
+def number_of(label: Labelled) -> int:
+    """Number that is drawn: the track's, or the annotation's id."""
+    return label.id if label.track_id is None else label.track_id
 
 
-def color_of(vehicle: Annotation) -> Color:
-    """The colour that a vehicle is drawn in, wherever it is seen."""
-    return IGNORED if vehicle.ignored else PALETTE[number_of(vehicle) % len(PALETTE)]
+def color_of(label: Labelled) -> Color:
+    """The colour that a road user is drawn in, wherever it is seen."""
+    return IGNORED if label.ignored else PALETTE[number_of(label) % len(PALETTE)]
 
 
-def words_of(vehicle: Annotation) -> str:
-    """What is known of a vehicle, in a few words."""
-    parts = [f"{vehicle.vehicle_type or 'vehicle'} {number_of(vehicle)}", vehicle.color]
+def words_of(vehicle: Annotation | RoadUser) -> str:
+    """What is known of a road user, in a few words."""
+    if isinstance(vehicle, Annotation):
+        parts = [f"{vehicle.vehicle_type or 'vehicle'} {number_of(vehicle)}", vehicle.color]
+    else:
+        parts = [f"{vehicle.category} {number_of(vehicle)}"]
     if vehicle.distance is not None:
         parts.append(f"{vehicle.distance:.0f} m away")
     if vehicle.velocity is not None:
@@ -103,13 +118,26 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     return canvas.pixels
 
 
-def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: Scheme = SKOPE33) -> Pixels:
-    """Draw predicted vehicles on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
+def results(
+    image: Pixels,
+    found: Iterable[Result],
+    road_users: Iterable[RoadUserResult] = (),
+    *,
+    scale: int = 1,
+    scheme: Scheme = SKOPE33,
+) -> Pixels:
+    """Draw what was found on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
 
     Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
-    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score.
+    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score; that of other road
+    users, who have a box in the colour of their category, begins with its first letter.
     """
     canvas = _Canvas(image, scale, scheme)
+    for user in sorted(road_users, key=lambda r: r.score):
+        color = PALETTE[user.category_id]
+        canvas.box(user.bbox, color)
+        if not canvas.is_small(user.bbox):
+            canvas.label(user.bbox, f"{user.category[0]} {user.score:.2f}", color)
     ordered = sorted(found, key=lambda r: r.score)
     canvas.faint_points(ordered)
     for i, result in enumerate(ordered):
@@ -120,8 +148,8 @@ def results(image: Pixels, found: Iterable[Result], *, scale: int = 1, scheme: S
     return canvas.pixels
 
 
-def boxes_3d(image: Pixels, vehicles: Iterable[Annotation], camera: Camera) -> Pixels:
-    """The edges of vehicles' 3D boxes on a copy of (H, W, 3) `image`, those of the front end thicker."""
+def boxes_3d(image: Pixels, vehicles: Iterable[Labelled], camera: Camera) -> Pixels:
+    """The edges of road users' 3D boxes on a copy of (H, W, 3) `image`, those of the front end thicker."""
     canvas = _Canvas(image, 1)
     for vehicle in vehicles:
         if vehicle.box_3d is None:
@@ -143,16 +171,16 @@ def edges_3d(box: Box3D, camera: Camera) -> Iterator[tuple[list[NDArray[np.float
             yield [pixels[i : i + 2] for i in np.flatnonzero(valid[1:] & valid[:-1])], a >= 4 and b >= 4
 
 
-def mask_of(vehicle: Annotation) -> NDArray[np.bool_] | None:
-    """(H, W) the vehicle's visible pixels; None where they are not given as RLE."""
+def mask_of(vehicle: Labelled) -> NDArray[np.bool_] | None:
+    """(H, W) a road user's visible pixels; None where they are not given as RLE."""
     if not isinstance(vehicle.segmentation, Mapping):
         return None
     counts = str(vehicle.segmentation["counts"]).encode()
     return np.asarray(coco_mask.decode({**vehicle.segmentation, "counts": counts}), dtype=np.bool_)
 
 
-def masks(image: Pixels, vehicles: Iterable[Annotation], *, strength: float = 0.45) -> Pixels:
-    """Vehicles' visible pixels tinted on a copy of (H, W, 3) `image`."""
+def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45) -> Pixels:
+    """Road users' visible pixels tinted on a copy of (H, W, 3) `image`."""
     out = image.astype(np.float32)
     for vehicle in vehicles:
         inside = mask_of(vehicle)
@@ -169,8 +197,8 @@ def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
     return np.asarray(colors, dtype=np.uint8)
 
 
-def occlusion(image: Pixels, vehicles: Iterable[Annotation]) -> Pixels:
-    """Each vehicle's box with the share of it that something hides, on a copy of (H, W, 3) `image`."""
+def occlusion(image: Pixels, vehicles: Iterable[Labelled]) -> Pixels:
+    """Each road user's box with the share of it that something hides, on a copy of (H, W, 3) `image`."""
     canvas = _Canvas(image, 1)
     for vehicle in vehicles:
         share = vehicle.occlusion or 0.0
@@ -235,7 +263,7 @@ class _Canvas:
         color: Color,
     ) -> None:
         """A box, the skeleton between shown points (dimmer where an end is not sure), and the points."""
-        self._box(bbox, color, self._line)
+        self.box(bbox, color)
         self._skeleton(points, shown, sure, color)
         self._points(bbox, points, shown, sure)
 
@@ -259,6 +287,10 @@ class _Canvas:
             faint = (probability >= _FAINT) & (probability < _SURE)
             self._points(result.bbox, result.keypoints, faint, ~faint)
         cv2.addWeighted(self.pixels, _FAINTNESS, before, 1 - _FAINTNESS, 0, dst=self.pixels)
+
+    def box(self, bbox: ArrayLike, color: Color) -> None:
+        """The outline of a box."""
+        self._box(bbox, color, self._line)
 
     def _box(self, bbox: ArrayLike, color: Color, thickness: int) -> None:
         x0, y0, x1, y1 = xywh_to_xyxy(bbox)

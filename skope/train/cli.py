@@ -34,6 +34,14 @@ def run(
     exclude_types: Annotated[
         str | None, data_option(metavar=LIST, help="Vehicle types to ignore, as in pickup,bus.")
     ] = None,
+    categories: Annotated[
+        str | None,
+        data_option(
+            metavar=LIST,
+            help="What to learn, as in vehicle,pedestrian; the others are background.",
+            show_default="all that the data labels",
+        ),
+    ] = None,
     val_fraction: Annotated[
         float | None,
         data_option(help="Share of each recording's end to validate on.", show_default=_RECIPES),
@@ -107,6 +115,7 @@ def run(
         "min_size": min_size,
         "supervise": supervise,
         "exclude_types": tuple(exclude_types.split(",")) if exclude_types else (),
+        "categories": tuple(categories.split(",")) if categories else (),
         "val_fraction": val_fraction,
         "mix": mix,
         "seed": seed,

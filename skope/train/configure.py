@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skope.errors import UserError
+from skope.schema import checked_categories
 from skope.train import init_weights
 from skope.train import recipe as recipes
 from skope.train.run_folder import RunConfig, resumable
@@ -34,8 +35,18 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
         raise UserError("--mix: is the first dataset's share, which needs two or more --data")
     if mix is not None and not 0 < mix < 1:
         raise UserError(f"--mix: expected a share between 0 and 1, got {mix}")
-    folders = tuple(str(path) for path in data)
-    return RunConfig(recipe=recipe, seed=flags["seed"] or 0, data=folders, mix=mix, max_images=flags["max_images"])
+    try:
+        categories = checked_categories(flags["categories"]) if flags["categories"] else None
+    except UserError as error:
+        raise UserError(f"--{error}") from None
+    return RunConfig(
+        recipe=recipe,
+        seed=flags["seed"] or 0,
+        data=tuple(str(path) for path in data),
+        mix=mix,
+        max_images=flags["max_images"],
+        categories=categories,
+    )
 
 
 def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
@@ -44,6 +55,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
         raise UserError(f"--resume: {out}: no such run folder")
     recorded = RunConfig.read(out)
     known = {**recorded.recipe.to_dict(), **recorded.to_dict(), "recipe": recorded.recipe.name}
+    known["categories"] = list(recorded.detector_categories)
     for name, value in flags.items():
         if name in ("epochs", "set") or value is None or value == ():
             continue

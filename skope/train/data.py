@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset as TorchDataset
 
+from skope import keypoints, schema
 from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 from skope.schema import Image
@@ -27,13 +28,15 @@ Draw = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class TrainingSample:
-    """One image and its vehicles, as the network learns from them."""
+    """One image, its vehicles and other road users, as the network learns from them."""
 
     name: str
     pixels: torch.Tensor
     """(3, H, W) uint8 sRGB."""
     target: dict[str, torch.Tensor]
-    """boxes (N, 4) float32 xyxy, labels (N,) int64, keypoints (N, 33, 3) float32, ignored_boxes (M, 4) float32."""
+    """boxes (N, 4) float32 xyxy, labels (N,) int64, keypoints (N, 33, 3) float32, ignored_boxes (M, 4) float32.
+
+    Vehicles come first, with label 1; others follow, with labels from 2 and keypoints that are all v = 0."""
 
     def to(self, device: torch.device) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """Pixels as (3, H, W) float32 0..1 and target, on `device`."""
@@ -76,6 +79,11 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         return sum(len(frame.vehicles.boxes_xyxy) for frame in self._frames)
 
     @property
+    def road_users(self) -> int:
+        """Number of other road users to learn from, ignored ones not counted."""
+        return sum(len(frame.vehicles.others_xyxy) for frame in self._frames)
+
+    @property
     def largest_image(self) -> int:
         """Bytes of the pixels of the largest image."""
         return max(3 * frame.image.width * frame.image.height for frame in self._frames)
@@ -103,6 +111,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
         """`supervise` is "visible", or "all" for hidden keypoints too."""
         self._supervise = one_of("supervise", supervise, SUPERVISE)
         self._images = list(dataset.images(split))
+        self._categories = dataset.read(split).categories
 
     def __len__(self) -> int:
         return len(self._images)
@@ -110,17 +119,22 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
     def __getitem__(self, index: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """Pixels (3, H, W) float32 from 0 to 1, and the target as in `TrainingSample`."""
         labelled = self._images[index]
-        vehicles = vehicles_of(labelled.record, list(labelled.annotations))
+        vehicles = vehicles_of(labelled.record, labelled.annotations, labelled.road_users, self._categories)
         sample = to_sample(labelled.record.file_name, labelled.pixels(), vehicles, self._supervise)
         return sample.to(torch.device("cpu"))
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:
     """A training sample of (H, W, 3) pixels and their vehicles, as tensors."""
+    count = len(vehicles.boxes_xyxy)
+    boxes = np.concatenate([vehicles.boxes_xyxy, vehicles.others_xyxy])
+    labels = np.concatenate([np.full(count, schema.CATEGORY_ID), vehicles.other_labels])
+    points = np.zeros((len(boxes), keypoints.K, 3))
+    points[:count] = vehicles.supervised(supervise)
     target = {
-        "boxes": torch.as_tensor(vehicles.boxes_xyxy, dtype=torch.float32),
-        "labels": torch.ones(len(vehicles.boxes_xyxy), dtype=torch.int64),
-        "keypoints": torch.as_tensor(vehicles.supervised(supervise), dtype=torch.float32),
+        "boxes": torch.as_tensor(boxes, dtype=torch.float32),
+        "labels": torch.as_tensor(labels, dtype=torch.int64),
+        "keypoints": torch.as_tensor(points, dtype=torch.float32),
         ignored_regions.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
     return TrainingSample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)

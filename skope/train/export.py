@@ -3,14 +3,15 @@
 `state_dict` is a file of tensors for torchvision's own Keypoint R-CNN, which `torchvision_code` builds. TorchScript and
 ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
 that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
-from 0 to 1.
+from 0 to 1. Where the detector has learnt other categories than vehicles, `categories` (N,) follows, ids from 1 as in
+`skope.schema.CATEGORIES`: of others than vehicles the keypoint scores are 0, and the keypoints mean nothing.
 """
 
 import importlib.util
 import io
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -19,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import keypoints
+from skope import keypoints, schema
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
 from skope.detector import activation_ranges, weights
@@ -50,6 +51,7 @@ the header."""
 IMAGES: Final = 64
 """Of a dataset, that tell what the layers' inputs are."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
+CATEGORIES_OUTPUT: Final = "categories"
 
 _OPSET: Final = 17
 _TRACED_SIZE: Final = (360, 640)
@@ -73,6 +75,37 @@ class _Scripted(Deployed):
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return _in_order(self.model([image])[1][0])
+
+
+class DeployedCategories(nn.Module):
+    """A detector of one image and several categories, whose answer is `OUTPUTS` and `CATEGORIES_OUTPUT`."""
+
+    ids: Tensor
+    """Id of the category of each of the network's labels."""
+
+    def __init__(self, model: KeypointRCNN, categories: Sequence[str]) -> None:
+        super().__init__()
+        self.model = model
+        ids = [0, *(1 + schema.CATEGORIES.index(name) for name in categories)]
+        self.register_buffer("ids", torch.tensor(ids), persistent=False)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Detect in one (3, H, W) image; returns `OUTPUTS` and `CATEGORIES_OUTPUT`."""
+        return _with_categories(self.model([image])[0], self.ids)
+
+
+class _ScriptedCategories(DeployedCategories):
+    """`DeployedCategories` around a scripted model, which answers with its losses too."""
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        return _with_categories(self.model([image])[1][0], self.ids)
+
+
+def _with_categories(found: dict[str, Tensor], ids: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """`OUTPUTS` and `CATEGORIES_OUTPUT`, where `ids` are the categories of the network's labels."""
+    boxes, scores, points, sure = _in_order(found)
+    vehicles = (found["labels"] == 1).to(sure.dtype)
+    return boxes, scores, points, sure * vehicles[:, None], ids[found["labels"]]
 
 
 def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -112,7 +145,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
         moments = None
         if data:
             with activation_ranges.noted(model) as ranges:
-                moments = _moments(model, data, console)
+                moments = _moments(model, data, config.categories, console)
             metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
         write_new(out, checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
@@ -124,17 +157,17 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     console.say(f"{path}: short side {config.min_size}, long side at most {config.max_size} px")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about tracing and the old exporter; tests compare the results
-        write_new(out, _torchscript(model) if to == "torchscript" else _onnx(model))
+        write_new(out, (_torchscript if to == "torchscript" else _onnx)(model, config.categories))
     return out
 
 
-def _moments(model: KeypointRCNN, data: Path, console: Console) -> dict[str, Tensor]:
+def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
     images = image_selection.take(opened.read(SPLIT), IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
-    return input_moments.gather(model.to(choose_device("auto")), seen)
+    return input_moments.gather(model.to(choose_device("auto")), seen, categories)
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:
@@ -142,6 +175,8 @@ def torchvision_code(path: Path, config: DetectorConfig) -> str:
 
     Its anchors are no weights: with others a strict load succeeds as well, and the detections are wrong.
     """
+    labels = "" if len(config.categories) == 1 else f"  # labels 1 to {len(config.categories)}: "
+    labels += ", ".join(config.categories) if labels else ""
     sizes = ", ".join(f"({side},)" for side in config.anchors)
     return f"""\
 import torch
@@ -153,11 +188,11 @@ backbone = resnet_fpn_backbone(
     backbone_name="resnet50", weights=None, norm_layer=lambda width: FrozenBatchNorm2d(width, eps={config.norm_eps}))
 anchors = AnchorGenerator(({sizes}), ({ASPECTS},) * {len(config.anchors)})
 model = KeypointRCNN(
-    backbone, num_classes=2, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
+    backbone, num_classes={1 + len(config.categories)}, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
     min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={MAX_DETECTIONS},
     rpn_post_nms_top_n_test={PROPOSALS})
 model.load_state_dict(torch.load({str(path)!r}))
-model.eval()"""
+model.eval(){labels}"""
 
 
 def _pickled(state: Mapping[str, Tensor]) -> bytes:
@@ -167,21 +202,25 @@ def _pickled(state: Mapping[str, Tensor]) -> bytes:
     return buffer.getvalue()
 
 
-def _torchscript(model: KeypointRCNN) -> bytes:
+def _torchscript(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
     # Through memory: where there is no room for a file, torch's own writer ends the process.
     buffer = io.BytesIO()
-    torch.jit.save(torch.jit.script(_Scripted(model).eval()), buffer)
+    deployed = _Scripted(model) if len(categories) == 1 else _ScriptedCategories(model, categories)
+    torch.jit.save(torch.jit.script(deployed.eval()), buffer)
     return buffer.getvalue()
 
 
-def _onnx(model: KeypointRCNN) -> bytes:
+def _onnx(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
+    alone = len(categories) == 1
+    deployed = Deployed(model) if alone else DeployedCategories(model, categories)
+    outputs = OUTPUTS if alone else (*OUTPUTS, CATEGORIES_OUTPUT)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
-        _to_onnx(Deployed(model).eval(), path)
+        _to_onnx(deployed.eval(), outputs, path)
         return path.read_bytes()
 
 
-def _to_onnx(deployed: Deployed, path: Path) -> None:
+def _to_onnx(deployed: nn.Module, outputs: Sequence[str], path: Path) -> None:
     image = torch.rand(3, *_TRACED_SIZE, generator=torch.Generator().manual_seed(0))
     torch.onnx.export(
         deployed,
@@ -190,6 +229,6 @@ def _to_onnx(deployed: Deployed, path: Path) -> None:
         dynamo=False,
         opset_version=_OPSET,
         input_names=["image"],
-        output_names=list(OUTPUTS),
-        dynamic_axes={"image": {1: "height", 2: "width"}, **{name: {0: "found"} for name in OUTPUTS}},
+        output_names=list(outputs),
+        dynamic_axes={"image": {1: "height", 2: "width"}, **{name: {0: "found"} for name in outputs}},
     )

@@ -1,8 +1,9 @@
-"""How a model is trained beyond stock torchvision: ignored vehicles, and fewer regions for the keypoint head.
+"""How a model is trained beyond stock torchvision: ignored road users, and vehicles alone for the keypoint head.
 
 torchvision assigns labels to anchors and proposals in two methods; subclasses here discard what lies on an ignored
-vehicle (label -1, which its samplers leave out), so that it counts neither as vehicle nor as background. They add no
-weights: `prepare` turns a stock model's parts into these.
+vehicle or other road user (label -1, which its samplers leave out), so that it counts neither as one of a category nor
+as background. The keypoint head, which torchvision has learn from all categories, gets vehicles alone, and not too
+many. They add no weights: `prepare` turns a stock model's parts into these.
 """
 
 from typing import Any
@@ -15,36 +16,40 @@ from torchvision.models.detection.rpn import RegionProposalNetwork, RPNHead
 from torchvision.models.detection.transform import GeneralizedRCNNTransform, resize_boxes
 from torchvision.ops import box_iou
 
+from skope import schema
+
 KEY = "ignored_boxes"
 """Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
 
 _DISCARD = -1
-"""Label of what is neither vehicle nor background, which torchvision's samplers leave out."""
+"""Label of what is neither of a category nor background, which torchvision's samplers leave out."""
 _SHARE = 0.5
-"""Share of a box's area inside an ignored box from which it lies on the ignored vehicle."""
+"""Share of a box's area inside an ignored box from which it lies on what is ignored."""
 _IOU = 0.5
-"""IoU with a vehicle from which a box is the vehicle's, whatever it lies on."""
+"""IoU with a box of the ground truth from which a box is that one's, whatever it lies on."""
 
 Target = dict[str, Tensor]
 
 
-def on_ignored(boxes: Tensor, ignored: Tensor, vehicles: Tensor) -> Tensor:
-    """(N,) bool: lies to half of its area inside one of (M, 4) ignored boxes and overlaps no vehicle by 0.5 IoU."""
+def on_ignored(boxes: Tensor, ignored: Tensor, truth: Tensor) -> Tensor:
+    """(N,) bool: lies to half of its area inside one of (M, 4) ignored boxes, and overlaps none of (G, 4) ground-truth
+    boxes by 0.5 IoU."""
     if not len(ignored):
         return torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     sides = torch.minimum(boxes[:, None, 2:], ignored[:, 2:]) - torch.maximum(boxes[:, None, :2], ignored[:, :2])
     shared = sides.clamp(min=0).prod(dim=-1).amax(dim=1)  # (N, M, 2) -> (N,)
     own = (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
     inside = (shared >= _SHARE * own) & (own > 0)
-    on_vehicle: Tensor = (box_iou(boxes, vehicles) >= _IOU).any(dim=1)
-    return inside & ~on_vehicle
+    on_truth: Tensor = (box_iou(boxes, truth) >= _IOU).any(dim=1)
+    return inside & ~on_truth
 
 
 def prepare(model: KeypointRCNN, *, regions: int, keypoint_regions: int | None, ignore_below: float = 0.0) -> None:
     """Make `model` heed the ignored boxes of its targets from now on, and learn from so many regions an image.
 
-    Of `regions` a quarter are vehicles; at most `keypoint_regions` of these enter the keypoint head, None for all.
-    Vehicles whose box has a shorter edge than `ignore_below` pixels inside the network are ignored too.
+    Of `regions` a quarter are vehicles and other road users; at most `keypoint_regions` of the vehicles among them
+    enter the keypoint head, None for all. Those whose box has a shorter edge than `ignore_below` pixels inside the
+    network are ignored too.
     """
     # Only methods differ, so changing the class keeps weights, settings and hooks as they are.
     model.transform.__class__ = _Transform
@@ -98,8 +103,8 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
         self, proposals: list[Tensor], gt_boxes: list[Tensor], gt_labels: list[Tensor]
     ) -> tuple[list[Tensor], list[Tensor]]:
         matched, labels = super().assign_targets_to_proposals(proposals, gt_boxes, gt_labels)
-        for label, boxes, ignored, vehicles in zip(labels, proposals, self._ignored, gt_boxes, strict=True):
-            label.masked_fill_(on_ignored(boxes, ignored, vehicles), _DISCARD)
+        for label, boxes, ignored, truth in zip(labels, proposals, self._ignored, gt_boxes, strict=True):
+            label.masked_fill_(on_ignored(boxes, ignored, truth), _DISCARD)
         return matched, labels
 
     def forward(
@@ -136,7 +141,7 @@ class _RoIHeads(RoIHeads):  # type: ignore[misc]
 
         The others add nothing to the loss, which is a mean over labelled points.
         """
-        vehicles = torch.where(labels > 0)[0]
+        vehicles = torch.where(labels == schema.CATEGORY_ID)[0]
         if len(labelled):
             vehicles = vehicles[labelled[matched[vehicles]]]
         if self._keypoint_regions is None or len(vehicles) <= self._keypoint_regions:

@@ -1,6 +1,7 @@
 """The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
 import argparse
+import math
 import pickle
 import re
 from dataclasses import replace
@@ -21,6 +22,7 @@ from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.keypoints import Scheme
+from skope.schema import VEHICLE_ALONE
 from skope.train.recipe import SMALL_SIZE
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
@@ -31,6 +33,10 @@ _COCO_EPS: Final = 0.0
 _DEFAULT_EPS: Final = 1e-5
 _NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
 _PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
+_BOX_PREDICTOR: Final = "roi_heads.box_predictor."
+_RARE: Final = math.log(0.01)
+"""Bias of a class that begins anew: a hundredth as likely as what has a logit of 0, as in RetinaNet (Lin et al.,
+2017)."""
 
 State = dict[str, torch.Tensor]
 
@@ -45,8 +51,12 @@ def initialise(
     seed: int,
     scheme: Scheme = keypoints.SKOPE33,
     anchors: tuple[int, ...] | None = None,
+    categories: tuple[str, ...] = VEHICLE_ALONE,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """Build a detector with the weights from which training begins.
+
+    Weights that were trained for other categories than those asked for give what they have in common, and the
+    background; the others begin anew. The one class of weights that do not name theirs is the vehicles'.
 
     Args:
         init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the detector that
@@ -62,6 +72,7 @@ def initialise(
         seed: Draws what no file gives.
         scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
         anchors: Sides of the anchors of each level; None: those of the first weights.
+        categories: Names of what is to be found.
 
     Returns:
         The model, its config, and the choice in words.
@@ -79,7 +90,14 @@ def initialise(
             scheme=scheme.name,
             keypoint_edition=scheme.edition,
             anchors=anchors or given.anchors,
+            categories=categories,
         )
+
+    def loaded(path: Path, state: State, given: DetectorConfig, words: str) -> tuple[KeypointRCNN, DetectorConfig, str]:
+        chosen = completed(given)
+        anew = [name for name in categories if name not in given.categories]
+        words += f"; {', '.join(anew)} anew" if anew else ""
+        return _loaded(path, state, given.categories, chosen, trainable_layers), chosen, words
 
     check(init)
     coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
@@ -87,8 +105,7 @@ def initialise(
         torch.default_generator.manual_seed(seed)
         if init == "coco" or (init == "auto" and coco_file.is_file()):
             path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
-            chosen = completed(_plain("frozen", _COCO_EPS))
-            return _loaded(path, _unpickled(path), chosen, trainable_layers), chosen, "weights trained on COCO"
+            return loaded(path, _unpickled(path), _plain("frozen", _COCO_EPS), "weights trained on COCO")
         if init == "imagenet":
             chosen = completed(_plain("frozen", _DEFAULT_EPS))
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
@@ -97,10 +114,9 @@ def initialise(
             chosen = completed(_plain("batch", _DEFAULT_EPS))
             return build(chosen, trainable_layers=5), chosen, "random weights"
         file = weights.path(weights.DEFAULT) if shipped else find_checkpoint(Path(init))
-        state, own = _from_file(file, scheme)
-        chosen = completed(own)
+        state, own = _from_file(file, scheme, categories)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
-        return _loaded(file, state, chosen, trainable_layers), chosen, words
+        return loaded(file, state, own, words)
 
 
 def check(init: str) -> None:
@@ -112,11 +128,12 @@ def check(init: str) -> None:
     find_checkpoint(Path(init))
 
 
-def _from_file(path: Path, scheme: Scheme) -> tuple[State, DetectorConfig]:
+def _from_file(path: Path, scheme: Scheme, categories: tuple[str, ...]) -> tuple[State, DetectorConfig]:
     """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
     Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
-    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5.
+    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5; as many classes as
+    `categories` are taken for those, others for the vehicles'.
     """
     if path.suffix == ".safetensors":
         if _is_ours(path):
@@ -131,7 +148,10 @@ def _from_file(path: Path, scheme: Scheme) -> tuple[State, DetectorConfig]:
         state = _unpickled(path)
     counted = any(name.endswith(".num_batches_tracked") for name in state)
     coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
-    return state, _plain("batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS)
+    plain = _plain("batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS)
+    classes = state.get(f"{_BOX_PREDICTOR}cls_score.bias")
+    alike = classes is not None and len(classes) == 1 + len(categories)
+    return state, replace(plain, categories=categories) if alike else plain
 
 
 def _plain(norm: str, eps: float) -> DetectorConfig:
@@ -147,18 +167,54 @@ def _is_ours(path: Path) -> bool:
         raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
 
 
-def _loaded(path: Path, state: State, config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
-    """A model with the weights in `state`; a predictor for COCO's 17 keypoints makes room for a new one for 33."""
+def _loaded(
+    path: Path, state: State, categories: tuple[str, ...], config: DetectorConfig, trainable_layers: int
+) -> KeypointRCNN:
+    """A model with the weights in `state`, which were trained for `categories`.
+
+    A predictor for COCO's 17 keypoints makes room for a new one for 33.
+    """
     count = _num_keypoints(path, state)
     if count not in (keypoints.K, _COCO_KEYPOINTS):
         raise UserError(f"{path}: predicts {count} keypoints; expected {keypoints.K}, or COCO's {_COCO_KEYPOINTS}")
     model = build(config, trainable_layers=trainable_layers, num_keypoints=count)
+    if categories != config.categories:
+        state = _with_categories(path, state, categories, model.state_dict(), config.categories)
     _load(path, model, state)
     if count != keypoints.K:
         heads = model.roi_heads
         channels = heads.keypoint_predictor.kps_score_lowres.in_channels
         heads.keypoint_predictor = KeypointRCNNPredictor(channels, keypoints.K)
     return model
+
+
+def _with_categories(
+    path: Path, state: State, categories: tuple[str, ...], drawn: State, wanted: tuple[str, ...]
+) -> State:
+    """`state`, trained for `categories`, with a box predictor for those that are wanted: new rows are those of `drawn`.
+
+    The rows of the predictor's weights are those of the background and of each category, one for classes and four for
+    boxes. New classes begin as rare: the scores of those taken over stay about what they were, where classes as likely
+    as the background would take most of them away.
+    """
+    before, after = (("background", *names) for names in (categories, wanted))
+    out = dict(state)
+    for name in [name for name in drawn if name.startswith(_BOX_PREDICTOR)]:
+        if name not in state or len(state[name]) % len(before):
+            raise UserError(f"{path}: tensor {name}: expected rows for {', '.join(before)}")
+        old, new = (
+            one.view(len(names), -1, *one.shape[1:])
+            for one, names in ((state[name], before), (drawn[name].clone(), after))
+        )
+        if old.shape[1:] != new.shape[1:]:
+            raise UserError(f"{path}: tensor {name}: expected rows for {', '.join(before)}")
+        for i, category in enumerate(after):
+            if category in before:
+                new[i] = old[before.index(category)]
+            elif name.endswith("cls_score.bias"):
+                new[i] = _RARE
+        out[name] = new.flatten(0, 1)
+    return out
 
 
 def _num_keypoints(path: Path, state: State) -> int:

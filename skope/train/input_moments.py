@@ -1,6 +1,6 @@
 """What the layers of a detector get as inputs, gathered from images: second moments, for rounding its weights."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Final
 
@@ -10,18 +10,22 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope.detector.detect import as_tensor
+from skope.detector.detect import detect
+from skope.schema import VEHICLE_ALONE
 
 _SAMPLES: Final = 256
 """Positions, or regions, that each call of a layer gives."""
 
 
-def gather(model: KeypointRCNN, images: Iterable[NDArray[np.uint8]]) -> dict[str, Tensor]:
+def gather(
+    model: KeypointRCNN, images: Iterable[NDArray[np.uint8]], categories: Sequence[str] = VEHICLE_ALONE
+) -> dict[str, Tensor]:
     """Second moments of the inputs of all convolutions and linear layers, by the names of their weights.
 
     Args:
         model: In evaluation mode, on the CPU or a GPU.
         images: (H, W, 3) RGB, dozens of what the detector is for.
+        categories: What the network's labels are: only vehicles go through the keypoint head.
 
     Returns:
         Weight's name -> (N, N) float32 mean of x x^T, where N is the number of weights of an output channel and x lie
@@ -40,9 +44,8 @@ def gather(model: KeypointRCNN, images: Iterable[NDArray[np.uint8]]) -> dict[str
     hooks = [module.register_forward_pre_hook(partial(add, name)) for name, module in layers.items()]
     device = next(model.parameters()).device
     try:
-        with torch.inference_mode():
-            for pixels in images:
-                model([as_tensor(pixels, device)])
+        for pixels in images:
+            detect(model, [pixels], device, categories=categories)
     finally:
         for hook in hooks:
             hook.remove()

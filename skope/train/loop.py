@@ -13,6 +13,7 @@ import torch
 from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
 from skope.files.atomic import write_text
+from skope.schema import CATEGORIES
 from skope.terminal.console import Console, counted, minutes
 from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import Draw, TrainingSample, TrainingSet
@@ -85,7 +86,11 @@ def train(
     ):
         console = console if processes.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
-        config = config.of([part.dataset for part in parts], splits.common_scheme(parts))
+        categories = splits.common_categories(parts, config.categories)
+        unlearnt = [name for name in CATEGORIES if any(name in part.categories for part in parts)]
+        unlearnt = [name for name in unlearnt if name not in categories]
+        parts = [part.of_categories(categories) for part in parts]
+        config = config.of([part.dataset for part in parts], splits.common_scheme(parts), categories)
         recipe = config.recipe
         training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
         with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
@@ -106,6 +111,8 @@ def train(
                 run_folder.record(out, config)
             where = f"on {device} x {processes.size}, {workers} extra processes"
             _announce(config, training, training_set, parts, where, console)
+            if unlearnt:
+                console.say(f"{', '.join(unlearnt)}: labelled, and background to this run, as --categories has it")
             return _Run(
                 config, out, training, training_set, parts, processes, device, workers, saving, stop, console
             ).go()
@@ -144,7 +151,7 @@ class _Run:
         if self._file.images and all(vehicle.ignored for vehicle in self._file.annotations):
             said = f"{counted(len(self._file.images), 'image')} to validate on show no vehicle: nothing is validated"
             self.console.say(f"{said} (--val-fraction)")
-            self._file = replace(self._file, images=(), annotations=())
+            self._file = replace(self._file, images=(), annotations=(), road_users=())
         self._loader = Loader(
             self.training_set,
             workers=self.workers,
@@ -264,7 +271,8 @@ class _Run:
         counts = [
             (len(part.learnt.images), sum(len(each.boxes_xyxy) for each in part.vehicles())) for part in self.parts
         ]
-        write_text(self.out / "README.md", run_card.text(self.config, self.training, datasets, counts))
+        others = self.training_set.road_users
+        write_text(self.out / "README.md", run_card.text(self.config, self.training, datasets, counts, others))
 
 
 @contextlib.contextmanager
@@ -312,6 +320,9 @@ def _announce(
     images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)
     checked = f"{counted(images, 'image')} with {counted(vehicles, 'vehicle')}" if images else "none"
     console.say(f"{names}: {learnt}, {checked} to validate on")
+    if len(config.detector_categories) > 1:
+        learnt = f"{counted(training_set.road_users, 'other road user')} to learn from"
+        console.say(f"categories {', '.join(config.detector_categories)}: {learnt}; keypoints of vehicles alone")
     for part in parts if recipe.exclude_types else ():
         types = ", ".join(recipe.exclude_types)
         console.say(f"{part.dataset.root}: {counted(part.excluded, 'vehicle')} left out by type ({types})")
@@ -334,6 +345,7 @@ def _in_words(figures: Mapping[str, Any]) -> str:
     return (
         f"PCK {percent('pck')} of found vehicles ({percent('box_recall')} of {figures['vehicles']}), "
         f"{percent('pck_given')} in given boxes; keypoint recall {percent('keypoint_recall')}"
+        + "".join(f"; {name} recall {percent(f'{name}_recall')}" for name in CATEGORIES if f"{name}_recall" in figures)
     )
 
 

@@ -11,7 +11,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope.dataset.folder import read_image
 from skope.files.atomic import replacing
 from skope.pictures import draw
-from skope.schema import Annotation, AnnotationFile
+from skope.schema import CATEGORIES, Annotation, AnnotationFile
 from skope.terminal.console import counted
 from skope.train import validate
 
@@ -42,7 +42,12 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
         style = {"color": "black", "linewidth": 2} if name == "loss" else {}
         axes[0].plot(epochs, [row[name] for row in history], marker=".", label=name.removeprefix("loss_"), **style)
     axes[0].set(xlabel="epoch", ylabel="mean loss", yscale="log", title="training")
-    for name, label in _SHARES.items() if validated else ():
+    others = {
+        name: name.replace("_", " ")
+        for name in (validated[0]["validation"] if validated else ())
+        if name.removesuffix("_recall") in CATEGORIES
+    }
+    for name, label in {**_SHARES, **others}.items() if validated else ():
         rows = [(row["epoch"], row["validation"][name]) for row in validated]
         known = [(epoch, value) for epoch, value in rows if value is not None]
         axes[1].plot([epoch for epoch, _ in known], [value for _, value in known], marker=".", label=label)
@@ -62,7 +67,7 @@ def prediction_sheet(
     path: Path, model: KeypointRCNN, file: AnnotationFile, images: Sequence[Path], epoch: int, device: torch.device
 ) -> None:
     """Write predictions (right) beside ground truth (left) for the first images of `file` that hold vehicles."""
-    vehicles = file.by_image()
+    vehicles, users = file.by_image(), file.road_users_by_image()
     pairs: list[draw.Pixels] = []
     # The same images each time, so that one sees them change.
     for image, place in zip(file.images, images, strict=True):
@@ -72,13 +77,11 @@ def prediction_sheet(
         if all(vehicle.ignored for vehicle in truth):
             continue
         pixels = read_image(place, size=(image.width, image.height))
-        found = validate.detect_in_image(model, pixels, image.id, device, _SURE)
-        pairs.append(
-            draw.caption(draw.annotations(pixels, truth, scheme=file.scheme), f"{image.file_name}: ground truth")
-        )
-        pairs.append(
-            draw.caption(draw.results(pixels, found, scheme=file.scheme), f"after epoch {epoch}: {len(found)} found")
-        )
+        found, others = validate.detect_in_image(model, pixels, image.id, device, _SURE, file.categories)
+        labels = draw.annotations(pixels, truth, users[image.id], scheme=file.scheme)
+        answers = draw.results(pixels, found, others, scheme=file.scheme)
+        pairs.append(draw.caption(labels, f"{image.file_name}: ground truth"))
+        pairs.append(draw.caption(answers, f"after epoch {epoch}: {len(found) + len(others)} found"))
     if pairs:
         draw.write(path, draw.contact_sheet(pairs, 2))
 

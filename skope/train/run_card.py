@@ -19,14 +19,22 @@ _WEIGHTS = (
 
 
 def text(
-    config: RunConfig, training: TrainingState, datasets: Sequence[Dataset], counts: Sequence[tuple[int, int]]
+    config: RunConfig,
+    training: TrainingState,
+    datasets: Sequence[Dataset],
+    counts: Sequence[tuple[int, int]],
+    others: int = 0,
 ) -> str:
-    """The model card as Markdown; `counts` are the numbers of images and vehicles that each dataset gave."""
+    """The model card as Markdown.
+
+    `counts` are the numbers of images and vehicles that each dataset gave, `others` is that of all other road users.
+    """
     recipe = config.recipe
     lines = [
         "# Vehicle keypoint detector",
         "",
-        f"torchvision's Keypoint R-CNN (ResNet50-FPN), one class, {keypoints.K} keypoints (`{config.scheme.title}`), "
+        f"torchvision's Keypoint R-CNN (ResNet50-FPN), {_classes(config)}, {keypoints.K} keypoints "
+        f"(`{config.scheme.title}`), "
         f"{training.config.norm} normalisation with eps {training.config.norm_eps:g}, images at a short side of "
         f"{training.config.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} "
         "epochs.",
@@ -40,6 +48,7 @@ def text(
             for root, dataset, (images, vehicles) in zip(config.data, datasets, counts, strict=True)
         ),
         "",
+        *_road_users(config, others),
         *([f"The first dataset gives {config.mix:.0%} of an epoch's images.", ""] if config.mix is not None else []),
         "## Initial weights",
         "",
@@ -65,6 +74,16 @@ def text(
     return "\n".join(lines) + "\n"
 
 
+def _classes(config: RunConfig) -> str:
+    names = config.detector_categories
+    return "one class" if len(names) == 1 else f"{len(names)} classes ({', '.join(names)}; of vehicles alone keypoints)"
+
+
+def _road_users(config: RunConfig, count: int) -> list[str]:
+    names = config.detector_categories[1:]
+    return [f"Besides, {counted(count, 'road user')} of the categories {', '.join(names)}.", ""] if names else []
+
+
 def _terms(origin: str) -> str:
     return next((terms for word, terms in _WEIGHTS if word in origin), "under the terms of that file")
 
@@ -73,7 +92,7 @@ def _figures(history: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = [row for row in history if "validation" in row]
     if not rows:
         return ["No part of the training recordings was validated on (`val_fraction` is 0)."]
-    names = ("pck", "pck_given", "box_precision", "box_recall", "keypoint_recall")
+    names = [name for name in rows[-1]["validation"] if name not in ("images", "vehicles")]
     best = max(rows, key=lambda row: rank(row["validation"]))
     images, vehicles = (rows[-1]["validation"][name] for name in ("images", "vehicles"))
     lines = [

@@ -33,6 +33,7 @@ from skope.errors import UserError
 from skope.files.atomic import locked, unwritable, write_bytes, write_text
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import Scheme
+from skope.schema import VEHICLE_ALONE, checked_categories
 from skope.terminal.console import disk_size
 from skope.train import init_weights, validate
 from skope.train.recipe import Recipe
@@ -58,8 +59,10 @@ class RunConfig:
     """The datasets' keypoint scheme."""
     licences: tuple[str, ...] = ()
     """Licences of the datasets, in their order, as their cards state them."""
+    categories: tuple[str, ...] | None = None
+    """Names of what is learnt; None: all that the datasets label."""
 
-    def of(self, datasets: Sequence[Dataset], scheme: Scheme) -> Self:
+    def of(self, datasets: Sequence[Dataset], scheme: Scheme, categories: tuple[str, ...]) -> Self:
         """The configuration completed by what the datasets say.
 
         Images are not mirrored where the mirror partners of the scheme's keypoints are not known.
@@ -67,7 +70,14 @@ class RunConfig:
         recipe = self.recipe
         if scheme.flip is None:
             recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
-        return replace(self, recipe=recipe, scheme=scheme, licences=tuple(d.licence for d in datasets))
+        licences = tuple(d.licence for d in datasets)
+        return replace(self, recipe=recipe, scheme=scheme, licences=licences, categories=categories)
+
+    @property
+    def detector_categories(self) -> tuple[str, ...]:
+        """The categories of the detector that is trained; known once `of` has completed the configuration."""
+        assert self.categories is not None
+        return self.categories
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -79,6 +89,8 @@ class RunConfig:
             "mix": self.mix,
             "max_images": self.max_images,
             "licences": list(self.licences),
+            # Runs of before there were other categories do not name theirs.
+            **({} if self.categories in (None, VEHICLE_ALONE) else {"categories": list(self.categories)}),
         }
 
     @classmethod
@@ -90,7 +102,8 @@ class RunConfig:
                 raise UserError(f"version: expected {_VERSION}")
             names = ("seed", "mix", "max_images")
             recipe, data = Recipe.from_dict(values["recipe"]), tuple(values["data"])
-            return cls(recipe=recipe, data=data, **{name: values[name] for name in names})
+            categories = checked_categories(values.get("categories", VEHICLE_ALONE))
+            return cls(recipe=recipe, data=data, categories=categories, **{name: values[name] for name in names})
         except KeyError as error:
             raise UserError(f"{run / _CONFIG}: field {error.args[0]} is missing") from None
         except UserError as error:
@@ -182,6 +195,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         seed=config.seed,
         scheme=config.scheme,
         anchors=recipe.anchors,
+        categories=config.detector_categories,
     )
     model = placed(model, recipe, device)
     sgd, mean = optimizer(model, recipe), running_mean(model, recipe)

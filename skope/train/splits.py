@@ -1,19 +1,21 @@
 """Which images are learnt from and which validated on: datasets, their recordings, and what they must hold."""
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
+from skope import schema
 from skope.dataset import image_selection, shards
 from skope.dataset.folder import MANIFEST, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files.reading import read_bytes
 from skope.keypoints import Scheme
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.train.targets import Vehicles, vehicles_of
 
 SPLIT: Final = "train"
@@ -35,10 +37,25 @@ class TrainingSource:
     excluded: int = 0
     """Number of vehicles that were left out by their types."""
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that are learnt, in the order of the network's labels."""
+        return self.learnt.categories
+
+    def of_categories(self, categories: Sequence[str]) -> Self:
+        """The same with the road users of some of its categories: the others are background."""
+        return replace(
+            self,
+            learnt=of_categories(self.learnt, categories),
+            validated=of_categories(self.validated, categories),
+        )
+
     def vehicles(self) -> list[Vehicles]:
-        """The vehicles of each image that is learnt from, in file order."""
-        by_image = self.learnt.by_image()
-        return [vehicles_of(image, by_image[image.id]) for image in self.learnt.images]
+        """Vehicles and other road users of each image that is learnt from, in file order."""
+        by_image, users = self.learnt.by_image(), self.learnt.road_users_by_image()
+        return [
+            vehicles_of(image, by_image[image.id], users[image.id], self.categories) for image in self.learnt.images
+        ]
 
 
 def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_images: int | None) -> TrainingSource:
@@ -81,6 +98,41 @@ def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
     return first.dataset.scheme
 
 
+def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | None) -> tuple[str, ...]:
+    """The categories that are learnt: those that all datasets label, or some of them, where these are asked for.
+
+    Raises UserError where datasets label different ones and nothing is asked for, or something that one does not label:
+    whom a dataset shows without a label would be learnt as background.
+    """
+    first, *others = sources
+    if asked is not None:
+        categories = schema.checked_categories(asked)
+        for source in sources:
+            missing = [name for name in categories if name not in source.categories]
+            if missing:
+                labelled = f"{source.dataset.root} labels {', '.join(source.categories)}"
+                raise UserError(
+                    f"--categories {','.join(categories)}: {labelled}: whom it shows of {', '.join(missing)} would be "
+                    "learnt as background"
+                )
+        return categories
+    for other in others:
+        if other.categories != first.categories:
+            common = [name for name in first.categories if all(name in source.categories for source in sources)]
+            raise UserError(
+                f"{other.dataset.root}: labels {', '.join(other.categories)}, {first.dataset.root} "
+                f"{', '.join(first.categories)}: whom one of them leaves unlabelled would be learnt as background; "
+                f"--categories {','.join(common)} learns what all of them label"
+            )
+    return first.categories
+
+
+def of_categories(file: AnnotationFile, categories: Sequence[str]) -> AnnotationFile:
+    """A file without the road users of other categories than these, as if its makers had not labelled them."""
+    users = tuple(user for user in file.road_users if user.category in categories)
+    return replace(file, road_users=users, categories=tuple(categories))
+
+
 def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
     """Vehicles of these types become ignored ones: neither learnt, nor background, nor ground truth."""
     if not types:
@@ -100,16 +152,26 @@ def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
 
 def validation_images(sources: Sequence[TrainingSource], most: int) -> tuple[AnnotationFile, list[Path]]:
     """At most `most` images to validate on, evenly spread over all sources, with new ids; and their image files."""
-    found: list[tuple[Path, Image, list[Annotation]]] = []
+    found: list[tuple[Path, Image, list[Annotation], list[RoadUser]]] = []
     for source in sources:
-        by_image = source.validated.by_image()
-        found += [(source.dataset.root, image, by_image[image.id]) for image in source.validated.images]
+        by_image, users = source.validated.by_image(), source.validated.road_users_by_image()
+        root, shown = source.dataset.root, source.validated.images
+        found += [(root, image, by_image[image.id], users[image.id]) for image in shown]
     chosen = [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
     images: list[Image] = []
     annotations: list[Annotation] = []
-    for number, (_, image, vehicles) in enumerate(chosen, start=1):
+    road_users: list[RoadUser] = []
+    ids = itertools.count(1)
+    for number, (_, image, vehicles, users) in enumerate(chosen, start=1):
         images.append(replace(image, id=number))
-        annotations += [replace(a, id=len(annotations) + k, image_id=number) for k, a in enumerate(vehicles, start=1)]
-    scheme = common_scheme(sources)
-    file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), name="validation", scheme=scheme)
-    return file, [root / image.file_name for root, image, _ in chosen]
+        annotations += [replace(a, id=next(ids), image_id=number) for a in vehicles]
+        road_users += [replace(user, id=next(ids), image_id=number) for user in users]
+    file = AnnotationFile(
+        images=tuple(images),
+        annotations=tuple(annotations),
+        name="validation",
+        scheme=common_scheme(sources),
+        road_users=tuple(road_users),
+        categories=sources[0].categories,
+    )
+    return file, [root / image.file_name for root, image, *_ in chosen]

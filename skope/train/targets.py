@@ -1,29 +1,34 @@
-"""Boxes and keypoints of the vehicles of one image, and how they move when the pixels do."""
+"""Boxes and keypoints of the vehicles of one image, boxes of other road users, and how they move when the pixels do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skope import boxes as boxes_module
 from skope import keypoints
-from skope.schema import Annotation, Image
+from skope.schema import VEHICLE_ALONE, Annotation, Image, Labelled, RoadUser
 from skope.types import Array
 
 LEAST_INSIDE = 0.15
-"""A vehicle of whose box less than this share stays in the image becomes an ignored one, as in the dataset."""
+"""What keeps less than this share of its box in the image becomes ignored, as in the dataset."""
 
 
 @dataclass(frozen=True)
 class Vehicles:
-    """Boxes and keypoints of the vehicles of one image, pixels."""
+    """Boxes and keypoints of the vehicles of one image, and boxes of the other road users that are learnt; pixels."""
 
     boxes_xyxy: Array
     """(N, 4) boxes of the ground truth."""
     keypoints: Array
     """(N, 33, 3) x, y, v of the ground truth; x = y = 0 where v = 0."""
     ignored_xyxy: Array
-    """(M, 4) boxes of the ignored vehicles."""
+    """(M, 4) boxes of what is ignored, of all categories."""
+    others_xyxy: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    """(P, 4) boxes of the other road users of the ground truth."""
+    other_labels: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """(P,) their labels in the network, from 2: label k is the k-th of the categories that are learnt."""
 
     def flipped(self, width: float) -> "Vehicles":
         """The vehicles in the mirrored image: x becomes width - x, and right and left keypoints change places.
@@ -32,7 +37,9 @@ class Vehicles:
         """
         points = self.keypoints[:, keypoints.FLIP].copy()
         points[..., 0] = np.where(points[..., 2] > 0, width - points[..., 0], 0.0)
-        return Vehicles(_mirror(self.boxes_xyxy, width), points, _mirror(self.ignored_xyxy, width))
+        boxes = (_mirror(each, width) for each in (self.boxes_xyxy, self.ignored_xyxy, self.others_xyxy))
+        vehicles, ignored, others = boxes
+        return Vehicles(vehicles, points, ignored, others, self.other_labels)
 
     def cropped(self, corner: tuple[float, float], scale: tuple[float, float], width: int, height: int) -> "Vehicles":
         """The vehicles in a part of the image that is cut out and enlarged.
@@ -43,24 +50,43 @@ class Vehicles:
         goes.
         """
         offset, factor = np.array([*corner, *corner]), np.array([*scale, *scale])
-        moved = (self.boxes_xyxy - offset) * factor
-        clipped = boxes_module.clip(moved, width, height)
-        share = np.divide(boxes_module.area(clipped), boxes_module.area(moved))  # no box is empty
+
+        def clipped(boxes_xyxy: Array) -> tuple[Array, Array]:
+            """Boxes moved with the image and clipped to it, and the share of each that stays; no box is empty."""
+            moved = (boxes_xyxy - offset) * factor
+            inside = boxes_module.clip(moved, width, height)
+            return inside, np.divide(boxes_module.area(inside), boxes_module.area(moved))
+
+        vehicles, share = clipped(self.boxes_xyxy)
+        others, share_of_others = clipped(self.others_xyxy)
         points = self.keypoints.copy()
         points[..., :2] = (points[..., :2] - offset[:2]) * factor[:2]
         inside = ((points[..., :2] >= 0) & (points[..., :2] < [width, height])).all(axis=-1)
         points = np.where((inside & (points[..., 2] > 0))[..., None], points, 0.0)
-        ignored = boxes_module.clip((self.ignored_xyxy - offset) * factor, width, height)
-        stays, sliver = share >= LEAST_INSIDE, (share > 0) & (share < LEAST_INSIDE)
-        ignored = np.concatenate([ignored[boxes_module.area(ignored) > 0], clipped[sliver]])
-        return Vehicles(clipped[stays], points[stays], ignored)
+        ignored, share_of_ignored = clipped(self.ignored_xyxy)
+        slivers = [
+            each[(left > 0) & (left < LEAST_INSIDE)] for each, left in ((vehicles, share), (others, share_of_others))
+        ]
+        ignored = np.concatenate([ignored[share_of_ignored > 0], *slivers])
+        stays, others_stay = share >= LEAST_INSIDE, share_of_others >= LEAST_INSIDE
+        return Vehicles(vehicles[stays], points[stays], ignored, others[others_stay], self.other_labels[others_stay])
 
     def covered(self, box_xyxy: Array) -> "Vehicles":
-        """The vehicles after something was put before `box_xyxy` (4,): visible points under it are hidden (v = 1)."""
+        """The vehicles after something was put before `box_xyxy` (4,): visible points under it are hidden (v = 1).
+
+        Another road user that is mostly under it is ignored.
+        """
         under = ((self.keypoints[..., :2] >= box_xyxy[:2]) & (self.keypoints[..., :2] < box_xyxy[2:])).all(axis=-1)
         points = self.keypoints.copy()
         points[..., 2] = np.where(under, np.minimum(points[..., 2], 1.0), points[..., 2])
-        return replace(self, keypoints=points)
+        seen = boxes_module.share_inside(self.others_xyxy, box_xyxy)[:, 0] <= 1 - LEAST_INSIDE
+        return replace(
+            self,
+            keypoints=points,
+            ignored_xyxy=np.concatenate([self.ignored_xyxy, self.others_xyxy[~seen]]),
+            others_xyxy=self.others_xyxy[seen],
+            other_labels=self.other_labels[seen],
+        )
 
     def supervised(self, supervise: str) -> Array:
         """(N, 33, 3) the keypoints that are learnt: those not learnt have v = 0."""
@@ -73,12 +99,38 @@ def _mirror(boxes_xyxy: Array, width: float) -> Array:
     ).reshape(-1, 4)
 
 
-def vehicles_of(image: Image, annotations: Sequence[Annotation]) -> Vehicles:
-    """Ground truth and ignored vehicles; boxes without area inside the image are left out."""
-    corners = boxes_module.xywh_to_xyxy(np.array([a.bbox for a in annotations]).reshape(-1, 4))
-    corners = boxes_module.clip(corners, image.width, image.height)
-    solid = (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    ignored = np.array([a.ignored for a in annotations], dtype=bool)
+def vehicles_of(
+    image: Image,
+    annotations: Sequence[Annotation],
+    road_users: Sequence[RoadUser] = (),
+    categories: Sequence[str] = VEHICLE_ALONE,
+) -> Vehicles:
+    """Ground truth and ignored ones of an image; boxes without area inside the image are left out.
+
+    Args:
+        image: The image.
+        annotations: Its vehicles.
+        road_users: Its other road users, of `categories`.
+        categories: Names of what is learnt, in the order of the network's labels.
+    """
+    corners, known, ignored = _in_image(image, annotations)
     points = np.array([a.keypoints for a in annotations]).reshape(-1, keypoints.K, 3)
     points = np.where(points[..., 2:] > 0, points, 0.0)
-    return Vehicles(corners[solid & ~ignored], points[solid & ~ignored], corners[solid & ignored])
+    others, others_known, others_ignored = _in_image(image, road_users)
+    labels = np.array([1 + categories.index(user.category) for user in road_users], dtype=np.int64)
+    return Vehicles(
+        corners[known],
+        points[known],
+        np.concatenate([corners[ignored], others[others_ignored]]),
+        others[others_known],
+        labels[others_known],
+    )
+
+
+def _in_image(image: Image, labels: Sequence[Labelled]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """(N, 4) boxes clipped to the image, and (N,) whether each is ground truth, and whether ignored: one with area."""
+    corners = boxes_module.xywh_to_xyxy(np.array([label.bbox for label in labels]).reshape(-1, 4))
+    corners = boxes_module.clip(corners, image.width, image.height)
+    solid = (corners[:, 2:] > corners[:, :2]).all(axis=1)
+    ignored = np.array([label.ignored for label in labels], dtype=bool)
+    return corners, solid & ~ignored, solid & ignored

@@ -1,7 +1,7 @@
 """Validation: how good the model is after an epoch, on images that it does not learn from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,10 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detections import results
 from skope.detector.detect import detect, detect_on_boxes
 from skope.metrics.precision_recall import Options, score_split
-from skope.schema import AnnotationFile, Result
+from skope.metrics.road_users import category_figures
+from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
 Figures = dict[str, Any]
 
@@ -23,11 +23,19 @@ _IOU = "0.6"
 
 
 def detect_in_image(
-    model: KeypointRCNN, pixels: Any, image_id: int, device: torch.device, score: float
-) -> list[Result]:
-    """Detections above `score` in one (H, W, 3) image as results; only those go through the keypoint head."""
-    (detections,) = detect(model, [pixels], device, min_score=score)
-    return results(image_id, detections.boxes_xyxy, detections.scores, detections.keypoints)
+    model: KeypointRCNN,
+    pixels: Any,
+    image_id: int,
+    device: torch.device,
+    score: float,
+    categories: tuple[str, ...] = VEHICLE_ALONE,
+) -> tuple[list[Result], list[RoadUserResult]]:
+    """Detections above `score` in one (H, W, 3) image as results; of those the vehicles go through the keypoint head.
+
+    `categories` are what the network's labels are.
+    """
+    (found,) = detect(model, [pixels], device, min_score=score, categories=categories)
+    return found.to_results(image_id), found.road_users.to_results(image_id)
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,8 @@ class ValidationResults:
     """The vehicles that it detects."""
     given: list[Result]
     """The keypoints that it finds inside the boxes of the ground truth, a result for each vehicle."""
+    road_users: list[RoadUserResult] = field(default_factory=list)
+    """The other road users that it detects."""
 
 
 def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
@@ -48,39 +58,52 @@ def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], d
 def run_model(
     model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device
 ) -> ValidationResults:
-    """Run the model on the images of `file`, whose pixels lie at `paths`."""
+    """Run the model, whose categories are those of `file`, on its images, whose pixels lie at `paths`."""
     vehicles = file.by_image()
     detected: list[Result] = []
     given: list[Result] = []
+    road_users: list[RoadUserResult] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        detected += detect_in_image(model, pixels, image.id, device, Options().score)
+        found, others = detect_in_image(model, pixels, image.id, device, Options().score, file.categories)
+        detected += found
+        road_users += others
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
         points = detect_on_boxes(model, pixels, corners, device)
         rows = zip(truth, points, strict=True)
         given += [Result(image_id=image.id, bbox=a.bbox, score=1.0, keypoints=p) for a, p in rows]
-    return ValidationResults(detected, given)
+    return ValidationResults(detected, given, road_users)
 
 
 def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
     """Figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
 
     `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
-    detection; None where there is nothing to divide by.
+    detection; None where there is nothing to divide by. Of each other category that `file` labels there are precision
+    and recall of boxes, at the same score and an IoU of 0.5.
     """
     options = Options()
     split = score_split(file, found.detected, options)
     at = split["iou"][_IOU]
+    road_users = category_figures(file, found.road_users, score=options.score, all_scores=False)
     return {
         "images": split["images"],
         "vehicles": split["ground_truth"],
         "pck": at["pck"],
         "pck_given": score_split(file, found.given, options)["iou"][_IOU]["pck"],
         **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
+        **{
+            f"{category}_{name}": by_size["all"][name]
+            for category, by_size in road_users.items()
+            for name in ("precision", "recall")
+        },
     }
 
 
 def rank(figures: Figures) -> list[float]:
-    """Sort key by which the best epoch is chosen: keypoint recall, then PCK inside the ground-truth boxes."""
+    """Sort key by which the best epoch is chosen: keypoint recall, then PCK inside the ground-truth boxes.
+
+    Other road users than vehicles do not count.
+    """
     return [figures["keypoint_recall"] or 0.0, figures["pck_given"] or 0.0]

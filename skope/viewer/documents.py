@@ -14,7 +14,7 @@ from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.match import Integers, box_of
 from skope.metrics.precision_recall import match_split
 from skope.pictures import draw
-from skope.schema import Annotation, Image, Result
+from skope.schema import Annotation, Image, Result, RoadUser
 from skope.types import Array
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
@@ -69,6 +69,7 @@ class Documents:
             "facets": [self._facet(name, value) for name, value in _FACETS.items()],
             "qualities": vehicle_filters.described(),
             "kinds": [kinds for split in self._splits for kinds in split.kinds()],
+            "others": any(len(split.file.categories) > 1 for split in self._collection.splits),
         }
 
     def _facet(self, name: str, value: Callable[[Image], str | None]) -> dict[str, Any]:
@@ -113,6 +114,8 @@ class _SplitDocuments:
         self._boxes = self._options.boxes if self._options else "full"
         groups = split.file.by_image()
         self._vehicles = [groups[image.id] for image in split.file.images]
+        others = split.file.road_users_by_image()
+        self._others = [others[image.id] for image in split.file.images]
         self._kinds = {a.id: vehicle_filters.kind_number(a, self._boxes) for a in split.file.annotations}
         if self._options:
             # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
@@ -133,17 +136,20 @@ class _SplitDocuments:
             "size": [image.width, image.height],
             "facts": _facts(image, self._split.file.name),
             "vehicles": [self._vehicle(a) | found.get(a.id, {}) for a in vehicles],
+            "others": [self._drawn(user) | {"category": user.category} for user in self._others[index]],
             "detections": self._detections(index) if self._options else [],
         }
 
     def _vehicle(self, vehicle: Annotation) -> dict[str, Any]:
+        return self._drawn(vehicle) | {"points": _rounded(vehicle.keypoints), "kind": self._kinds[vehicle.id]}
+
+    def _drawn(self, label: Annotation | RoadUser) -> dict[str, Any]:
+        """What is drawn and said of a road user of any category."""
         return {
-            "box": _rounded(box_of(vehicle, self._boxes)),
-            "points": _rounded(vehicle.keypoints),
-            "kind": self._kinds[vehicle.id],
-            "words": draw.words_of(vehicle),
-            "color": "#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)),
-            "ignored": vehicle.ignored,
+            "box": _rounded(box_of(label, self._boxes)),
+            "words": draw.words_of(label),
+            "color": "#{:02x}{:02x}{:02x}".format(*draw.color_of(label)),
+            "ignored": label.ignored,
         }
 
     def _found(self, index: int) -> dict[int, dict[str, Any]]:

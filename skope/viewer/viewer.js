@@ -14,6 +14,7 @@ const LAYERS = [
   { name: "edges", key: "s", words: "skeleton" },
   { name: "rings", key: "h", words: "hidden or unsure keypoints (rings)" },
   { name: "ignored", key: "i", words: "ignored vehicles (dotted)" },
+  { name: "others", key: "o", words: "people and two-wheelers" },
   { name: "truth", key: "t", words: "ground truth (solid)" },
   { name: "found", key: "p", words: "predictions (dashed)" },
   { name: "wrong", key: "f", words: "failures" },
@@ -162,13 +163,14 @@ const every = () => index.keypoints.map((_, k) => k);
 function draw() {
   hideTip();
   if (!shown || !order.length) return stage.replaceChildren();
-  const { size, vehicles, detections } = shown.details;
+  const { size, vehicles, others, detections } = shown.details;
   const wanted = vehicles.filter((vehicle) => isWanted(vehicle.kind));
   const [ignored, truth] = [wanted.filter((v) => v.ignored), wanted.filter((v) => !v.ignored)];
   const found = detections.filter(counts);
   const predicted = index.score !== null;
   const layers = [
-    element("g", { class: "ignored" }, ...ignored.map((vehicle) => box(vehicle.box))),
+    element("g", { class: "ignored" }, ...[...ignored, ...others.filter((v) => v.ignored)].map((v) => box(v.box))),
+    element("g", { class: "others own" }, ...others.filter((v) => !v.ignored).map(otherGroup)),
     element("g", { class: predicted ? "truth" : "truth own" }, ...truth.map((v) => vehicleGroup(v, missed(v)))),
     // The surest lie on top.
     element("g", { class: "found" }, ...found.map((d) => detectionGroup(d)).reverse()),
@@ -187,6 +189,12 @@ function vehicleGroup(vehicle, failed) {
   const group = pointsGroup(vehicle, every(), (k) => seen(k) > 0, (k) => seen(k) > 1, (k) => seen(k) > 0);
   group.style.setProperty("--c", vehicle.color);
   group.classList.toggle("failed", failed);
+  return group;
+}
+
+function otherGroup(other) {
+  const group = element("g", {}, box(other.box));
+  group.style.setProperty("--c", other.color);
   return group;
 }
 
@@ -246,6 +254,8 @@ function facts(truth, ignored, found) {
   const rows = [...shown.details.facts];
   const number = shown.number;
   if (index.truth) rows.push(["vehicles", `${truth.length}` + (ignored.length ? `, and ${ignored.length} ignored` : "")]);
+  const others = shown.details.others.filter((v) => !v.ignored).map(({ category }) => category);
+  for (const name of new Set(others)) rows.push([name + "s", others.filter((one) => one === name).length]);
   if (index.score !== null) rows.push(["detections", `${found.length} above ${threshold / STEPS}`]);
   if (scores && index.truth) {
     const quality = scores.quality[number];
@@ -275,6 +285,7 @@ function text(name, words) {
 function switches() {
   const there = {
     ignored: index.truth,
+    others: index.others,
     truth: index.truth && index.score !== null,
     found: index.score !== null,
     wrong: index.truth && index.score !== null,
@@ -453,13 +464,14 @@ function enlarge(factor) {
 
 // What lies at a position of the image: the nearest keypoint, and the smallest box around it.
 function under(x, y, near) {
-  const { vehicles, detections } = shown.details;
+  const { vehicles, others, detections } = shown.details;
   const on = (layer) => !stage.classList.contains("no-" + layer);
   const truth = vehicles.filter((v) => isWanted(v.kind) && (v.ignored ? on("ignored") : on("truth")));
   const found = on("found") ? detections.filter(counts) : [];
   const inside = ({ box: [left, top, width, height] }) => x >= left && x <= left + width && y >= top && y <= top + height;
   const area = ({ box }) => box[2] * box[3];
-  const lines = [...truth, ...found].filter(inside).sort((a, b) => area(a) - area(b)).slice(0, 2).map(wordsOf);
+  const beside = others.filter((v) => on(v.ignored ? "ignored" : "others"));
+  const lines = [...truth, ...beside, ...found].filter(inside).sort((a, b) => area(a) - area(b)).slice(0, 2).map(wordsOf);
   let best = near;
   let nearest = null;
   const consider = (points, k, words) => {

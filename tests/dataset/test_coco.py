@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope import keypoints
+from skope import keypoints, schema
 from skope.camera.model import Camera, Distortion
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result
-from tests.samples import make_annotation, make_image
+from skope.schema import Annotation, AnnotationFile, Box3D, Image, Result, RoadUser, RoadUserResult
+from tests.samples import make_annotation, make_image, make_road_user
 
 Document = dict[str, Any]
 
@@ -302,3 +302,149 @@ def test_what_was_followed_is_rounded_to_pixels_and_keeps_its_name(tmp_path: Pat
     assert (followed.keypoints[:, :2] % 1 == 0).all()
     with pytest.raises(UserError, match="track_id"):
         replace(one, track_id=-1)
+
+
+# ------------------------------------------------------------------------------------------------- road users
+
+ALL = schema.CATEGORIES
+
+
+def full_road_user() -> RoadUser:
+    """Every field is set: those that it shares with `full_annotation` as there."""
+    vehicle = full_annotation()
+    shared = {name: getattr(vehicle, name) for name in RoadUser.__dataclass_fields__ if name != "category_id"}
+    return RoadUser(**(shared | {"id": 12, "category_id": 3}))
+
+
+def mixed() -> AnnotationFile:
+    """Two images with a vehicle and two others each, in an order that is not that of the images."""
+    vehicles = (make_annotation(2, 2, (10, 10, 60, 40)), make_annotation(1, 1, (80, 50, 60, 40)))
+    others = (
+        make_road_user(6, 2, (5, 5, 8, 20)),
+        make_road_user(3, 1, (1, 2, 8, 20), "bicycle"),
+        make_road_user(4, 1, (30, 2, 8, 20), "motorcycle", iscrowd=1),
+    )
+    images = (make_image(1), make_image(2), make_image(3))
+    return AnnotationFile(images=images, annotations=vehicles, road_users=others, categories=ALL)
+
+
+def test_the_order_of_fields_names_them_all() -> None:
+    assert set(coco._ANNOTATION_FIELDS) == set(Annotation.__dataclass_fields__)
+    assert set(coco._ROAD_USER_FIELDS) == set(RoadUser.__dataclass_fields__)
+
+
+def test_every_field_of_a_road_user_comes_back(tmp_path: Path) -> None:
+    user, path = full_road_user(), tmp_path / "hard.json"
+    assert all(getattr(user, f.name) is not None for f in fields(user))
+    file = AnnotationFile(images=(full_image(),), annotations=(full_annotation(),), road_users=(user,), categories=ALL)
+    coco.write(path, file)
+    back = coco.read(path)
+    assert back.categories == ALL
+    assert same(back.annotations[0], full_annotation())
+    for field in fields(user):
+        assert same(getattr(user, field.name), getattr(back.road_users[0], field.name)), field.name
+    coco.write(tmp_path / "again.json", back)
+    assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
+
+
+def test_rows_stand_by_image_and_vehicles_come_first(tmp_path: Path) -> None:
+    coco.write(tmp_path / "a.json", mixed())
+    rows = json.loads((tmp_path / "a.json").read_text())["annotations"]
+    assert [(row["image_id"], row["category_id"], row["id"]) for row in rows] == [
+        *((1, 1, 1), (1, 2, 3), (1, 3, 4)),
+        *((2, 1, 2), (2, 4, 6)),
+    ]
+    assert all(row["keypoints"] == [0] * 99 and row["num_keypoints"] == 0 for row in rows if row["category_id"] > 1)
+    back = coco.read(tmp_path / "a.json")
+    assert [user.id for user in back.road_users] == [3, 4, 6]
+    assert [vehicle.id for vehicle in back.annotations] == [1, 2]
+
+
+def test_files_of_vehicles_alone_have_one_category_and_its_bytes(tmp_path: Path) -> None:
+    file = mixed()
+    coco.write(tmp_path / "a.json", replace(file, road_users=(), categories=("vehicle",)))
+    coco.write(tmp_path / "b.json", AnnotationFile(images=file.images, annotations=file.annotations))
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["categories"] == [schema.category()]
+    assert [row["id"] for row in document["annotations"]] == [2, 1]  # in file order
+
+
+def test_labelled_categories_are_named_though_nobody_is_there(tmp_path: Path) -> None:
+    coco.write(tmp_path / "a.json", replace(mixed(), road_users=()))
+    assert coco.read(tmp_path / "a.json").categories == ALL
+
+
+def test_pycocotools_reads_and_draws_what_is_written(tmp_path: Path) -> None:
+    coco_api = pytest.importorskip("pycocotools.coco")
+    coco.write(tmp_path / "a.json", mixed())
+    truth = coco_api.COCO(str(tmp_path / "a.json"))
+    assert {row["id"]: row["name"] for row in truth.loadCats(truth.getCatIds())} == dict(enumerate(ALL, start=1))
+    assert truth.getAnnIds(catIds=[4]) == [6]
+    results = [RoadUserResult(image_id=2, category_id=4, bbox=np.array([5, 5, 8, 20]), score=0.75)]
+    coco.write_results(tmp_path / "r.json", results)
+    assert truth.loadRes(str(tmp_path / "r.json")).loadAnns([1])[0]["area"] == 160
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            put("person", "categories", 3, "name"),
+            "field categories: expected exactly one category, or the first of 1 v",
+        ),
+        (put(7, "categories", 3, "id"), "field categories: expected exactly one category, or the first of 1 vehicle"),
+        (put(2, "categories", 0, "id"), "field categories: expected exactly one category, or the first of 1 vehicle"),
+        (lambda d: d["categories"].append(d["categories"][1]), "field categories: a category stands twice"),
+        (put("a", "categories", 1), "field categories: expected exactly one category"),
+        (put(9, "annotations", 1, "category_id"), "annotations[1]: category_id: 9 is none of the file's categories"),
+        (lambda d: d["categories"].pop(), "annotations[4]: category_id: 4 is none of the file's categories"),
+        (put(1, "annotations", 1, "id"), "annotations[1]: id 1 stands twice"),
+        (put(77, "annotations", 1, "image_id"), "annotations[1]: image_id 77 is not among the images"),
+        (drop("annotations", 1, "bbox"), "annotations[1]: field bbox is missing"),
+        (put(-2.0, "annotations", 1, "distance"), "annotations[1]: distance: expected a number from 0"),
+    ],
+)
+def test_a_bad_field_of_a_road_user_is_named(tmp_path: Path, change: Callable[[Document], None], said: str) -> None:
+    path = tmp_path / "a.json"
+    coco.write(path, mixed())
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(UserError) as caught:
+        coco.read(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+
+
+def test_somebody_elses_only_category_is_the_vehicle_whatever_its_number(tmp_path: Path) -> None:
+    document = sample(tmp_path / "a.json")
+    document["categories"][0] |= {"id": 4, "name": "car"}
+    for row in document["annotations"]:
+        row["category_id"] = 4
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    back = coco.read(tmp_path / "a.json")
+    assert ([a.category_id for a in back.annotations], back.road_users, back.categories) == ([4, 4], (), ("vehicle",))
+
+
+def test_results_of_both_kinds_come_back_in_their_order(tmp_path: Path) -> None:
+    car = Result(image_id=1, score=0.5, bbox=np.array([1.0, 2, 3, 4]), keypoints=np.full((33, 3), 0.5), category_id=3)
+    walker = RoadUserResult(image_id=1, score=0.25, bbox=np.array([1.234, 2, 3, 4]), category_id=4, track_id=8)
+    followed = replace(walker, interpolated=True)
+    path = tmp_path / "results.json"
+    coco.write_results(path, [walker, car, followed])
+    rows = json.loads(path.read_text())
+    assert rows[0] == {"image_id": 1, "category_id": 4, "bbox": [1.23, 2.0, 3.0, 4.0], "score": 0.25, "track_id": 8}
+    assert rows[2]["bbox"] == [1.2, 2.0, 3.0, 4.0]
+    assert [type(result) for result in coco.iter_all_results(path)] == [RoadUserResult, Result, RoadUserResult]
+    assert [result.category_id for result in coco.read_results(path)] == [3]
+    assert [result.interpolated for result in coco.read_road_user_results(path)] == [False, True]
+    assert coco.read_road_user_results(path)[0].track_id == 8
+
+
+def test_boxes_of_other_programs_are_no_road_users() -> None:
+    """COCO's own category 3 is the car; where files are said to be others' a result without keypoints is a mistake."""
+    row = {"image_id": 1, "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.5}
+    assert isinstance(coco.any_result_from_dict(row), RoadUserResult)
+    for other, foreign in ((row, "apollo24"), (row | {"category_id": 1}, None)):
+        with pytest.raises(KeyError, match="keypoints"):
+            coco.any_result_from_dict(other, foreign)

@@ -22,6 +22,7 @@ NO_FLAGS: dict[str, Any] = {
     **dict.fromkeys(("supervise", "val_fraction", "mix")),
     "set": (),
     "exclude_types": (),
+    "categories": (),
 }
 TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, val_fraction=0.0)
 
@@ -45,6 +46,8 @@ def test_a_flag_of_zero_is_a_value() -> None:
         (["--recipe", "best"], "--recipe: 'best' is not one of auto, paper, laptop, scratch"),
         (["--init", "none"], "--init: 'none' is neither a file nor one of auto, coco, imagenet, random"),
         (["--device", "tpu"], "device: 'tpu' is not one of auto, cpu, cuda, cuda:N"),
+        (["--categories", "car"], "--categories: 'car' is not one of vehicle, bicycle, motorcycle, pedestrian"),
+        (["--categories", "pedestrian"], "--categories: expected vehicle among pedestrian"),
         (["--resume"], "no such run folder"),
         ([], "data/skope: no such dataset folder; `skope gen"),
     ],
@@ -107,15 +110,21 @@ def test_flags_change_the_recipe() -> None:
 
 
 def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
-    recorded = new(recipe="scratch", epochs=7, seed=5)
+    recorded = new(recipe="scratch", epochs=7, seed=5, categories=("pedestrian", "vehicle"))
+    assert recorded.categories == ("vehicle", "pedestrian")
     write_json(tmp_path / "recipe.json", recorded.to_dict())
     assert configure.again(tmp_path, (), NO_FLAGS) == recorded
     assert configure.again(tmp_path, (), {**NO_FLAGS, "recipe": "scratch", "seed": 5}) == recorded
     longer = configure.again(tmp_path, (Path("elsewhere"),), {**NO_FLAGS, "epochs": 9})
     assert longer == replace(recorded, data=("elsewhere",), recipe=replace(recorded.recipe, epochs=9))
-    for flags in ({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}):
+    for flags in (
+        *({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}),
+        {"categories": ("vehicle",)},
+    ):
         with pytest.raises(UserError, match=f"--{next(iter(flags)).replace('_', '-')} "):
             configure.again(tmp_path, (), {**NO_FLAGS, **flags})
+    write_json(tmp_path / "recipe.json", replace(recorded, categories=("vehicle",)).to_dict())
+    assert configure.again(tmp_path, (), {**NO_FLAGS, "categories": ("vehicle",)}).categories == ("vehicle",)
     write_json(tmp_path / "recipe.json", {**recorded.to_dict(), "recipe": {}})
     with pytest.raises(UserError, match=r"recipe.json: recipe: expected the fields"):
         configure.again(tmp_path, (), NO_FLAGS)

@@ -9,13 +9,13 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
 from skope.metrics.counts import Options
-from skope.schema import Result
+from skope.schema import CATEGORIES, Result
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.documents import Documents
 from skope.viewer.pictures import read_picture
 from skope.viewer.server import bound
 from tests.eval.report.test_page import detector_of
-from tests.samples import make_annotation, make_dataset
+from tests.samples import make_annotation, make_dataset, make_road_user
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 """A name that would become markup where it is not taken for text."""
@@ -42,6 +42,19 @@ def labelled(tmp_path: Path) -> Collection:
         splits=(ShownSplit(file=made),),
         picture=lambda image: read_picture(root / image.file_name),
     )
+
+
+@pytest.fixture
+def peopled(labelled: Collection) -> Collection:
+    """The same with a pedestrian and a bicycle in the first image, and an ignored motorcycle in the second."""
+    (split,) = labelled.splits
+    first, second = (image.id for image in split.file.images[:2])
+    others = (
+        make_road_user(60, first, (100.0, 5, 10, 30)),
+        make_road_user(61, first, (120.0, 5, 20, 30), "bicycle"),
+        make_road_user(62, second, (140.0, 5, 9, 9), "motorcycle", iscrowd=1),
+    )
+    return replace(labelled, splits=(ShownSplit(file=replace(split.file, road_users=others, categories=CATEGORIES)),))
 
 
 @pytest.fixture

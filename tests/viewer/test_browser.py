@@ -111,6 +111,25 @@ def test_the_drawing_lies_where_the_labels_are(looking: Callable[..., Browser], 
     ]
 
 
+def test_people_and_two_wheelers_have_a_layer_of_their_own(
+    looking: Callable[..., Browser], labelled: Collection, peopled: Collection
+) -> None:
+    browser = looking(peopled)
+    assert (seen(browser, ".others .box"), seen(browser, ".truth .box")) == (2, 2)
+    facts = browser.run("document.getElementById('facts').textContent")
+    assert "pedestrians1" in facts
+    assert "bicycles1" in facts
+    browser.press("o")
+    assert (seen(browser, ".others .box"), seen(browser, ".truth .box")) == (0, 2)
+    browser.press("o")
+    browser.press("ArrowRight")
+    browser.until(f"{SHOWN} === 1")
+    browser.press("i")
+    assert (seen(browser, ".others .box"), seen(browser, ".ignored .box")) == (0, 1)
+    browser = looking(labelled)
+    assert not browser.run("document.getElementById('layers').textContent").count("two-wheelers")
+
+
 def test_filters_of_images_and_vehicles(looking: Callable[..., Browser], labelled: Collection) -> None:
     browser = looking(labelled)
     assert choose(browser, "weather", "rain").startswith("image 1 of 2 (4 in all)")

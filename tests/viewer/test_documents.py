@@ -112,6 +112,19 @@ def test_details_are_what_is_drawn(labelled: Collection) -> None:
     assert documents.details(0)["size"] == [160, 120]
 
 
+def test_people_and_two_wheelers_are_told_apart_from_vehicles(labelled: Collection, peopled: Collection) -> None:
+    documents = Documents(peopled)
+    assert (documents.index()["others"], Documents(labelled).index()["others"]) == (True, False)
+    walker, bicycle = documents.details(0)["others"]
+    assert (walker["category"], walker["words"], walker["ignored"]) == ("pedestrian", "pedestrian 60, 20 m away", False)
+    assert bicycle["box"] == [120, 5, 20, 30]
+    assert [one["ignored"] for one in documents.details(1)["others"]] == [True]
+    plain = Documents(labelled)
+    assert plain.details(0)["others"] == []
+    assert documents.details(0)["vehicles"] == plain.details(0)["vehicles"]
+    assert documents.index()["kinds"] == plain.index()["kinds"]
+
+
 def test_visible_boxes_are_shown_where_they_were_measured(predicted: Collection) -> None:
     (split,) = predicted.splits
     vehicles = tuple(replace(a, bbox_visible=np.array([1.0, 2, 3, 4])) for a in split.file.annotations)

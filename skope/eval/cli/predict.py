@@ -50,7 +50,7 @@ def predict(
         ),
     ] = False,
     overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
-    blur: Annotated[bool, output("--blur", help="Blur plates and glass in the overlay.")] = False,
+    blur: Annotated[bool, output("--blur", help="Blur plates, glass and heads in the overlay.")] = False,
     out: Annotated[
         Path | None,
         output(metavar=DIR, help="Where to write.", show_default=f"{PREDICTED}/ and the source's name"),

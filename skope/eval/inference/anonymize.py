@@ -1,4 +1,4 @@
-"""Plates and glass made unrecognisable, where keypoints say they are."""
+"""Plates and glass made unrecognisable, where keypoints say they are, and the heads of people beside vehicles."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.keypoints import INDEX
-from skope.schema import Result
+from skope.schema import Result, RoadUserResult
+from skope.types import Array
 
 Pixels = NDArray[np.uint8]
 
@@ -24,25 +25,46 @@ _PARTS: Final = tuple(
     )
 )
 """Windscreen, rear window, side windows, and the lower middle of either end, where plates are."""
+_CELLS: Final = 8
+"""A plate is about a quarter of a vehicle's width: nothing smaller than an eighth survives."""
+_UPPER: Final = 0.4
+"""Share of the box of somebody on foot or on two wheels that holds the head, whatever the posture."""
+_CELLS_OF_HEADS: Final = 3
+"""A head is about a third as wide as the box at most."""
 
 
-def blurred(image: Pixels, found: Iterable[Result]) -> Pixels:
-    """A copy of (H, W, 3) `image` with the glass and plates of `found` averaged away, hidden sides' too."""
+def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUserResult] = ()) -> Pixels:
+    """A copy of (H, W, 3) `image` with the glass and plates of `found` averaged away, hidden sides' too.
+
+    Of `road_users` it is the upper part of the box, where the head is.
+    """
     out = image.copy()
+    for user in road_users:
+        patch, _ = _around(out, user.bbox * [1, 1, 1, _UPPER])
+        if patch.size:
+            patch[:] = _averaged(patch, _CELLS_OF_HEADS)
     for result in found:
-        x, y, w, h = result.bbox
-        x0, y0 = (int(max(0, v)) for v in (x - 0.1 * w, y - 0.1 * h))
-        x1, y1 = int(min(image.shape[1], x + 1.1 * w)) + 1, int(min(image.shape[0], y + 1.1 * h)) + 1
-        patch = out[y0:y1, x0:x1]
+        patch, (x0, y0) = _around(out, result.bbox)
         if not patch.size:
             continue
         mask = np.zeros(patch.shape[:2], dtype=np.uint8)
         for part in _PARTS:
             corners = np.clip(result.keypoints[list(part), :2] - [x0, y0], -1e4, 1e4)
             cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(corners).astype(np.int32)), 1)
-        # A plate is about a quarter of a vehicle's width: nothing smaller than an eighth survives.
-        cells = 8
-        small = cv2.resize(patch, (cells, cells), interpolation=cv2.INTER_AREA)
-        flat = cv2.resize(small, (patch.shape[1], patch.shape[0]), interpolation=cv2.INTER_LINEAR)
-        patch[mask > 0] = np.asarray(flat, dtype=np.uint8)[mask > 0]
+        patch[mask > 0] = _averaged(patch, _CELLS)[mask > 0]
     return out
+
+
+def _around(image: Pixels, bbox: Array) -> tuple[Pixels, tuple[int, int]]:
+    """The pixels, not a copy, of a box and a tenth around it, and the first column and row."""
+    x, y, w, h = bbox
+    x0, y0 = (int(max(0, v)) for v in (x - 0.1 * w, y - 0.1 * h))
+    x1, y1 = int(min(image.shape[1], x + 1.1 * w)) + 1, int(min(image.shape[0], y + 1.1 * h)) + 1
+    return image[y0:y1, x0:x1], (x0, y0)
+
+
+def _averaged(patch: Pixels, cells: int) -> Pixels:
+    """A patch of which nothing is left that is smaller than one of `cells` x `cells` cells."""
+    small = cv2.resize(patch, (cells, cells), interpolation=cv2.INTER_AREA)
+    flat = cv2.resize(small, (patch.shape[1], patch.shape[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(flat, dtype=np.uint8)

@@ -3,6 +3,10 @@
 A vehicle's score is the sigmoid of the difference of its two logits, a keypoint's that of its heat map's maximum, and
 from the last layers to there everything is linear. So a checkpoint whose scores are probabilities is a checkpoint like
 any other, for torchvision's own model too.
+
+Where a detector has learnt other categories, a vehicle competes with the background and each of those. The same scale
+on all logits and the offset on the vehicles' alone do what they do with two logits where one of the others leads the
+rest: nearly everywhere. Scores of the other categories are not calibrated.
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope.eval.inference.score_calibration import ScoreCalibration, fit_one, raw_maxima, sigmoid
 from skope.metrics.match import match
-from skope.schema import AnnotationFile, Result
+from skope.schema import CATEGORY_ID, AnnotationFile, Result
 from skope.types import Array
 
 LEAST: Final = 0.02
@@ -61,8 +65,10 @@ def fold(model: KeypointRCNN, vehicles: tuple[float, float], points: ScoreCalibr
     steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)
     with torch.no_grad():
         for parameter in (box.weight, box.bias):
-            half = scale * (parameter[1] - parameter[0]) / 2
-            parameter.copy_(torch.stack([-half, half]))
-        box.bias += torch.tensor([-offset / 2, offset / 2])
+            # Away from their mean, which changes no score.
+            classes = len(parameter)
+            parameter.copy_(scale * torch.stack([(row - parameter).sum(dim=0) / classes for row in parameter]))
+        vehicle = torch.nn.functional.one_hot(torch.tensor(CATEGORY_ID), classes)
+        box.bias += (offset * (vehicle.double() - 1 / classes)).float()
         maps.weight *= steepness[:, None, None]
         maps.bias.copy_(maps.bias * steepness + torch.as_tensor(points.offset, dtype=torch.float32))

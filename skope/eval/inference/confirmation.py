@@ -14,7 +14,7 @@ import numpy as np
 from skope import boxes as box_math
 from skope.eval.box_links import LOST_S, BoxLinks, Integers, size_of
 from skope.eval.inference.expected_sizes import ExpectedSizes, Sample
-from skope.schema import Result
+from skope.schema import Found
 from skope.types import Array
 
 WEAK: Final = 0.2
@@ -89,7 +89,7 @@ class Confirmation:
         self._of: list[tuple[Integers, list[bool]]] = []
         """The vehicles that the detections of each frame belong to, and which of these are sure."""
 
-    def add(self, time_s: float, found: Sequence[Result]) -> None:
+    def add(self, time_s: float, found: Sequence[Found]) -> None:
         """Take the detections of the next frame, which is later; sure ones choose their vehicles first."""
         sure = [one.score > self._sure for one in found]
         numbers = self._links.add(time_s, found, sure)

@@ -91,6 +91,9 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
     _tell("keypoints", points[..., 2], fitted(points)[..., 2], right, console)
+    if len(predictor.categories) > 1:
+        others = ", ".join(predictor.categories[1:])
+        console.say(f"scores of {others} are not calibrated: a threshold means another thing for them")
     if job.out is None:
         return score_calibration.write(weights, fitted, work, predictor.scheme.name)
     scores, hits = calibrated_weights.vehicle_outcomes(file, results)

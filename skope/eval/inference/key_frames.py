@@ -1,9 +1,13 @@
-"""Vehicles in the frames between key frames: the detector sees key frames only, points on vehicles are followed.
+"""Road users in the frames between key frames: the detector sees key frames only, points on them are followed.
 
 Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
 pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
 the more the nearer its key frame is. One that only one of them shows is followed from there alone, as far as its points
 can be: a detector misses vehicles more often than vehicles vanish. All that is one vehicle's has one `track_id`.
+
+People on foot and on two wheels go the same way, by the points in the middle of their boxes, where their bodies are.
+Limbs and narrow bodies are followed less surely than sheet metal: who cannot be is led straight from one key frame to
+the next, if both show them in about the same place.
 """
 
 import itertools
@@ -16,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import boxes as box_math
+from skope.detections import AnyResult
 from skope.eval.assignment import cheapest_pairs
 from skope.schema import Image, Result
 from skope.types import Array
@@ -33,6 +38,8 @@ _RETURN_PX: Final = 0.5
 """A point that is followed to the next frame and back has to come out so near to where it began."""
 _ACROSS: Final = (0.2, 0.4, 0.6, 0.8)
 """Beside the keypoints a grid of points is followed: shares of the box's edges."""
+_BODY: Final = (0.35, 0.5, 0.65)
+"""Of people on foot and on two wheels only these shares of the width: beside them the road shows."""
 _FEWEST: Final = 4
 """A vehicle is lost where fewer of its points can be followed."""
 _ASIDE: Final = 0.02
@@ -47,21 +54,21 @@ _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
 
 
 def with_frames_between(
-    frames: Iterator[Frame], find: Callable[[Frame], list[Result]], every: int, known: Sequence[int] = ()
-) -> Iterator[tuple[Image, list[Result], bool]]:
-    """The vehicles of all frames of a video, of which the detector sees each `every`-th and the last.
+    frames: Iterator[Frame], find: Callable[[Frame], list[AnyResult]], every: int, known: Sequence[int] = ()
+) -> Iterator[tuple[Image, list[AnyResult], bool]]:
+    """The road users of all frames of a video, of which the detector sees each `every`-th and the last.
 
     Args:
         frames: Consecutive frames, of which the first is a key frame.
-        find: Finds the vehicles of a key frame.
+        find: Finds the road users of a key frame.
         every: Number of frames from one key frame to the next.
-        known: The `track_id` of each vehicle of the first frame, where it has been found before.
+        known: The `track_id` of each road user of the first frame, where it has been found before.
 
     Yields:
-        Each image with its vehicles, and whether it is a key frame. Vehicles of other frames are `interpolated`.
+        Each image with its road users, and whether it is a key frame. Those of other frames are `interpolated`.
     """
     since: list[Frame] = []
-    vehicles: list[Result] = []
+    vehicles: list[AnyResult] = []
     names = itertools.count(1)
     for frame in frames:
         since.append(frame)
@@ -84,12 +91,12 @@ def with_frames_between(
 
 
 def _between(
-    frames: Sequence[Frame], first: Sequence[Result], last: Sequence[Result], names: Iterator[int]
-) -> tuple[list[tuple[Image, list[Result], bool]], list[Result]]:
+    frames: Sequence[Frame], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
+) -> tuple[list[tuple[Image, list[AnyResult], bool]], list[AnyResult]]:
     """The frames between two key frames, which are the ends of `frames`, with their vehicles; and those of the last."""
     grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
     ahead, back = _followed(grey, first), _followed(grey[::-1], last)
-    pairs = _same(ahead, last)
+    pairs = _same(first, ahead, last)
     gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
     before = {j: first[i].track_id for i, j in pairs}
     last = [replace(one, track_id=before[j] if j in before else next(names)) for j, one in enumerate(last)]
@@ -102,7 +109,7 @@ def _between(
     for k, (image, _) in enumerate(frames[1:-1], start=1):
         share = k / (len(frames) - 1)
         there = [
-            place.result(image, (1 - share) * one.score + share * two.score, two.track_id)
+            place.result(image, two, (1 - share) * one.score + share * two.score)
             for way, one, two in ways
             if (place := way[k]) is not None
         ]
@@ -117,11 +124,11 @@ class _Place:
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""
     keypoints: Array
-    """(33, 3) as in `Result`."""
+    """(33, 3) as in `Result`; (0, 3) where it has none."""
 
     @classmethod
-    def of(cls, result: Result) -> "_Place":
-        return cls(box_math.xywh_to_xyxy(result.bbox[None])[0], result.keypoints)
+    def of(cls, result: AnyResult) -> "_Place":
+        return cls(box_math.xywh_to_xyxy(result.bbox[None])[0], _keypoints(result))
 
     def blended(self, other: "_Place", share: float) -> "_Place":
         """Between two places, by the share of the other one."""
@@ -139,27 +146,25 @@ class _Place:
         at = self.keypoints[:, :2] @ motion[:, :2].T + motion[:, 2]
         return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
 
-    def result(self, image: Image, score: float, track_id: int | None) -> Result | None:
-        """As a vehicle of an image; None where hardly anything of it is inside."""
+    def result(self, image: Image, like: AnyResult, score: float) -> AnyResult | None:
+        """`like` at this place of an image, with another score; None where hardly anything of it is inside."""
         box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
         if (box[2:] - box[:2]).min() < _SMALLEST_PX:
             return None
         bbox = box_math.xyxy_to_xywh(box[None])[0]
-        return Result(
-            image_id=image.id,
-            bbox=bbox,
-            score=score,
-            keypoints=self.keypoints,
-            interpolated=True,
-            track_id=track_id,
-        )
+        there = replace(like, image_id=image.id, bbox=bbox, score=score, interpolated=True)
+        return replace(there, keypoints=self.keypoints) if isinstance(there, Result) else there
+
+
+def _keypoints(result: AnyResult) -> Array:
+    return result.keypoints if isinstance(result, Result) else np.zeros((0, 3))
 
 
 Way: TypeAlias = list[_Place | None]
 """Where a vehicle is in each frame; None where it is lost."""
 
 
-def _followed(grey: Sequence[Pixels], vehicles: Sequence[Result]) -> list[Way]:
+def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way]:
     """Where the vehicles of the first frame are in each frame."""
     ways: list[Way] = [[_Place.of(vehicle)] for vehicle in vehicles]
     points = [_points(vehicle) for vehicle in vehicles]
@@ -176,12 +181,13 @@ def _followed(grey: Sequence[Pixels], vehicles: Sequence[Result]) -> list[Way]:
     return ways
 
 
-def _points(vehicle: Result) -> Points:
+def _points(vehicle: AnyResult) -> Points:
     """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
-    at = vehicle.keypoints[:, :2]
+    at = _keypoints(vehicle)[:, :2]
     low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
     inside = ((at > low) & (at < high)).all(axis=1)
-    grid = low + np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
+    across = _ACROSS if isinstance(vehicle, Result) else _BODY
+    grid = low + np.stack(np.meshgrid(across, _ACROSS), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
     return np.concatenate([at[inside], grid]).astype(np.float32)
 
 
@@ -207,13 +213,18 @@ def _step(place: _Place | None, old: Points, new: Points) -> _Place | None:
     return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST else None
 
 
-def _same(ahead: Sequence[Way], last: Sequence[Result]) -> list[tuple[int, int]]:
-    """Which vehicles of the first key frame, followed as far as they were, are which of those found in the last one."""
-    if not ahead or not last:
-        return []
-    ends = np.array([[place for place in way if place is not None][-1].box for way in ahead])
-    there = box_math.xywh_to_xyxy(np.array([result.bbox for result in last]))
-    return cheapest_pairs(1 - box_math.iou(ends, there), 1 - _OVERLAP)
+def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
+    """Who of the first key frame, followed as far as they were, are who of the same category in the last one."""
+    out: list[tuple[int, int]] = []
+    for category in sorted({one.category_id for one in last}):
+        before = [i for i, one in enumerate(first) if one.category_id == category]
+        after = [j for j, one in enumerate(last) if one.category_id == category]
+        if not before:
+            continue
+        ends = np.array([[place for place in ahead[i] if place is not None][-1].box for i in before])
+        there = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
+        out += [(before[i], after[j]) for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - _OVERLAP)]
+    return out
 
 
 def _merged(ahead: Way, back: Way) -> Way:

@@ -3,10 +3,11 @@
 import hashlib
 import math
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, Final
 
@@ -16,13 +17,15 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS
+from skope.detections import AnyResult, apart
 from skope.detector.device import choose_device
 from skope.errors import UserError
-from skope.eval.box_links import FARTHEST_S, BoxLinks
+from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
+from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange, changes
@@ -33,7 +36,7 @@ from skope.files.reading import sha256_of
 from skope.keypoints import Scheme
 from skope.pictures import draw
 from skope.pictures.video import write_video
-from skope.schema import AnnotationFile, Image, Result
+from skope.schema import CATEGORIES, AnnotationFile, Image
 from skope.terminal.console import Console, counted
 
 _PROGRESS: Final = ".predict.jsonl"
@@ -149,7 +152,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     if changed:
         info[CHANGES] = [asdict(change) for change in changed]
     frames_file = AnnotationFile(
-        images=tuple(images), annotations=(), info=info, name=job.footage.name, scheme=predictor.scheme
+        images=tuple(images),
+        annotations=(),
+        info=info,
+        name=job.footage.name,
+        scheme=predictor.scheme,
+        categories=predictor.categories,
     )
     coco.write(written[1], frames_file)
     if job.overlay:
@@ -171,19 +179,29 @@ def _changes(job: PredictJob, progress: Progress) -> list[ViewChange]:
 class _Seen:
     """How much was found."""
 
-    results: int = 0
-    vehicles: set[int] = field(default_factory=set)
-    """Their numbers, where they were followed from image to image."""
+    results: Counter[str] = field(default_factory=Counter)
+    """By category."""
+    numbers: dict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
+    """Numbers of the road users of each category, where they were followed from image to image."""
 
     def noted(self, result: dict[str, Any]) -> dict[str, Any]:
-        self.results += 1
-        self.vehicles |= {result["track_id"]} if "track_id" in result else set()
+        category = CATEGORIES[result["category_id"] - 1]
+        self.results[category] += 1
+        if "track_id" in result:
+            self.numbers[category].add(result["track_id"])
         return result
 
     def __str__(self) -> str:
-        if self.vehicles:
-            return f"{counted(len(self.vehicles), 'vehicle')} ({counted(self.results, 'detection')})"
-        return counted(self.results, "vehicle")
+        found = [name for name in CATEGORIES if name == CATEGORIES[0] or self.results[name]]
+        return ", ".join(map(self._of, found))
+
+    def _of(self, category: str) -> str:
+        results, numbers = self.results[category], self.numbers[category]
+        return (
+            f"{counted(len(numbers), category)} ({counted(results, 'detection')})"
+            if numbers
+            else counted(results, category)
+        )
 
 
 def _found_at(job: PredictJob) -> dict[str, str]:
@@ -200,10 +218,10 @@ def found_in(
     last_key: int = 1,
     names: Sequence[int] = (),
     looks: Looks | None = None,
-) -> Iterator[tuple[Image, list[Result], bool]]:
+) -> Iterator[tuple[Image, list[AnyResult], bool]]:
     """The frames after number `last`, with what is found in them, and whether the detector has seen them.
 
-    `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of its vehicles there.
+    `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of what it found there.
     `looks` takes small pictures on the way.
     """
     watch = looks.watch if looks else iter
@@ -213,7 +231,7 @@ def found_in(
         yield from ((image, found, True) for image, found in each(watch(job.footage.frames(last))))
         return
 
-    def find(frame: tuple[Image, Pixels]) -> list[Result]:
+    def find(frame: tuple[Image, Pixels]) -> list[AnyResult]:
         ((_, found),) = predictor.each(iter([frame]))
         return found
 
@@ -257,25 +275,18 @@ def _content(footage: Footage) -> str:
 def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
     """What gives the results of a frame that stay: those above the score, in a video those that others confirm.
 
-    In a video they have the number of their vehicle, from 1.
+    In a video they have the number of their vehicle or other road user, from 1.
     """
     times = [image.time_s for image in images if image.time_s is not None]
     interval = float(np.median(np.diff(times))) if job.links and len(times) > 1 else math.inf
     if interval > FARTHEST_S:
         return lambda row: [result for result in row["results"] if result["score"] > job.score]
-    rows = ((t, list(map(coco.result_from_dict, r["results"]))) for r, t in zip(progress.rows(), times, strict=True))
-    if job.confirms:
-        confirmation = Confirmation(job.score, every=job.key_every)
-        for time_s, found in rows:
-            confirmation.add(time_s, found)
-        numbers = confirmation.confirmed()
-    else:
-        links = BoxLinks()
-        numbers = [
-            np.where(np.array([one.score > job.score for one in found], dtype=bool), links.add(time_s, found), -1)
-            for time_s, found in rows
-        ]
-    of_frame = dict(zip([image.id for image in images], numbers, strict=True))
+    numbering = NumbersByCategory(
+        partial(Confirmation, job.score, every=job.key_every) if job.confirms else partial(Linked, job.score)
+    )
+    for row, time_s in zip(progress.rows(), times, strict=True):
+        numbering.add(time_s, list(map(coco.any_result_from_dict, row["results"])))
+    of_frame = dict(zip([image.id for image in images], numbering.confirmed(), strict=True))
     return lambda row: [
         {**result, "track_id": number + 1}
         for result, number in zip(row["results"], of_frame[row["image"]["id"]].tolist(), strict=True)
@@ -306,6 +317,7 @@ def _drawn(job: PredictJob, progress: Progress, kept: Kept, scheme: Scheme) -> I
         if row is None:
             return
         if row["image"]["id"] == image.id:  # other images could not be read, and have no row
-            found = [coco.result_from_dict(result) for result in kept(row)]
-            yield image, draw.results(blurred(pixels, found) if job.blur else pixels, found, scheme=scheme)
+            found, others = apart(map(coco.any_result_from_dict, kept(row)))
+            shown = blurred(pixels, found, others) if job.blur else pixels
+            yield image, draw.results(shown, found, others, scheme=scheme)
             row = next(rows, None)

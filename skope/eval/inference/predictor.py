@@ -16,7 +16,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detections import Detections
+from skope.detections import AnyResult, Detections, apart
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import MIN_SCORE, detect, detect_on_boxes
 from skope.detector.device import choose_device
@@ -77,6 +77,8 @@ class Predictor:
         scores = "calibrated" if self.calibrated else "uncalibrated"
         name = self.weights.stem if shipped(self.weights) else self.weights
         console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
+        if len(self.categories) > 1:
+            console.say(f"finds {', '.join(self.categories)}; keypoints of vehicles alone")
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
         """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
@@ -98,19 +100,24 @@ class Predictor:
         return self._calibration is not None or CALIBRATED in self.metadata
 
     @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that it has learnt."""
+        return self.config.categories
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
         beside = () if self._calibration is None else (score_calibration.path_beside(self.weights),)
         return (self.weights, *beside)
 
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
-        """Results for every image of `file`, whose file names are relative to `root`, in order of the images."""
-        return tuple(result for _, found in self.by_image(file, root) for result in found)
+        """The vehicles of every image of `file`, whose file names are relative to `root`, in order of the images."""
+        return tuple(vehicle for _, found in self.by_image(file, root) for vehicle in apart(found)[0])
 
     def by_image(
         self, file: AnnotationFile, root: Path, known: Container[int] = ()
-    ) -> Iterator[tuple[int, list[Result]]]:
-        """Find the vehicles of the images of a file, one after another.
+    ) -> Iterator[tuple[int, list[AnyResult]]]:
+        """Find vehicles and other road users in the images of a file, one after another.
 
         Args:
             file: The images, and, where `Settings.given`, the vehicles.
@@ -118,7 +125,8 @@ class Predictor:
             known: Ids of images that are left out, as they were done before.
 
         Yields:
-            An image's id, and what is found in it, in the order of `file`.
+            An image's id, and what is found in it, vehicles first, in the order of `file`. Where boxes are given,
+            that is the vehicles alone.
         """
         annotations = file.by_image()
         images = [image for image in file.images if image.id not in known]
@@ -140,12 +148,12 @@ class Predictor:
                     seconds = (time.perf_counter() - begun) * len(images) / (bar.n - done)
                     bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
 
-    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
-        """The results of one image after another, as they come."""
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The results of one image after another, as they come, vehicles first."""
         for batch in _batches(images, self.batch_size):
             yield from self._found(batch)
 
-    def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+    def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
         """The same, where images can wait: they are made, and on a GPU looked at, while the caller works."""
         if self._device.type != "cuda":
             return self.each(read_ahead(images, 2 * self.batch_size))
@@ -153,15 +161,15 @@ class Predictor:
         return read_ahead(self.each(read_ahead(pinned, 2 * self.batch_size)), self.batch_size)
 
     def detections(self, images: Sequence[Pixels]) -> list[Detections]:
-        """Find the vehicles of several images, (H, W, 3) uint8 sRGB each."""
+        """Find vehicles and other road users in several images, (H, W, 3) uint8 sRGB each."""
         batches = _batches(enumerate(images), self.batch_size)
         return [found for batch in batches for found in self._detect([pixels for _, pixels in batch])]
 
-    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[Result]]]:
+    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
         """The images of a batch, each with its results."""
         answers = self._detect([pixels for _, pixels in batch])
         for (image, _), found in zip(batch, answers, strict=True):
-            yield image, found.to_results(image.id)
+            yield image, found.all_results(image.id)
 
     def _detect(self, batch: Sequence[Pixels]) -> list[Detections]:
         """One pass of images of one size through the network."""
@@ -184,14 +192,14 @@ class Predictor:
         """Images of one size through the network, with keypoint scores as they are."""
         least = MIN_SCORE if self._settings.min_score is None else self._settings.min_score
         try:
-            return detect(self.model, images, self._device, min_score=least)
+            return detect(self.model, images, self._device, min_score=least, categories=self.categories)
         except torch.OutOfMemoryError:
             raise UserError(
                 f"{self._device}: out of memory with {len(images)} images in the network at a time, short side "
                 f"{self.config.min_size} px: lower --batch-size or --min-size"
             ) from None
 
-    def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[Result]:
+    def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[AnyResult]:
         # In order of id, so that of two vehicles with the same box each is matched to itself.
         truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
         given = np.array([a.bbox for a in truth]).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""Vehicles that are too small in the whole image: parts of it that overlap go through the network unscaled too.
+"""What is too small in the whole image: parts of it that overlap go through the network unscaled too.
 
 The idea is that of slicing-aided inference (Akyon et al., 2022).
 """
@@ -6,15 +6,15 @@ The idea is that of slicing-aided inference (Akyon et al., 2022).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torchvision.ops import nms
+from torchvision.ops import batched_nms, nms
 
 from skope import boxes
-from skope.detections import Detections
+from skope.detections import Detections, RoadUserDetections
 
 _WORTH: Final = 1.25
 """An image is cut into tiles where it is larger than inside the network by more than this."""
@@ -26,6 +26,9 @@ _SAME_IOU: Final = 0.5
 """Boxes that overlap more are of one vehicle, as inside the network."""
 _PART: Final = 0.7
 """A box of which this share lies inside a vehicle that its tile cuts is a part of that."""
+
+_Scored: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""(N, 4) boxes xyxy, pixels, and their (N,) scores."""
 
 
 @dataclass(frozen=True)
@@ -67,26 +70,62 @@ def _begins(whole: int, part: int) -> list[int]:
 def joined(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> Detections:
     """Detections in the whole image and in its tiles, (in pixels of the tiles), as those of one image.
 
-    Vehicles that a tile cuts are left to the others; of several boxes on a vehicle the best one stays.
+    Vehicles that a tile cuts are left to the others; of several boxes on a vehicle the best one stays. So it is with
+    the other road users of each category.
     """
     found = [whole, *(_whole_vehicles(tile, part, whole) for tile, part in parts)]
+    users = [whole.road_users, *(_whole_road_users(tile, part.road_users, whole) for tile, part in parts)]
     rectangles = np.concatenate([one.boxes_xyxy for one in found])
     scores = np.concatenate([one.scores for one in found])
     kept = nms(torch.from_numpy(rectangles), torch.from_numpy(scores), _SAME_IOU).numpy()
     points = np.concatenate([one.keypoints for one in found])
-    return Detections(rectangles[kept], scores[kept], points[kept], whole.size)
+    road_users = _best_of_each(RoadUserDetections.together(users))
+    return Detections(rectangles[kept], scores[kept], points[kept], whole.size, road_users=road_users)
+
+
+def _best_of_each(users: RoadUserDetections) -> RoadUserDetections:
+    """Those that none of their own category with a better score overlaps, best first."""
+    of_category = torch.from_numpy(users.categories)
+    kept = batched_nms(torch.from_numpy(users.boxes_xyxy), torch.from_numpy(users.scores), of_category, _SAME_IOU)
+    return users.of(kept.numpy())
 
 
 def _whole_vehicles(tile: Tile, part: Detections, whole: Detections) -> Detections:
-    """What a tile shows uncut, in pixels of the whole image."""
+    """The vehicles that a tile shows uncut, in pixels of the whole image."""
     corner = np.array([tile.x, tile.y], dtype=np.float64)
     rectangles = part.boxes_xyxy + np.tile(corner, 2)
-    end = corner + (tile.width, tile.height)
-    inner = np.concatenate([corner > 0, end < whole.size])
-    cut = (np.abs(rectangles - np.concatenate([corner, end])) < _EDGE_PX) & inner
-    beyond = np.concatenate([whole.boxes_xyxy[:, :2] < corner, whole.boxes_xyxy[:, 2:] > end], axis=1).any(axis=1)
-    inside = boxes.share_inside(rectangles, whole.boxes_xyxy[beyond])
-    better = whole.scores[beyond] > part.scores[:, None]
-    kept = ~cut.any(axis=1) & ~((inside > _PART) & better).any(axis=1)
+    kept = _uncut(tile, whole.size, (rectangles, part.scores), (whole.boxes_xyxy, whole.scores))
     points = part.keypoints + np.array([*corner, 0.0])
     return replace(part, boxes_xyxy=rectangles[kept], scores=part.scores[kept], keypoints=points[kept])
+
+
+def _whole_road_users(tile: Tile, part: RoadUserDetections, whole: Detections) -> RoadUserDetections:
+    """The road users that a tile shows uncut, in pixels of the whole image."""
+    moved = replace(part, boxes_xyxy=part.boxes_xyxy + np.tile(np.array([tile.x, tile.y], dtype=np.float64), 2))
+    kept = np.zeros(len(part), dtype=bool)
+    for category in np.unique(part.categories):
+        own, others = moved.categories == category, whole.road_users.of(whole.road_users.categories == category)
+        seen = (moved.boxes_xyxy[own], moved.scores[own])
+        kept[own] = _uncut(tile, whole.size, seen, (others.boxes_xyxy, others.scores))
+    return moved.of(kept)
+
+
+def _uncut(tile: Tile, size: tuple[int, int], part: _Scored, whole: _Scored) -> NDArray[np.bool_]:
+    """Which boxes of a tile are neither cut by its edge nor parts of what it cuts.
+
+    Args:
+        tile: The tile.
+        size: Width and height of the whole image, pixels.
+        part: What the tile shows, in pixels of the whole image.
+        whole: What the whole image shows, of the same category.
+    """
+    rectangles, scores = part
+    corner = np.array([tile.x, tile.y], dtype=np.float64)
+    end = corner + (tile.width, tile.height)
+    inner = np.concatenate([corner > 0, end < size])
+    cut = (np.abs(rectangles - np.concatenate([corner, end])) < _EDGE_PX) & inner
+    boxes_xyxy, surer = whole
+    beyond = np.concatenate([boxes_xyxy[:, :2] < corner, boxes_xyxy[:, 2:] > end], axis=1).any(axis=1)
+    inside = boxes.share_inside(rectangles, boxes_xyxy[beyond])
+    better = surer[beyond] > scores[:, None]
+    return np.asarray(~cut.any(axis=1) & ~((inside > _PART) & better).any(axis=1))

@@ -20,7 +20,7 @@ from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
 from skope.metrics.match import match
-from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import counted
 from skope.types import Array
 
@@ -76,10 +76,12 @@ class Scene:
     """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
     """Where the road is; None: unknown."""
-    roads: Mapping[int, Ground | None] = field(default_factory=dict)
-    """Where it is in single images, by their ids, of a file of several cameras."""
     left_out: str | None = None
     """Which images of the file are not here, as they show another view; None: all are here."""
+    road_users: Iterable[RoadUserResult] | None = None
+    """The other road users that were found, in any order; may be of other images too. None: the annotations' own."""
+    roads: Mapping[int, Ground | None] = field(default_factory=dict)
+    """Where the road is in single images, by their ids, of a file of several cameras."""
 
     @property
     def shapes(self) -> Shapes:
@@ -234,13 +236,13 @@ def read_scene(
     if edition is not None:
         file = replace(file, scheme=keypoints.scheme_of(keypoints.SCHEME, edition))
     results = read_inputs.stream_results(predictions, file) if predictions else None
+    users = read_inputs.RoadUsersFile(predictions, file) if predictions else None
     file, left_out = _of_one_view(file)
     if camera is None:
-        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out=left_out)
+        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out, users)
     read, posed = read_camera(camera, _size(file))
-    return Scene(
-        file, results, read, Ground(height=ground) if posed and ground is not None else None, left_out=left_out
-    )
+    road = Ground(height=ground) if posed and ground is not None else None
+    return Scene(file, results, read, road, left_out, users)
 
 
 def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:

@@ -27,6 +27,7 @@ METRICS: Final = "metrics.json"
 # Evaluations that differ in one of these measure different things; those that differ in the scores from which a
 # detection or a keypoint counts may well be compared: each detector has its own scale.
 _ALIKE: Final = ("alpha", "labelled", "boxes", "points")
+_CATEGORY_FIGURES: Final = {"precision": "precision", "recall": "recall", "ap": "box AP", "ap50": "box AP50"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,12 +84,14 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
 def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
     blocks, columns = zip(*(_aligned(runs[0], run, split) for run in runs), strict=True)
     thresholds = [t for t in columns[0] if all(t in of for of in columns)]
+    categories = [run.metrics["splits"][split].get("categories", {}) for run in runs]
     return {
         **blocks[0].to_dict(),
         "images": len(blocks[0].number),
         "iou": {t: _differences(blocks[0], [of[t] for of in columns]) for t in thresholds},
         "coco": [run.metrics["splits"][split]["coco"] for run in runs],
         "recall_at_precision": [run.metrics["splits"][split].get("recall_at_precision", {}) for run in runs],
+        **({"categories": categories} if any(categories) else {}),
     }
 
 
@@ -174,9 +177,20 @@ def render(document: Mapping[str, Any], protocol: str) -> str:
         for precision in split["recall_at_precision"][0]:
             values = [number(of.get(precision)) for of in split["recall_at_precision"]]
             rows.append(["", f"box recall at precision {precision}", *values, *[""] * len(gaps)])
+        rows += [[*row, *[""] * len(gaps)] for row in _category_rows(split.get("categories", []))]
         table = text_table(["IoU", "figure", *letters, *gaps], rows, "ll" + "r" * len(letters) + "l" * len(gaps))
         lines += [f"  {line}" for line in table]
     return "\n".join(lines)
+
+
+def _category_rows(categories: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """A row for each figure of other road users than vehicles, of all sizes; "-" for a run that does not have it."""
+    names = dict.fromkeys(name for of in categories for name in of)
+    return [
+        ["", f"{name} {words}", *(number(of[name]["all"][key] if name in of else None) for of in categories)]
+        for name in names
+        for key, words in _CATEGORY_FIGURES.items()
+    ]
 
 
 def _change(gap: Mapping[str, Any]) -> str:

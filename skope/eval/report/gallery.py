@@ -134,6 +134,13 @@ def _layers(
         if false[d]:
             labels.append((box, "false"))
             words.append(f"false {name}")
+    if "categories" in measured.entry:
+        users = [user for user in measured.file.road_users if user.image_id == image.id]
+        for user in users:
+            name = f"{user.category} {user.id if user.track_id is None else user.track_id}"
+            (ignored if user.ignored else truth).append(image_viewer.box(box_of(user, options.boxes), name))
+        sure = [one for one in measured.road_users if one.image_id == image.id and one.score > options.score]
+        found += [image_viewer.box(one.bbox, f"{one.category}, score {one.score:.2f}") for one in sure]
     wrong.append(image_viewer.labels(labels, (image.width, image.height)))
     layers = {"ignored": ignored, "truth": truth, "found": found, "wrong": wrong}
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words

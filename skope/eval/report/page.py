@@ -7,9 +7,10 @@ from typing import Any, Final
 
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.report.table import COLUMNS, evidence, published_row, row_of
+from skope.eval.report.table import COLUMNS, SIZES, category_rows, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
+from skope.metrics.road_users import IOU
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
@@ -159,8 +160,33 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
         tag("p", meaning),
         tag("ul", sources),
         table(("", *map(escape, document["splits"])), counts, caption="Counts and average precision"),
+        _categories(document["splits"]),
         tag("p", partial) if any(_lacks_low_scores(split) for split in document["splits"].values()) else "",
     )
+
+
+def _categories(splits: Mapping[str, Any]) -> str:
+    """Figures of other road users than vehicles; nothing where none are labelled."""
+    rows = [
+        [escape(split), name, SIZES[size], *(str(figures[key]) for key in ("ground_truth", "ignored", "detections"))]
+        + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
+        for split, entry in splits.items()
+        for name, size, figures in category_rows(entry)
+    ]
+    head = (
+        "split",
+        "category",
+        "size",
+        "labelled",
+        "ignored",
+        "detections",
+        "precision",
+        "recall",
+        "box AP",
+        "box AP50",
+    )
+    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {IOU:g}"
+    return table(head, rows, caption=caption, sortable=True) if rows else ""
 
 
 def _lacks_low_scores(split: Mapping[str, Any]) -> bool:

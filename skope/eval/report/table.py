@@ -1,7 +1,7 @@
 """The paper's table on a terminal: splits side by side, a row per IoU threshold, and what belongs beside it."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, Final
@@ -10,6 +10,7 @@ from skope.errors import one_of
 from skope.metrics.counts import PROTOCOLS
 from skope.metrics.intervals import ENOUGH_SITES
 from skope.metrics.precision_recall import AT_PRECISION
+from skope.metrics.road_users import IOU
 from skope.terminal.text_table import text_table
 
 _MEANING: Final = {
@@ -56,6 +57,7 @@ def render(metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Map
     if beside:
         lines += ["", f"Rows `paper`: {beside['source']}"]
     lines += ["", *_counts(dict(splits), metrics["score_threshold"])]
+    lines += _categories(dict(splits), metrics["score_threshold"])
     lines += _localisation(dict(splits)) + _apart(dict(splits)) + _intervals(dict(splits), protocol)
     return "\n".join(lines)
 
@@ -105,6 +107,32 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     ]
     recalls = [f"recall at precision {p:g}" for p in AT_PRECISION]
     return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50", *recalls], rows)
+
+
+SIZES: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px", "large": "larger"}
+"""COCO's ranges of areas in words."""
+
+
+def category_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Category, size and figures of a split's other road users; sizes of which there is nobody are left out."""
+    for name, by_size in entry.get("categories", {}).items():
+        for size, figures in by_size.items():
+            if size == "all" or figures["ground_truth"] or figures["detections"]:
+                yield name, size, figures
+
+
+def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
+    """The other road users by category and size; nothing where the ground truth labels none."""
+    rows = [
+        [split, name, SIZES[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
+        + [number(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
+        for split, entry in splits.items()
+        for name, size, figures in category_rows(entry)
+    ]
+    if not rows:
+        return []
+    head = ["split", "category", "size", "labelled", "ignored", f"detections > {score:g}"]
+    return ["", *text_table([*head, f"precision at IoU {IOU:g}", "recall", "box AP", "box AP50"], rows, "lll")]
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:

@@ -9,7 +9,9 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
+from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.ground_view import GroundView, Pixels
+from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted
@@ -43,20 +45,28 @@ _WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
 """What points to a vehicle's front, in halves of its length and width."""
 
 
-def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
+def draw(
+    path: Path,
+    tracks: Sequence[Track],
+    camera: Camera,
+    ground: Ground | None,
+    road: Pixels | None,
+    road_users: Sequence[RoadUserTrack] = (),
+) -> None:
     """Write the picture of the tracks; metres, the world's y upwards.
 
     Args:
         path: The .png file.
-        tracks: The tracks.
+        tracks: The tracks of vehicles.
         camera: What they were seen with.
         ground: Where the road is; None: unknown, then the camera's field of view is left out.
         road: (H, W, 3) what the camera sees of the empty road, of its size; it is laid under the tracks. None: nothing.
+        road_users: The tracks of people on foot and on two wheels.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    low, high = extent(tracks, camera.position[:2])
+    low, high = extent([*tracks, *road_users], camera.position[:2])
     map_width = _WIDTH * (_PLACE["right"] - _PLACE["left"])
     map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
     height = map_height + _PLACE["top"] + _PLACE["bottom"]
@@ -74,6 +84,8 @@ def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | N
     for track in tracks:
         _draw_path(axes, track, colors, norm, many=len(tracks) > _MANY)
     frame = _fullest_frame(tracks)
+    for one in road_users:
+        _draw_road_user(axes, one, frame)
     present = [(track, frame - int(track.frames[0])) for track in tracks if frame in track.frames]
     for track, i in present:
         _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
@@ -81,14 +93,16 @@ def draw(path: Path, tracks: Sequence[Track], camera: Camera, ground: Ground | N
     labelled = tracks if len(tracks) <= _MANY else [track for track, _ in present]
     map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
     map_signs.draw_frame(axes)
-    _write_heading(figure, tracks, None if not present else float(present[0][0].times_s[present[0][1]]))
+    _write_heading(figure, tracks, road_users, None if not present else float(present[0][0].times_s[present[0][1]]))
     bar = figure.add_axes((0.915, _PLACE["bottom"] / height, 0.016, map_height / height))
     map_signs.draw_scale(bar, colors, norm)
     with replacing(path) as temporary:
         figure.savefig(temporary)
 
 
-def _write_heading(figure: "Figure", tracks: Sequence[Track], moment_s: float | None) -> None:
+def _write_heading(
+    figure: "Figure", tracks: Sequence[Track], road_users: Sequence[RoadUserTrack], moment_s: float | None
+) -> None:
     """Over the map: how many tracks in how long, and what lines and outlines are."""
     place, height = _PLACE["left"], figure.get_figheight()
     heading, note = "No vehicle was tracked", ""
@@ -99,11 +113,15 @@ def _write_heading(figure: "Figure", tracks: Sequence[Track], moment_s: float | 
             "Lines: ways driven, numbered as in tracks.csv (a vehicle that was hidden may have two). "
             f"Outlines: the vehicles at {moment_s:.1f} s."
         )
+    if road_users:
+        kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
+        words = f"dotted: {', '.join(kinds)}, as in road_users.csv"
+        figure.text(_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT, ha="right")
     figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
     figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
 
 
-def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
+def extent(tracks: Sequence[GroundTrack], camera_xy: Array) -> tuple[Array, Array]:
     """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
     sure = [t.position[t.position_sigma <= _SURE_M, :2] for t in tracks]
     places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.position[:, :2] for t in tracks))])
@@ -182,6 +200,15 @@ def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize"
         corners = [xy[i] + size * (a * ahead + b * across) for a, b in ((1.4, 0), (-0.8, 0.9), (-0.3, 0), (-0.8, -0.9))]
         color = colors(norm(track.speed[i] * 3.6))
         axes.add_patch(Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.8, zorder=4))
+
+
+def _draw_road_user(axes: "Axes", track: RoadUserTrack, frame: int) -> None:
+    """The way of somebody on foot or on two wheels, and a dot at the place in a frame."""
+    color = map_signs.ROAD_USERS[track.category]
+    axes.plot(*track.position[:, :2].T, color=color, linewidth=1.4, linestyle=(0, (1, 1.2)), zorder=3)
+    if frame in track.frames:
+        x, y = track.position[frame - int(track.frames[0]), :2]
+        axes.plot([x], [y], color=color, marker="o", markersize=5, markeredgecolor="white", zorder=6)
 
 
 def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:

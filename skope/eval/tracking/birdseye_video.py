@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -12,12 +12,15 @@ from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye import extent
+from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.ground_view import GroundView
+from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.types import Array
 
 Pixels = NDArray[np.uint8]
+T = TypeVar("T", bound=GroundTrack)
 _SIDE: Final = 1200
 """Pixels of the video's longer side."""
 _INK: Final = (27, 39, 51)
@@ -30,7 +33,9 @@ _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 class _Map:
     """Where places of the road are in the pictures, and what all of them show."""
 
-    def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
+    def __init__(
+        self, tracks: Sequence[Track | RoadUserTrack], camera: Camera, ground: Ground | None, road: Pixels | None
+    ) -> None:
         low, high = extent(tracks, camera.position[:2])
         self._low, self._scale = low, _SIDE / float((high - low).max())
         # Encoders want even sides.
@@ -55,6 +60,13 @@ class _Map:
         x, y = self.at(place).tolist()
         return bool(0 <= x < self._width and 0 <= y < self._height)
 
+    def present(self, tracks: Sequence[T], frame: int) -> Iterator[tuple[T, int]]:
+        """The tracks that are on the map in a frame, each with its own number of that frame."""
+        for track in tracks:
+            i = frame - int(track.frames[0])
+            if 0 <= i < len(track.frames) and self.holds(track.position[i, :2]):
+                yield track, i
+
     def _draw_scale(self) -> None:
         """A bar of a round length at the lower right."""
         metres = max(bar for bar in map_signs.BARS_M if bar <= max(1, self._width / self._scale / 5))
@@ -65,19 +77,24 @@ class _Map:
 
 
 def frames(
-    tracks: Sequence[Track], times_s: Sequence[float], camera: Camera, ground: Ground | None, road: Pixels | None
+    tracks: Sequence[Track],
+    times_s: Sequence[float],
+    camera: Camera,
+    ground: Ground | None,
+    road: Pixels | None,
+    road_users: Sequence[RoadUserTrack] = (),
 ) -> Iterator[Pixels]:
     """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
 
-    Camera, ground and the picture of the empty road are as `birdseye.draw` takes them.
+    Camera, ground, the picture of the empty road and other road users, who are dots, are as `birdseye.draw` takes them.
     """
-    shown = _Map(tracks, camera, ground, road)
+    shown = _Map([*tracks, *road_users], camera, ground, road)
     for frame, time_s in enumerate(times_s):
         picture = shown.background.copy()
-        for track in tracks:
-            i = frame - int(track.frames[0])
-            if 0 <= i < len(track.frames) and shown.holds(track.position[i, :2]):
-                _draw(picture, shown, track, i)
+        for track, i in shown.present(tracks, frame):
+            _draw(picture, shown, track, i)
+        for user, i in shown.present(road_users, frame):
+            _draw_dot(picture, shown, user, i)
         write(picture, f"{time_s:.1f} s", (20, 34), size=0.8)
         yield picture
 
@@ -94,6 +111,17 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     cv2.line(picture, middle.tolist(), front.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
     x, y = outline.max(axis=0)[0], outline.min(axis=0)[1]
     write(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
+
+
+def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> None:
+    """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
+    color = PALETTE[track.number % len(PALETTE)]
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 1, cv2.LINE_AA)
+    x, y = shown.at(track.position[i, :2]).tolist()
+    cv2.circle(picture, (x, y), 5, color, -1, cv2.LINE_AA)
+    cv2.circle(picture, (x, y), 5, _INK, 1, cv2.LINE_AA)
+    write(picture, f"{track.category[0]} {map_signs.label(track, i)}", (x + 7, y - 3))
 
 
 def write(

@@ -1,21 +1,32 @@
-"""Write tracks as CSV, as MOTChallenge's text for metrics of trackers, and as SUMO's floating-car data."""
+"""Write tracks as CSV, as MOTChallenge's text for metrics of trackers, and as SUMO's floating-car data.
+
+Other road users than vehicles have files of their own, but for floating-car data, where SUMO tells them apart.
+"""
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skope.eval.tracking.ground_track import GroundTrack
+from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
+
+T = TypeVar("T", bound=GroundTrack)
 
 _COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
     "length", "width", "height", "measured", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
+)  # fmt: skip
+_ROAD_USER_COLUMNS: Final = (
+    "track", "category", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy",
+    "measured", "sigma_position", "sigma_speed",
 )  # fmt: skip
 _SUMO_CLASS: Final = {"bus": "bus", "lorry": "truck", "van": "delivery"}
 
@@ -59,13 +70,42 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
                 )
 
 
+def write_road_users(path: Path, tracks: Sequence[RoadUserTrack], frame_index: Sequence[int]) -> None:
+    """Write a row for each frame of each track of people on foot and on two wheels, in the units of `write_csv`.
+
+    The heading is that of motion, and empty where there may be none.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_ROAD_USER_COLUMNS)
+        for track in tracks:
+            for i, frame in enumerate(track.frames):
+                heading = float(track.heading[i])
+                writer.writerow(
+                    [
+                        track.number,
+                        track.category,
+                        frame_index[frame],
+                        f"{track.times_s[i]:.4f}",
+                        int(track.seen[i]),
+                        *(f"{v:.3f}" for v in track.position[i]),
+                        "" if math.isnan(heading) else f"{math.degrees(heading):.2f}",
+                        f"{track.speed[i]:.3f}",
+                        *(f"{v:.3f}" for v in track.velocity[i]),
+                        int(track.measured[i]),
+                        f"{track.position_sigma[i]:.3f}",
+                        f"{track.speed_sigma[i]:.3f}",
+                    ]
+                )
+
+
 def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
     """A line of MOTChallenge: frame from 1, id, left, top, width and height in pixels, and `rest`."""
     x, y, w, h = np.asarray(bbox, dtype=np.float64)
     return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
 
 
-def write_mot(path: Path, tracks: Sequence[Track]) -> None:
+def write_mot(path: Path, tracks: Sequence[GroundTrack]) -> None:
     """The boxes of what was seen, as MOTChallenge and TrackEval read them: with confidence and no place in the world.
 
     TrackEval takes the column of the place's x for a class.
@@ -78,16 +118,21 @@ def write_mot(path: Path, tracks: Sequence[Track]) -> None:
                     file.write(mot_row(frame + 1, track.number, track.boxes[i], f"{track.scores[i]:.4f},-1,-1,-1"))
 
 
-def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> None:
+def write_fcd(
+    path: Path, tracks: Sequence[Track], times_s: Sequence[float], road_users: Sequence[RoadUserTrack] = ()
+) -> None:
     """SUMO's floating-car data (`fcd-export`), in the network's coordinates.
 
-    There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise.
+    There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise. Of
+    other road users it is the place where they stand, and the angle is left out where they may stand still.
     """
+    others = _by_frame(road_users, len(times_s))
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write('<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
-        for (_, present), time_s in zip(_by_frame(tracks, len(times_s)), times_s, strict=True):
+        for (_, present), (_, beside), time_s in zip(_by_frame(tracks, len(times_s)), others, times_s, strict=True):
             file.write(f'    <timestep time="{time_s:.3f}">\n')
             file.writelines(_fcd_vehicle(track, i) for track, i in present)
+            file.writelines(_fcd_road_user(track, i) for track, i in beside)
             file.write("    </timestep>\n")
         file.write("</fcd-export>\n")
 
@@ -105,14 +150,30 @@ def _fcd_vehicle(track: Track, i: int) -> str:
         "speed": f"{track.speed[i]:.3f}",
         "acceleration": f"{track.along[i]:.3f}",
     }
-    cells = " ".join(f"{name}={quoteattr(value)}" for name, value in values.items())
-    return f"        <vehicle {cells}/>\n"
+    return _fcd_element("vehicle", values)
 
 
-def _by_frame(tracks: Sequence[Track], count: int) -> Iterator[tuple[int, list[tuple[Track, int]]]]:
+def _fcd_road_user(track: RoadUserTrack, i: int) -> str:
+    heading = float(track.heading[i])
+    values = {
+        "id": str(track.number),
+        **{axis: f"{v:.3f}" for axis, v in zip("xyz", track.position[i], strict=True)},
+        **({} if math.isnan(heading) else {"angle": f"{(90 - math.degrees(heading)) % 360:.2f}"}),
+        "type": track.category,
+        "speed": f"{track.speed[i]:.3f}",
+    }
+    return _fcd_element("person" if track.category == "pedestrian" else "vehicle", values)
+
+
+def _fcd_element(name: str, values: Mapping[str, str]) -> str:
+    cells = " ".join(f"{key}={quoteattr(value)}" for key, value in values.items())
+    return f"        <{name} {cells}/>\n"
+
+
+def _by_frame(tracks: Sequence[T], count: int) -> Iterator[tuple[int, list[tuple[T, int]]]]:
     """Each of `count` frames with the tracks that are there, which rise in their first frames, and their rows."""
     waiting = list(reversed(tracks))
-    present: list[Track] = []
+    present: list[T] = []
     for frame in range(count):
         present = [track for track in present if track.frames[-1] >= frame]
         while waiting and waiting[-1].frames[0] <= frame:

@@ -47,6 +47,18 @@ def first_state(pose: PoseMeasurement) -> State:
     return mean, spread
 
 
+def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
+    """State of somebody who is seen for the first time, at a place (2,) of covariance (2, 2), and may go anywhere.
+
+    `speed_sigma` is the standard deviation of the speed in any direction, m/s.
+    """
+    spread = np.zeros((6, 6))
+    spread[:2, :2] = covariance
+    spread[2:4, 2:4] = speed_sigma**2 * np.eye(2)
+    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    return np.array([*place, 0, 0, 0, 0], dtype=np.float64), spread
+
+
 def motion(dt: float) -> tuple[Array, Array]:
     """Transition and noise, (6, 6) each, of `dt` seconds of Singer's model (IEEE Trans. AES, 1970).
 
@@ -78,13 +90,18 @@ def before(state: State, dt: float) -> State:
 
 def updated(state: State, pose: PoseMeasurement) -> State:
     """A state that has taken in a pose: its place, and the direction in which wheels let the vehicle move."""
+    return _rolling(*updated_at(state, pose.place, pose.covariance), pose)
+
+
+def updated_at(state: State, place: Array, covariance: Array) -> State:
+    """A state that has taken in a place (2,) of covariance (2, 2)."""
     mean, spread = state
-    gain = np.linalg.solve(spread[:2, :2] + pose.covariance, spread[:2]).T
+    gain = np.linalg.solve(spread[:2, :2] + covariance, spread[:2]).T
     kept = np.eye(len(mean))
     kept[:, :2] -= gain
     # Joseph's form stays symmetric and positive over any number of steps.
-    after = kept @ spread @ kept.T + gain @ pose.covariance @ gain.T
-    return _rolling(mean + gain @ (pose.place - mean[:2]), after, pose)
+    after = kept @ spread @ kept.T + gain @ covariance @ gain.T
+    return mean + gain @ (place - mean[:2]), after
 
 
 def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:

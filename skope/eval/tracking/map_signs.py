@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.camera.model import Camera
+from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.tracks import Track
 from skope.types import Array
 
@@ -21,6 +22,8 @@ FAINT: Final = "#6b7783"
 CAMERA: Final = "#c2185b"
 OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 """A vehicle's corners, in halves of its length and width."""
+ROAD_USERS: Final = {"bicycle": "#00796b", "motorcycle": "#e65100", "pedestrian": "#5e35b1"}
+"""Colours of the categories that have no outline."""
 _DRIVES: Final = 0.5
 """A vehicle that is faster drives, m/s."""
 BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -116,8 +119,8 @@ def draw_labels(
         axes.plot(*zip(start, end, strict=True), color=FAINT, linewidth=0.7, zorder=5)
 
 
-def label(track: Track, i: int) -> str:
-    """A track's number, with the speed that a driving vehicle has in its i-th frame, and its 95% interval."""
+def label(track: GroundTrack, i: int) -> str:
+    """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
     if track.speed[i] <= _DRIVES:
         return f"#{track.number}"
     return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"

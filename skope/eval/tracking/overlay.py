@@ -1,4 +1,4 @@
-"""Tracks drawn into their footage: box, number, class and speed of each vehicle."""
+"""Tracks drawn into their footage: box, number, class or category, and speed."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,6 +13,7 @@ from skope.eval.inference.footage import open_footage
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye_video import write
 from skope.eval.tracking.empty_road import footage_of
+from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile
@@ -25,13 +26,16 @@ _THICK: Final = 2
 """Lines of boxes, pixels."""
 
 
-def frames(tracks: Sequence[Track], folder: Path, file: AnnotationFile) -> Iterator[Pixels]:
-    """The frames (H, W, 3) that were tracked, with the vehicles that are seen in them.
+def frames(
+    tracks: Sequence[Track], folder: Path, file: AnnotationFile, road_users: Sequence[RoadUserTrack] = ()
+) -> Iterator[Pixels]:
+    """The frames (H, W, 3) that were tracked, with the vehicles and other road users that are seen in them.
 
     Args:
-        tracks: The tracks.
+        tracks: The tracks of vehicles.
         folder: Where the file of frames lies.
         file: The frames; `info` says where their footage is.
+        road_users: The tracks of others.
 
     Raises:
         UserError: The footage is not said, not there any more, or cannot be read.
@@ -40,8 +44,9 @@ def frames(tracks: Sequence[Track], folder: Path, file: AnnotationFile) -> Itera
     if source is None:
         raise UserError(f"{file.name}: does not say where its footage is, which --overlay draws into")
     place = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
-    present: dict[int, list[tuple[Track, int]]] = {}
-    for track in tracks:
+    present: dict[int, list[tuple[Track | RoadUserTrack, int]]] = {}
+    everybody: list[Track | RoadUserTrack] = [*tracks, *road_users]
+    for track in everybody:
         for i in np.flatnonzero(track.seen).tolist():
             present.setdefault(int(track.frames[i]), []).append((track, i))
     for image, pixels in open_footage(str(source)).frames():
@@ -50,7 +55,7 @@ def frames(tracks: Sequence[Track], folder: Path, file: AnnotationFile) -> Itera
             yield _drawn(pixels, present.get(frame, []))
 
 
-def _drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
+def _drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
     picture = pixels.copy()
     for track, i in present:
         x, y, w, h = track.boxes[i].tolist()
@@ -60,5 +65,6 @@ def _drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
         if max(w, h) < _LABELLED * picture.shape[1]:
             continue
         number, _, speed = map_signs.label(track, i).partition("  ")
-        write(picture, "  ".join(filter(None, (f"{number} {track.vehicle_class}", speed))), (round(x), round(y) - 5))
+        kind = track.category if isinstance(track, RoadUserTrack) else track.vehicle_class
+        write(picture, "  ".join(filter(None, (f"{number} {kind}", speed))), (round(x), round(y) - 5))
     return picture

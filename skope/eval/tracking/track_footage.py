@@ -2,7 +2,7 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,12 +18,15 @@ from skope.eval.pose.views import Scene
 from skope.eval.tracking import birdseye, birdseye_video, export, overlay
 from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.empty_road import empty_road
+from skope.eval.tracking.ground_points import sights_of
+from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_users
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing, write_text
 from skope.files.progress import Progress
 from skope.pictures.video import write_video
+from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
 
 _PROGRESS: Final = ".poses.jsonl"
@@ -64,27 +67,33 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     tracks = follow(console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses"), times)
     tracks = flagged(tracks)
     camera = scene.camera_of(scene.file.images[0])
+    road_users = _road_users(job, times, 1 + len(tracks))
     if job.distance_sigma is not None:
         tracks = [track.under(job.distance_sigma, camera.position[:2]) for track in tracks]
+        road_users = [track.under(job.distance_sigma, camera.position[:2]) for track in road_users]
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)
-    export.write_fcd(job.out / "fcd.xml", tracks, times)
+    export.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
     written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
     road = _road(job, camera, console)
-    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road)
+    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
     if scene.file.annotations:
-        _write_truth(job.out / "mot_truth.txt", scene)
+        _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
         written.append("mot_truth.txt")
+    written += _write_road_users(job, road_users, index)
     if job.video:
         with replacing(job.out / "birdseye.mp4") as temporary:
-            above = birdseye_video.frames(tracks, times, camera, scene.ground, road)
+            above = birdseye_video.frames(tracks, times, camera, scene.ground, road, road_users)
             write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     if job.overlay:
         with replacing(job.out / "overlay.mp4") as temporary:
             drawn = console.bar(
-                overlay.frames(tracks, job.place, scene.file), total=len(times), unit="image", label="overlay"
+                overlay.frames(tracks, job.place, scene.file, road_users),
+                total=len(times),
+                unit="image",
+                label="overlay",
             )
             write_video(temporary, drawn, 1 / float(np.median(np.diff(times))))
         written.append("overlay.mp4")
@@ -93,6 +102,7 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
         yield f"wrote {job.out / name}"
     seconds = times[-1] - times[0]
     yield f"{counted(len(tracks), 'track')} over {seconds:.1f} s"
+    yield from _road_user_words(job, road_users)
     doubtful = Counter(flag for track in tracks for flag in track.flags)
     if doubtful:
         yield f"of these: {', '.join(f'{number} {flag}' for flag, number in sorted(doubtful.items()))}"
@@ -101,6 +111,43 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
         yield f"{counted(refused.total(), 'detection')} without a pose: {why}"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
+
+
+def _road_users(job: TrackJob, times: list[float], first_number: int) -> list[RoadUserTrack]:
+    """Tracks of people on foot and on two wheels, where it is known where the road is."""
+    if job.scene.ground is None:
+        return []
+    sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
+    eye = job.scene.camera_of(job.scene.file.images[0]).position
+    return [track.on_sidewalks(eye) for track in follow_road_users(sights, times, first_number)]
+
+
+def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[int]) -> list[str]:
+    """Write the files of other road users than vehicles, where the scene tells of any; returns the files' names."""
+    written = []
+    if tracks:
+        export.write_road_users(job.out / "road_users.csv", tracks, index)
+        written.append("road_users.csv")
+    for number, category in enumerate(CATEGORIES[1:], start=2):
+        own = [track for track in tracks if track.category == category]
+        if own:
+            export.write_mot(job.out / f"mot_{category}.txt", own)
+            written.append(f"mot_{category}.txt")
+        truth = [user for user in job.scene.file.road_users if user.category_id == number]
+        if truth:
+            _write_truth(job.out / f"mot_truth_{category}.txt", job.scene, truth)
+            written.append(f"mot_truth_{category}.txt")
+    return written
+
+
+def _road_user_words(job: TrackJob, tracks: list[RoadUserTrack]) -> Iterator[str]:
+    """How many of each category there are, or why there is none."""
+    if tracks:
+        counts = Counter(track.category for track in tracks)
+        yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORIES if counts[name])}"
+    elif job.scene.ground is None and len(job.scene.file.categories) > 1:
+        others = ", ".join(job.scene.file.categories[1:])
+        yield f"{others}: no tracks, which need to know where the road is (--ground)"
 
 
 def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
@@ -148,13 +195,15 @@ def _times(scene: Scene, fps: float | None) -> list[float]:
     return seconds
 
 
-def _write_truth(path: Path, scene: Scene) -> None:
-    """The annotations' own tracks as MOTChallenge has ground truth: to count, of class 1, visible."""
-    labelled = scene.file.by_image()
+def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
+    """The labels' own tracks, of one category, as MOTChallenge has ground truth: to count, of class 1, visible."""
+    of_image: dict[int, list[Labelled]] = {image.id: [] for image in scene.file.images}
+    for label in labels:
+        of_image[label.image_id].append(label)
     rows = [
         export.mot_row(frame, a.track_id, a.bbox, "1,1,1")
         for frame, image in enumerate(scene.file.images, start=1)
-        for a in labelled[image.id]
+        for a in of_image[image.id]
         if not a.ignored and a.track_id is not None
     ]
     write_text(path, "".join(rows))

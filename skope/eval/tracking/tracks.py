@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
+from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.kalman import State
 from skope.eval.tracking.vehicle_classes import vehicle_class
@@ -29,11 +30,13 @@ _PER_TRACK: Final = ("number", "kind", "vehicle_class", "class_confidence", "siz
 """Fields of a track that have one value for all its frames."""
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """A vehicle over M frames: all from its first to its last pose, seen or not, and a moment more by its box."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Track(GroundTrack):
+    """A vehicle over M frames: all from its first to its last pose, seen or not, and a moment more by its box.
 
-    number: int
+    Its position is on the ground under the middle of its box; a frame is measured where a pose was taken.
+    """
+
     kind: str
     """The body type that most poses have."""
     vehicle_class: str
@@ -42,40 +45,14 @@ class Track:
     """Probability that the class is right, 0 to 1."""
     size_lwh: Array
     """(3,) median, metres."""
-    frames: NDArray[np.intp]
-    times_s: Array
-    position: Array
-    """(M, 3) smoothed, world, on the ground under the middle of the box."""
-    velocity: Array
-    """(M, 2) m/s."""
     acceleration: Array
     """(M, 2) m/s^2."""
     heading: Array
     """(M,) radians, counter-clockwise from world x."""
-    position_sigma: Array
-    """(M,) standard deviation of the place in its worst direction, metres, given the ground; and given the camera,
-    unless `under` was called."""
-    speed_sigma: Array
-    """(M,) standard deviation of the speed, m/s, given the same."""
-    measured: NDArray[np.bool_]
-    """(M,) in which frames a pose was taken; in the others position and speed follow from the frames around."""
-    boxes: Array
-    """(M, 4) boxes of the detections, x, y, width, height in pixels; NaN where the vehicle was missed."""
-    scores: Array
-    """(M,) scores of the detections; NaN where the vehicle was missed."""
     truth_ids: NDArray[np.int64]
     """(M,) the ground-truth track that the detection is, or matches; -1 where there is none."""
     flags: tuple[str, ...] = ()
     """Of `skope.eval.tracking.track_flags`."""
-
-    def under(self, distance_sigma: float, foot: Array) -> "Track":
-        """The track where the camera, over `foot` (2,), makes distances wrong by a share of that standard deviation."""
-        away = np.linalg.norm(self.position[:, :2] - foot, axis=1)
-        return replace(
-            self,
-            position_sigma=np.hypot(self.position_sigma, distance_sigma * away),
-            speed_sigma=np.hypot(self.speed_sigma, distance_sigma * self.speed),
-        )
 
     def during(self, rows: NDArray[np.intp]) -> "Track":
         """The track in some of its frames, as indices (R,) into them."""
@@ -88,16 +65,6 @@ class Track:
         """Whether it has been seen often and long enough to be a vehicle."""
         times = self.times_s[self.measured]
         return len(times) >= _CONFIRMED_POSES and bool(times[-1] - times[0] >= _CONFIRMED_S)
-
-    @cached_property
-    def seen(self) -> NDArray[np.bool_]:
-        """(M,) in which frames it has a box: it was detected there, or followed from other frames."""
-        return np.isfinite(self.scores)
-
-    @cached_property
-    def speed(self) -> Array:
-        """(M,) m/s."""
-        return np.asarray(np.linalg.norm(self.velocity, axis=1))
 
     @cached_property
     def along(self) -> Array:

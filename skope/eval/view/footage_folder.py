@@ -5,8 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from skope import schema
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.detections import apart
 from skope.errors import UserError
 from skope.eval.inference.footage import FOUND_AT
 from skope.eval.view.video_frames import VideoFrames
@@ -14,7 +16,7 @@ from skope.files.json_files import read_json
 from skope.files.output_folders import WORK
 from skope.metrics import read_inputs
 from skope.metrics.counts import Options
-from skope.schema import Image
+from skope.schema import Image, RoadUser, RoadUserResult
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture, read_picture
 
@@ -22,14 +24,29 @@ from skope.viewer.pictures import Picture, read_picture
 def footage_collection(folder: Path) -> Collection:
     """The frames of a folder that `skope eval predict` wrote, and what was found in them."""
     file = replace(coco.read(folder / FRAMES), name="")  # footage is no split
-    results = read_inputs.read_results(folder / PREDICTIONS, file)
+    results, others = apart(read_inputs.read_all_results(folder / PREDICTIONS, file))
+    users = tuple(_as_label(number, other) for number, other in enumerate(others, start=1))
+    known = schema.checked_categories({*file.categories, *(user.category for user in users)})
+    file = replace(file, road_users=users, categories=known)
     checkpoint = _checkpoint(folder)
     return Collection(
         title=f"{checkpoint} on {file.info.get('source', folder.resolve().name)}",
-        splits=(ShownSplit(file=file, results=results),),
+        splits=(ShownSplit(file=file, results=tuple(results)),),
         picture=_pictures(folder, file.info.get(FOUND_AT)),
         truth=False,
         options=Options(score=0.0, scheme=file.scheme),
+    )
+
+
+def _as_label(number: int, found: RoadUserResult) -> RoadUser:
+    """Somebody who was found on foot or on two wheels as a label, since the page draws no detections of theirs."""
+    return RoadUser(
+        id=number,
+        image_id=found.image_id,
+        category_id=found.category_id,
+        bbox=found.bbox,
+        area=float(found.bbox[2:].prod()),
+        track_id=found.track_id,
     )
 
 

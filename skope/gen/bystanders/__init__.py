@@ -1,1 +1,1 @@
-"""People on foot, on bicycles and on motorcycles, who are drawn and not labelled."""
+"""People on foot, on bicycles and on motorcycles."""

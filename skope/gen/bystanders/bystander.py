@@ -1,7 +1,7 @@
-"""Road users that are drawn but not labelled: people on foot, on bicycles and on motorcycles.
+"""Road users beside the vehicles: people on foot, on bicycles and on motorcycles.
 
-Each is a body with four moving parts, as a vehicle has four wheels. They hide vehicles, and a detector must not take
-them for one.
+Each is a body with four moving parts, as a vehicle has four wheels, or, where it is jointed, with up to seven. They
+hide vehicles, and a detector must not take them for one; some datasets label them, in categories of their own.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,16 +13,27 @@ import numpy as np
 
 from skope.gen.bystanders.people import Look, pedestrian, strides
 from skope.gen.bystanders.riders import cyclist, motorcyclist, pedalled, rolled
+from skope.gen.bystanders.riding import bicycle, motorcycle, pedalling, riding
+from skope.gen.bystanders.walking import walked, walker
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.model import simplified_parts
 from skope.types import Array
 
+_RIDDEN: Final = 5.0
+"""Speed at which riders have their feet off the road, m/s."""
 _FIGURES: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float], Array]]]] = {
     "pedestrian": (pedestrian, strides),
     "cyclist": (cyclist, pedalled),
     "motorcyclist": (motorcyclist, rolled),
 }
+_JOINTED: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float, float], Array]]]] = {
+    "pedestrian": (walker, walked),
+    "cyclist": (bicycle, pedalling),
+    "motorcyclist": (motorcycle, riding),
+}
 KINDS: Final = tuple(_FIGURES)
+CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
+"""The category (of `skope.schema.CATEGORIES`) of each kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +44,7 @@ class Bystander:
     """One of `KINDS`."""
     look: Look
     parts: tuple[Mesh, ...]
-    """Body, then four parts that move: limbs or wheels, each about its own origin."""
+    """Body, then four parts that move, of a jointed one up to seven: limbs or wheels, each about its own origin."""
 
     @property
     def mesh(self) -> Mesh:
@@ -52,19 +63,40 @@ class Bystander:
         """The parts for pictures from afar."""
         return simplified_parts(self.parts)
 
-    def pose(self, travelled: float) -> Array:
-        """(4, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres."""
+    @property
+    def jointed(self) -> bool:
+        """Whether its knees bend, which labelled bodies' do."""
+        return self.look.jointed > 0.5
+
+    def pose(self, travelled: float, speed: float = _RIDDEN) -> Array:
+        """(P, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres, at a speed in m/s."""
+        if self.jointed:
+            return _JOINTED[self.kind][1](self.look, travelled, speed)
         return _FIGURES[self.kind][1](self.look, travelled)
+
+    @property
+    def _at_rest(self) -> Array:
+        """(P, 4, 4) poses of the moving parts of somebody who stands, or sits on what is ridden."""
+        return self.pose(0.0, 0.0 if self.kind == "pedestrian" else _RIDDEN)
+
+    @cached_property
+    def box(self) -> Array:
+        """(2, 3) lowest and highest corner of the box around it at rest, with what is ridden, in the body's frame."""
+        at_rest = zip(self.parts, [np.eye(4), *self._at_rest], strict=True)
+        points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
+        return np.stack([points.min(axis=0), points.max(axis=0)])
 
     @property
     def extent(self) -> Array:
         """(2, 3) corners of a box around it, however its parts move."""
-        at_rest = zip(self.parts, [np.eye(4), *self.pose(0.0)], strict=True)
-        points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
-        return np.stack([points.min(axis=0) - [0.4, 0.1, 0.1], points.max(axis=0) + [0.4, 0.1, 0.05]])
+        along, aside = (0.65, 0.3) if self.jointed else (0.4, 0.1)
+        return self.box + [[-along, -aside, -0.1], [along, aside, 0.05]]
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
+        if self.jointed:  # about the origin, as those who ask for it expect, with what is pulled and pushed
+            length, width, _ = 2 * np.abs(self.box).max(axis=0)
+            return float(length), float(width), float(self.box[1, 2])
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         return float(high[0] - low[0]), float(high[1] - low[1]), float(high[2])
 
@@ -72,7 +104,8 @@ class Bystander:
 @lru_cache(maxsize=256)
 def _build(kind: str, shape: tuple[tuple[str, float], ...]) -> Bystander:
     look = Look(**dict(shape))
-    return Bystander(kind, look, tuple(_FIGURES[kind][0](look)))
+    figures = _JOINTED if look.jointed > 0.5 else _FIGURES
+    return Bystander(kind, look, tuple(figures[kind][0](look)))
 
 
 def build(kind: str, shape: Mapping[str, float]) -> Bystander:

@@ -22,6 +22,10 @@ STRIDE: Final = 0.83
 """Length of two steps at a usual pace, as a share of the body's height."""
 
 
+_OF_ALL: Final = ("height", "girth", "palette", "bag")
+"""Numbers that every body has."""
+
+
 @dataclass(frozen=True)
 class Look:
     """Numbers that decide a bystander's body and clothes."""
@@ -34,6 +38,16 @@ class Look:
     """Number of a set of colours of clothes, skin and hair, from 0."""
     bag: float = 0.0
     """Whether the person carries a bag: yes above 0.5."""
+    jointed: float = 0.0
+    """Whether knees bend, feet are on pedals and the numbers below count: yes above 0.5."""
+    helmet: float = 0.0
+    """Whether a cyclist wears a helmet: yes above 0.5."""
+    load: float = 0.0
+    """What is carried or drawn: number of one of `skope.gen.bystanders.luggage.LOADS`."""
+    passenger: float = 0.0
+    """Whether somebody rides along, on a bicycle a child in its seat: yes above 0.5."""
+    machine: float = 0.0
+    """What is ridden: number of one of `skope.gen.bystanders.riding.MACHINES`."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Look":
@@ -47,7 +61,8 @@ class Look:
         )
 
     def to_dict(self) -> Mapping[str, float]:
-        return asdict(self)
+        """The numbers by name; without those of jointed bodies where they are 0, as recordings of before have them."""
+        return {name: value for name, value in asdict(self).items() if value or name in _OF_ALL}
 
     def colors(self) -> tuple[str, str, str, str, str]:
         """Skin, hair, top, bottom, shoes."""
@@ -56,6 +71,11 @@ class Look:
             number, which = divmod(number, len(choices))
             out.append(choices[which])
         return tuple(out)  # type: ignore[return-value]
+
+    def digit(self, place: int, choices: int) -> int:
+        """A further number below `choices` that follows from the palette, another one for each `place`."""
+        number: int = int(self.palette) // (3375 * 7**place)
+        return number % choices
 
 
 def head(look: Look, at: Array) -> list[Mesh]:

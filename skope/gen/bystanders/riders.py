@@ -15,11 +15,11 @@ _BIKE_AXLES: Final = (0.53, -0.52)
 _CRANK: Final = (-0.08, 0.0, 0.29)
 _GEAR: Final = 2.4
 """Turns of the wheel for one of the pedals."""
-_MOTOR_WHEEL: Final = 0.31
-_MOTOR_AXLES: Final = (0.70, -0.68)
+MOTOR_WHEEL: Final = 0.31
+MOTOR_AXLES: Final = (0.70, -0.68)
 
 
-def _ring(radius: float, thickness: float, material: str) -> Mesh:
+def tyre_ring(radius: float, thickness: float, material: str) -> Mesh:
     """A tyre about the y axis."""
     angle = np.linspace(0, 2 * np.pi, 25)
     path = radius * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1) * (1 - thickness / radius)
@@ -31,15 +31,15 @@ def _ring(radius: float, thickness: float, material: str) -> Mesh:
     return grid(points, [[material] * 5] * 24)
 
 
-def _spoked(radius: float) -> Mesh:
-    parts = [_ring(radius, 0.022, "tyre"), tube([(0, -0.04, 0), (0, 0.04, 0)], (0.02, 0.02), "rim", 6)]
+def spoked(radius: float) -> Mesh:
+    parts = [tyre_ring(radius, 0.022, "tyre"), tube([(0, -0.04, 0), (0, 0.04, 0)], (0.02, 0.02), "rim", 6)]
     for angle in np.linspace(0, np.pi, 7)[:-1]:
         end = 0.95 * radius * np.array([np.cos(angle), 0, np.sin(angle)])
         parts.append(tube([-end, end], (0.003, 0.003), "rim", 3))
     return merged(parts)
 
 
-def _upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike, lean: float) -> list[Mesh]:
+def upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike, lean: float) -> list[Mesh]:
     """Torso, head and arms from a hip to a shoulder point, hands on both sides of a point."""
     h, g = look.height, look.girth
     skin, _, top, bottom, _ = look.colors()
@@ -97,12 +97,12 @@ def cyclist(look: Look) -> tuple[Mesh, ...]:
     parts += [box((-0.36, -0.025, 0.74), (-0.33, 0.025, 0.79), "taillight")]
     hip = np.array([-0.20, 0.0, 0.98])
     shoulder = hip + np.array([0.30, 0, 0.40]) * look.height / 1.72
-    parts += _upper_body(look, hip, shoulder, bar + [-0.05, 0.25, 0.02], 1.0)
+    parts += upper_body(look, hip, shoulder, bar + [-0.05, 0.25, 0.02], 1.0)
     # The knee of a rigid leg is where it is with the pedal level.
     foot = crank + [0.02, 0.0, -0.02]
     knee = hip + np.array([0.36, 0.0, -0.20])
     leg = _bent_leg(look, hip, knee, foot)
-    wheel = _spoked(_BIKE_WHEEL)
+    wheel = spoked(_BIKE_WHEEL)
     return merged(parts), wheel, wheel, leg, leg
 
 
@@ -121,10 +121,14 @@ def pedalled(look: Look, travelled: float) -> Array:
     )
 
 
-def motorcyclist(look: Look) -> tuple[Mesh, ...]:
-    """Motorcycle and rider; front wheel, rear wheel."""
-    front, rear = _MOTOR_AXLES
-    paint = "#" + ("aa1111", "113388", "111111", "dddddd", "336633", "cc6600")[int(look.palette) % 6]
+def motor_paint(look: Look) -> str:
+    """The paint of a motorcycle, and of its rider's helmet."""
+    return "#" + ("aa1111", "113388", "111111", "dddddd", "336633", "cc6600")[int(look.palette) % 6]
+
+
+def roadster(paint: str) -> list[Mesh]:
+    """A motorcycle without fairing, without its wheels."""
+    front, rear = MOTOR_AXLES
     parts = [
         trunk([((0.05, 0, 0.30), 0.22, 0.13), ((0.05, 0, 0.45), 0.30, 0.16), ((0.02, 0, 0.62), 0.25, 0.13)], "trim"),
         trunk([((0.16, 0, 0.66), 0.26, 0.10), ((0.16, 0, 0.78), 0.28, 0.15), ((0.14, 0, 0.88), 0.20, 0.11)], paint),
@@ -138,27 +142,45 @@ def motorcyclist(look: Look) -> tuple[Mesh, ...]:
         tube([(-0.05, -0.17, 0.30), (-0.45, -0.19, 0.32), (-0.80, -0.20, 0.42)], (0.035, 0.045, 0.05), "chrome", 7),
     ]
     for side in (-1, 1):
-        parts.append(tube([(0.50, side * 0.09, 0.96), (front, side * 0.09, _MOTOR_WHEEL)], (0.028, 0.025), "chrome", 6))
-        parts.append(tube([(-0.05, side * 0.1, 0.42), (rear, side * 0.1, _MOTOR_WHEEL)], (0.03, 0.025), "trim", 5))
+        parts.append(tube([(0.50, side * 0.09, 0.96), (front, side * 0.09, MOTOR_WHEEL)], (0.028, 0.025), "chrome", 6))
+        parts.append(tube([(-0.05, side * 0.1, 0.42), (rear, side * 0.1, MOTOR_WHEEL)], (0.03, 0.025), "trim", 5))
         parts.append(tube([(0.46, side * 0.36, 1.02), (0.44, side * 0.40, 1.14)], (0.008,) * 2, "trim", 4))
         parts.append(box((0.42, side * 0.40 - 0.06, 1.12), (0.45, side * 0.40 + 0.06, 1.20), "glass_mirror"))
+    return parts
+
+
+def full_helmet(neck: Array, height: float, paint: str) -> list[Mesh]:
+    """A motorcyclist's helmet with its visor, over the head on a neck (3,) of a body of a height."""
+    return [
+        ball(neck + np.array([0.02, 0, 0.12]) * height, (0.145, 0.125, 0.15), paint),
+        ball(neck + np.array([0.045, 0, 0.125]) * height, (0.115, 0.105, 0.07), "glass_tinted"),
+    ]
+
+
+def motor_wheel(radius: float) -> Mesh:
+    """A motorcycle's wheel."""
+    return merged([tyre_ring(radius, 0.06, "tyre"), lathe([(-0.04, 0.2), (0.04, 0.2)], ["rim"], 12, "y")])
+
+
+def motorcyclist(look: Look) -> tuple[Mesh, ...]:
+    """Motorcycle and rider; front wheel, rear wheel."""
+    paint = motor_paint(look)
+    parts = roadster(paint)
     hip = np.array([-0.22, 0.0, 0.90])
     shoulder = hip + np.array([0.22, 0, 0.45]) * look.height / 1.72
-    parts += _upper_body(look, hip, shoulder, (0.47, 0.34, 1.04), 0.6)
-    neck = shoulder + [0.05, 0, 0.01]
-    parts.append(ball(neck + np.array([0.02, 0, 0.12]) * look.height, (0.145, 0.125, 0.15), paint))
-    parts.append(ball(neck + np.array([0.045, 0, 0.125]) * look.height, (0.115, 0.105, 0.07), "glass_tinted"))
+    parts += upper_body(look, hip, shoulder, (0.47, 0.34, 1.04), 0.6)
+    parts += full_helmet(shoulder + [0.05, 0, 0.01], look.height, paint)
     for side in (-1, 1):
         joint = hip + [0.0, side * 0.1, 0.0]
         leg = _bent_leg(look, joint, joint + [0.42, side * 0.06, -0.12], joint + [0.16, side * 0.07, -0.52])
         parts.append(leg.moved(joint))
-    wheel = merged([_ring(_MOTOR_WHEEL, 0.06, "tyre"), lathe([(-0.04, 0.2), (0.04, 0.2)], ["rim"], 12, "y")])
+    wheel = motor_wheel(MOTOR_WHEEL)
     return merged(parts), wheel, wheel, NOTHING, NOTHING
 
 
 def rolled(look: Look, travelled: float) -> Array:
     """Poses of a motorcycle's wheels."""
-    front, rear = _MOTOR_AXLES
-    turn = travelled / _MOTOR_WHEEL
-    at = [turned(-turn, (x, 0.0, _MOTOR_WHEEL)) for x in (front, rear)]
+    front, rear = MOTOR_AXLES
+    turn = travelled / MOTOR_WHEEL
+    at = [turned(-turn, (x, 0.0, MOTOR_WHEEL)) for x in (front, rear)]
     return np.stack([*at, np.eye(4), np.eye(4)])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.mesh import Mesh, grid
+from skope.gen.mesh import Mesh, flat, grid
 
 Section = tuple[tuple[float, float, float], float, float]
 """Centre, and half the depth (x) and width (y) of an ellipse, metres."""
@@ -49,6 +49,16 @@ def ball(center: ArrayLike, radii: tuple[float, float, float], material: str, *,
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     rings = [np.column_stack([around * np.cos(step), np.full(len(angle), np.sin(step))]) for step in steps]
     return grid(np.asarray(center) + np.array(rings) * radii, [[material] * 10] * (len(steps) - 1))
+
+
+def lens(center: ArrayLike, radius: float, material: str) -> Mesh:
+    """The glass of a lamp: a disc that faces forward where it lies before the origin, else backward.
+
+    Which way a lamp shines is worked out from its surface, and a closed one faces nowhere.
+    """
+    x, y, z = np.asarray(center, dtype=np.float64)
+    angle = np.linspace(0, 2 * np.pi, 9)[:-1] * (1 if x > 0 else -1)
+    return flat([np.stack([0 * angle + x, y + radius * np.cos(angle), z + radius * np.sin(angle)], axis=-1)], material)
 
 
 NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), ("trim",), np.zeros(0, np.int64))

@@ -60,12 +60,15 @@ def convert(
 def merge(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Datasets, and last the new folder.")],
     console: Console,
+    vehicles_alone: Annotated[
+        bool, option("--vehicles-alone", help="Leave out labels of people on foot and on two wheels.")
+    ] = False,
 ) -> None:
     """Join datasets: ids numbered anew, sites kept apart, splits as they are, licences united."""
     from skope.gen.formats.merge import merge as join
 
     *sources, out = paths
-    join(sources, out, console)
+    join(sources, out, console, vehicles_alone=vehicles_alone)
     console.result(f"wrote {out}; next: {_check(out)}")
 
 

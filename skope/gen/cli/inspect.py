@@ -205,6 +205,9 @@ def video(
         ),
     ] = None,
     time_of_day: Annotated[str | None, camera(choices=HOURS, help="Time of day.", show_default="the site's")] = None,
+    road_users: Annotated[
+        bool, traffic("--road-users", help="Label people on foot and on two wheels too, and draw more of them.")
+    ] = False,
     overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
     out: Annotated[Path, output(metavar=DIR, help="Folder for the video and its annotation file.")] = VIDEOS,
     renderer: RendererOption = "auto",
@@ -232,6 +235,7 @@ def video(
         sites=None if own else (site,),
         size=None if own else size,
         fov_deg=None if own else fov,
+        road_users=road_users,
     )
     plan = plan_of(request.plans()[0], fps, seconds, f"{own.path}: camera.size" if own else "--size")
     here = replace(
@@ -252,6 +256,7 @@ def video(
         "seed": seed,
         "renderer": driver,
         "versions": versions(),
+        **({"road_users": True} if road_users else {}),
     }
     made = write_footage(replace(plan, site=here), chosen, out, options=options, with_overlay=overlay, console=console)
     for path in (made.video, made.labels, made.overlay):

@@ -111,6 +111,10 @@ class DatasetOptions:
             help="others: ignore what something else hides; paper: remove what is half hidden.",
         ),
     ] = "others"
+    road_users: Annotated[
+        bool | None,
+        labels(help="Label people on foot and on two wheels too, and draw more of them.", show_default="the preset's"),
+    ] = None
     min_visible: Annotated[float, labels(help="Ignore vehicles of which a smaller share is seen.")] = 0.15
     min_box: Annotated[float, labels(help="Ignore boxes whose shorter edge is under this, pixels.")] = 12.0
     image_format: Annotated[str, output(choices=("jpeg", "png", "webp"), help="Format of the images.")] = "jpeg"
@@ -168,6 +172,7 @@ class DatasetOptions:
             shape_jitter=self.shape_jitter,
             views=self.views,
             town_jitter=self.town_jitter,
+            road_users=self.road_users,
             format=self.format,
             licence=named(self.licence),
             own=own,

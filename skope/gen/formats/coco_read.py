@@ -8,8 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from skope import schema
 from skope.errors import UserError
 from skope.gen.formats.coco_images import ImageImporter
+from skope.gen.formats.coco_road_users import others_of, road_user_of
 from skope.gen.formats.coco_sources import AnnotationSource, annotation_sources, open_source
 from skope.gen.formats.coco_vehicles import Label, labels_of, vehicle_of
 from skope.gen.formats.dataset_builder import finish_dataset, labelled_frame
@@ -57,20 +59,28 @@ def read(
         with open_source(source) as files:
             for file in annotation_sources(source, files, form, split, console):
                 stated[file.licence] = None
-                labels = labels_of(file, console)
+                labels, others = labels_of(file, console), others_of(file, console)
                 scheme = next(iter(labels.values())).scheme
-                writer = writer or FolderWriter(root, scheme)
+                categories = schema.checked_categories([*schema.VEHICLE_ALONE, *others.values()])
+                writer = writer or FolderWriter(root, scheme, categories)
+                if categories != writer.categories:
+                    raise UserError(
+                        f"{file.path}: categories: labels {', '.join(categories)}, the others "
+                        f"{', '.join(writer.categories)}: read them apart; whom one does not label would be background"
+                    )
                 if scheme is not writer.scheme:
                     raise UserError(
                         f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name} "
                         f"(editions {scheme.edition} and {writer.scheme.edition})"
                     )
-                _add(file, files, labels, importer, writer, console)
+                _add(file, files, labels, others, importer, writer, console)
     remarks.say(console)
     if len(stated) > 1:
         raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): read them apart")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
     assert writer is not None  # a source without an annotation file was refused
+    if writer.categories != schema.VEHICLE_ALONE:
+        rules.append(f"Without keypoints: {', '.join(writer.categories[1:])}.")
     finish_dataset(writer, command=command, licence=next(iter(stated)), label_rules=rules)
 
 
@@ -78,11 +88,12 @@ def _add(
     file: AnnotationSource,
     files: Files,
     labels: Mapping[int, Label],
+    others: Mapping[int, str],
     importer: ImageImporter,
     writer: FolderWriter,
     console: Console,
 ) -> None:
-    """Write the images and vehicles of an annotation file, which lies among `files`."""
+    """Write the images, vehicles and other road users of an annotation file, which lies among `files`."""
     own: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
     for i, row in enumerate(file.document["annotations"]):
         if row["image_id"] not in own:
@@ -90,9 +101,13 @@ def _add(
         own[row["image_id"]].append((i, row))
     called = {category["id"]: str(category.get("name")) for category in file.document["categories"]}
     for id_, image in importer.images(file, files, console):
-        vehicles = []
+        vehicles, road_users = [], []
         for i, row in own[id_]:
             where, label = f"{file.path}: annotations[{i}]", labels.get(row["category_id"])
+            if category := others.get(row["category_id"]):
+                user = road_user_of(where, row, category, image, importer.remarks, ours=file.ours)
+                road_users += [user] if user is not None else []
+                continue
             if label is None:
                 name = called.get(row["category_id"], "no category")
                 importer.remarks.add("annotation", f"of {name} left out, without a keypoint of ours", where)
@@ -100,4 +115,5 @@ def _add(
             vehicle = vehicle_of(where, row, label, image, importer.remarks, ours=file.ours)
             if vehicle is not None:
                 vehicles.append(vehicle)
-        writer.add(file.split, [labelled_frame(file.split, image.record, vehicles, image.contents)])
+        frame = labelled_frame(file.split, image.record, vehicles, image.contents, road_users=road_users)
+        writer.add(file.split, [frame])

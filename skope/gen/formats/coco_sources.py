@@ -20,6 +20,7 @@ from skope.gen.formats.coco_write import CVAT_START
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME
 from skope.gen.formats.source_files import Files, files_at, first
 from skope.gen.output import licences
+from skope.schema import Result
 from skope.terminal.console import Console
 
 _FOLDER: Final = "annotations"
@@ -170,24 +171,22 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
 def _predictions(folder: Path, split: str | None) -> AnnotationSource:
     """What `skope eval predict` wrote as a COCO document; keypoints are visible from a probability of 0.5 on."""
     frames = coco.read(folder / FRAMES)
-    rows = []
-    for number, result in enumerate(coco.read_results(folder / PREDICTIONS), start=1):
-        points = result.keypoints.copy()
-        points[:, 2] = np.where(points[:, 2] >= _SURE, 2, 1)
-        rows.append(
-            {
-                "id": number,
-                "image_id": result.image_id,
-                "category_id": schema.CATEGORY_ID,
-                "bbox": result.bbox.tolist(),
-                "keypoints": points.ravel().tolist(),
-            }
-        )
+    rows, categories = [], dict.fromkeys(frames.categories)
+    for number, result in enumerate(coco.iter_all_results(folder / PREDICTIONS), start=1):
+        row = {"id": number, "image_id": result.image_id, "bbox": result.bbox.tolist()}
+        if isinstance(result, Result):
+            points = result.keypoints.copy()
+            points[:, 2] = np.where(points[:, 2] >= _SURE, 2, 1)
+            row |= {"category_id": schema.CATEGORY_ID, "keypoints": points.ravel().tolist()}
+        else:
+            row["category_id"] = result.category_id
+            categories[result.category] = None
+        rows.append(row)
     document = {
         "info": frames.scheme.fields(),
         "images": [coco.image_to_dict(image) for image in frames.images],
         "annotations": rows,
-        "categories": [schema.category(frames.scheme)],
+        "categories": schema.category_rows(schema.checked_categories(categories), frames.scheme),
     }
     return AnnotationSource(
         path=str(folder / PREDICTIONS),

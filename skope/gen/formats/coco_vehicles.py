@@ -3,11 +3,11 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from skope import keypoints, schema
+from skope import field_checks, keypoints, schema
 from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
 from skope.dataset import coco
 from skope.errors import UserError
@@ -16,12 +16,17 @@ from skope.gen.formats.coco_sources import AnnotationSource
 from skope.gen.formats.coco_write import UNSAID
 from skope.gen.formats.remarks import Remarks
 from skope.keypoints import SKOPE33, K, Scheme
-from skope.schema import Annotation
+from skope.schema import Annotation, Labelled
 from skope.terminal.console import Console
 from skope.types import Array
 
 _LEAST_PX: Final = 0.005
 """A box that is less wide or high than this has no area in a file, where pixels are rounded to 0.01."""
+
+
+PLAIN: Final = ("image_id", "iscrowd", "area")
+"""Fields that mean the same in files of other programs."""
+L = TypeVar("L", bound=Labelled)
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ def labels_of(file: AnnotationSource, console: Console) -> dict[int, Label]:
     lost: list[str] = []
     for category in file.document["categories"]:
         stated = category.get("keypoints")
-        names = [_bare(name) for name in stated] if isinstance(stated, list) else []
+        names = [bare(name) for name in stated] if isinstance(stated, list) else []
         names_seen += names
         for scheme in keypoints.SCHEMES.values():
             known = [i for i, name in enumerate(names) if name in scheme.names]
@@ -63,7 +68,7 @@ def labels_of(file: AnnotationSource, console: Console) -> dict[int, Label]:
                 console.say(f"{file.path}: left out keypoints that are not of {scheme.name}: {', '.join(unknown)}")
             if len(known) < K:
                 console.say(f"{file.path}: {len(known)} of the {K} keypoints of {scheme.name}; the rest is unlabelled")
-            called = _bare(category.get("name"))
+            called = bare(category.get("name"))
             vehicle_type = called if called in schema.VEHICLE_TYPES else None
             if vehicle_type is None:
                 lost.append(str(category.get("name")))
@@ -91,7 +96,7 @@ def _marked(scheme: Scheme, file: AnnotationSource) -> Scheme:
         raise UserError(f"{file.path}: info.{error}") from None
 
 
-def _bare(name: object) -> str:
+def bare(name: object) -> str:
     return re.sub(r"[\s-]+", "_", str(name).strip().lower())
 
 
@@ -113,34 +118,41 @@ def vehicle_of(
     """
     size = image.record.width, image.record.height
     with telling(where):
-        theirs = schema.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
+        theirs = field_checks.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
         points = np.zeros((K, 3))
         points[list(label.places)] = theirs[list(label.columns)]
         if image.turned is not None:
             points[:, :2] = image.turned.shown_points(points[:, :2])
         inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
         points[~inside | (points[:, 2] <= 0)] = 0
-        box = _box(row.get("bbox"), points, image)
-        fields = {name: row[name] for name in ("image_id", "iscrowd", "area") if row.get(name) is not None}
-        told = _attributes(row.get("attributes"))
+        box = box_of(row.get("bbox"), points, image)
+        fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
+        told = attributes_of(row)
         if told.get("ignore_reason"):
             told["iscrowd"] = 1
         if label.vehicle_type is not None:
             told.setdefault("vehicle_type", label.vehicle_type)
         fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
         fields |= {"category_id": schema.CATEGORY_ID, "id": 0}  # ids are given anew
-        vehicle = coco.annotation_from_dict(fields)
-    corners = xywh_to_xyxy(vehicle.bbox)
-    cut = clip(corners, *size)
-    if min(cut[2] - cut[0], cut[3] - cut[1]) < _LEAST_PX:
+        vehicle = cut_to(image, coco.annotation_from_dict(fields))
+    if vehicle is None:
         remarks.add("vehicle", "left out, without area inside the image", where)
         return None
-    if (cut != corners).any():
-        vehicle = replace(vehicle, bbox=xyxy_to_xywh(cut), area=min(vehicle.area, float(area(cut))))
     return _without_impossible(where, vehicle, remarks)
 
 
-def _box(stated: Any, points: Array, image: ImportedImage) -> Any:
+def cut_to(image: ImportedImage, label: L) -> L | None:
+    """A label with its box cut to the image; None where nothing is left of it."""
+    corners = xywh_to_xyxy(label.bbox)
+    cut = clip(corners, image.record.width, image.record.height)
+    if min(cut[2] - cut[0], cut[3] - cut[1]) < _LEAST_PX:
+        return None
+    if (cut != corners).any():
+        return replace(label, bbox=xyxy_to_xywh(cut), area=min(label.area, float(area(cut))))
+    return label
+
+
+def box_of(stated: Any, points: Array, image: ImportedImage) -> Any:
     """The box that a record states, in the picture as shown; without one the extent of its labelled keypoints."""
     if not stated or not any(stated):
         known = points[points[:, 2] > 0, :2]
@@ -149,7 +161,7 @@ def _box(stated: Any, points: Array, image: ImportedImage) -> Any:
         return xyxy_to_xywh(np.concatenate([known.min(axis=0), known.max(axis=0)]))
     if image.turned is None:
         return stated
-    corners = image.turned.shown_points(xywh_to_xyxy(schema.array("bbox", stated, 4)).reshape(2, 2))
+    corners = image.turned.shown_points(xywh_to_xyxy(field_checks.array("bbox", stated, 4)).reshape(2, 2))
     return xyxy_to_xywh(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
 
 
@@ -171,9 +183,10 @@ def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> An
     return vehicle
 
 
-def _attributes(values: object) -> dict[str, Any]:
-    """What CVAT's attributes say; what is empty, or not in our lists, is not taken."""
+def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What CVAT's attributes of a record say; what is empty, or not in our lists, is not taken."""
     out: dict[str, Any] = {}
+    values = row.get("attributes")
     if not isinstance(values, dict):
         return out
     given: dict[str, Any] = values

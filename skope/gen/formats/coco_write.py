@@ -17,7 +17,6 @@ from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
 from skope.keypoints import K, Scheme
-from skope.schema import Annotation
 from skope.terminal.console import Console
 
 CVAT_START: Final = "person_keypoints_"
@@ -40,12 +39,13 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
                     place_file(dataset.root / row[key], out / name)
                     row[key] = name
             rows.append(row)
-        annotations = [coco.annotation_to_dict(a) for a in file.annotations]
-        coco.write_rows(out / "annotations" / f"{split}.json", {"split": split}, rows, annotations, file.scheme)
+        path = out / "annotations" / f"{split}.json"
+        coco.write_rows(path, {"split": split}, rows, coco.label_rows(file), file.scheme, file.categories)
 
 
 def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
     """Write the files of a CVAT archive to `out`, without masks, which CVAT would show as separate shapes."""
+    categories = dict[str, None]()
     for split in console.bar(dataset.splits, unit="split", label="writing cvat"):
         file = dataset.read(split)
         rows = []
@@ -55,23 +55,28 @@ def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
             row = coco.image_to_dict(image)
             row.pop("depth_file_name", None)
             rows.append({**row, "file_name": name})
-        annotations = [_cvat_row(annotation) for annotation in file.annotations]
+        annotations = [_cvat_row(row) for row in coco.label_rows(file)]
         path = out / "annotations" / f"{CVAT_START}{split}.json"
-        coco.write_rows(path, {"split": split}, rows, annotations, file.scheme)
-    write_text(out / "labels.json", json.dumps(cvat_labels(dataset.scheme), indent=1) + "\n")
+        coco.write_rows(path, {"split": split}, rows, annotations, file.scheme, file.categories)
+        categories |= dict.fromkeys(file.categories)
+    write_text(out / "labels.json", json.dumps(cvat_labels(dataset.scheme, [*categories]), indent=1) + "\n")
 
 
-def _cvat_row(annotation: Annotation) -> dict[str, Any]:
-    row = coco.annotation_to_dict(annotation)
+def _cvat_row(row: dict[str, Any]) -> dict[str, Any]:
     attributes = {name: row.pop(name) for name in _ATTRIBUTES if name in row}
-    box = annotation.bbox
+    box = row["bbox"]
     kept = {name: row[name] for name in ("id", "image_id", "category_id", "bbox", "keypoints", "num_keypoints")}
+    if row["category_id"] != schema.CATEGORY_ID:
+        kept["keypoints"] = []  # a rectangle, as the label that it gets has no points
     # Its crowds are masks without points: an ignored vehicle is an ordinary one with a reason.
     return {**kept, "area": float(box[2] * box[3]), "iscrowd": 0, "segmentation": [], "attributes": attributes}
 
 
-def cvat_labels(scheme: Scheme) -> list[dict[str, Any]]:
-    """What CVAT's "raw" editor of labels takes for a task: the skeleton, drawn in a square of 100, and attributes."""
+def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE) -> list[dict[str, Any]]:
+    """What CVAT's "raw" editor of labels takes for a task.
+
+    The vehicle's skeleton, drawn in a square of 100, with its attributes, and a rectangle for each other category.
+    """
     side = 6
     places = [(10 + 16 * (i % side), 10 + 16 * (i // side)) for i in range(K)]
     lines = [
@@ -100,5 +105,14 @@ def cvat_labels(scheme: Scheme) -> list[dict[str, Any]]:
             ],
             "svg": "".join([*lines, *nodes]),
             "sublabels": [{"name": name, "type": "points", "attributes": []} for name in scheme.names],
-        }
+        },
+        *(
+            {
+                "name": name,
+                "type": "rectangle",
+                "attributes": [attribute("ignore_reason", "select", [UNSAID, *schema.IGNORE_REASONS])],
+            }
+            for name in categories
+            if name != "vehicle"
+        ),
     ]

@@ -14,12 +14,11 @@ from skope.dataset import coco, shards
 from skope.dataset.folder import CARD, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.files.json_files import json_bytes, write_json
+from skope.files.json_files import write_json
 from skope.files.reading import read_bytes, sha256_of
 from skope.gen.output import card_text, licences
-from skope.gen.output.card_counts import kind_of
-from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, checksum
-from skope.schema import Annotation, Image
+from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, categories_field, checksum, label_fields
+from skope.schema import Annotation, Image, RoadUser
 from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
@@ -35,6 +34,7 @@ def labelled_frame(
     vehicles: Iterable[Annotation],
     files: Mapping[str, Path | bytes],
     sums: Mapping[str, str] | None = None,
+    road_users: Iterable[RoadUser] = (),
 ) -> FrameFiles:
     """A frame of a dataset folder under construction, whose ids its writer gives.
 
@@ -44,6 +44,7 @@ def labelled_frame(
         vehicles: Its annotations.
         files: Content of its files by these names.
         sums: Their SHA-256 as far as it is known; that of others is computed.
+        road_users: Its labels of people on foot and on two wheels.
     """
     known = schema.CATEGORY_ID
     own = [each if each.category_id == known else replace(each, category_id=known) for each in vehicles]
@@ -53,8 +54,7 @@ def labelled_frame(
     labels = Labels(
         name=str(PurePosixPath(*PurePosixPath(image.file_name).parts[1:]).with_suffix("")),
         image=coco.image_to_dict(replace(image, split=split)),
-        rows=[json_bytes(coco.annotation_to_dict(vehicle)) for vehicle in own],
-        kinds=[kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own],
+        **label_fields(own, road_users),
         sha256={name: told.get(name) or _sum_of(content) for name, content in contents.items()},
         tally={"ignored": dict(ignored)},
     )
@@ -91,6 +91,7 @@ def finish_dataset(
     card = {
         "version": schema.VERSION,
         **writer.scheme.fields(),
+        **categories_field(writer.categories),
         "format": "folder",
         "command": command,
         "counts": counts.to_dict(),

@@ -23,7 +23,7 @@ def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD)
     if form == dataset.card.get("format"):
         raise UserError(f"{dataset.root}: is in this format already ({form})")
-    writer = writer_of(form, out, dataset.scheme)
+    writer = writer_of(form, out, dataset.scheme, dataset.categories)
     for name in sorted(p.name for p in (dataset.root / "recordings").glob("*.npz")):
         write_bytes(out / "recordings" / name, read_bytes(dataset.root / "recordings" / name))
         writer.add_file(Path("recordings") / name)

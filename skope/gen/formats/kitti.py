@@ -25,7 +25,7 @@ from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.gen.output.writers import place_file
-from skope.schema import Annotation, Box3D, Image
+from skope.schema import Annotation, Box3D, RoadUser
 from skope.terminal.console import Console
 from skope.types import Array
 
@@ -34,6 +34,8 @@ TYPES: Final = {
     "van": "Van", "minivan": "Van", "other": "Misc",
 }  # fmt: skip
 """Names of vehicle types in KITTI's files; every other type is a Car."""
+RIDDEN: Final = {"bicycle": "Cyclist", "motorcycle": "Motorcyclist", "pedestrian": "Pedestrian"}
+"""Names of the other categories; `Motorcyclist`, which KITTI itself lacks, is that of Rope3D and DAIR-V2X."""
 OCCLUSIONS: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""
 DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
@@ -48,7 +50,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     distorted = 0
     for split in dataset.splits:
         file = dataset.read(split)
-        own = file.by_image()
+        own = file.labels_by_image()
         folder, index = out / split, []
         for number, image in enumerate(console.bar(file.images, unit="image", label=f"writing {split}")):
             where = f"{dataset.root}: {split}: image {image.id}"
@@ -57,7 +59,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             distorted += image.camera.distortion.model != "none"
             suffix = PurePosixPath(image.file_name).suffix
             place_file(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
-            labels, rotations = _labels(where, own[image.id], image, image.camera)
+            labels, rotations = _labels(where, own[image.id], image.camera)
             texts = {
                 "label_2": "".join(labels),
                 "rotation": "".join(rotations),
@@ -87,10 +89,10 @@ def levelling(plane: Array) -> Array:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
-def _labels(where: str, vehicles: Sequence[Annotation], image: Image, camera: Camera) -> tuple[list[str], list[str]]:
-    """A row of labels and one of rotations for each vehicle; an ignored one is a region not to care about."""
+def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) -> tuple[list[str], list[str]]:
+    """A row of labels and one of rotations for each road user; an ignored one is a region not to care about."""
     labels, rotations = [], []
-    for vehicle in vehicles:
+    for vehicle in own:
         box_2d = " ".join(f"{v:.2f}" for v in boxes.xywh_to_xyxy(vehicle.bbox))
         if vehicle.ignored:
             labels.append(DONT_CARE.format(box_2d) + "\n")
@@ -102,7 +104,10 @@ def _labels(where: str, vehicles: Sequence[Annotation], image: Image, camera: Ca
         length, width, height = vehicle.box_3d.size_lwh
         alpha = _wrapped(turn - float(np.arctan2(bottom[0], bottom[2])))
         occluded = int(np.searchsorted(OCCLUSIONS, vehicle.occlusion or 0.0, side="right"))
-        kind = TYPES.get(vehicle.vehicle_type or "", "Car")
+        if isinstance(vehicle, Annotation):
+            kind = TYPES.get(vehicle.vehicle_type or "", "Car")
+        else:
+            kind = RIDDEN[vehicle.category]
         numbers = (height, width, length, *bottom, turn)
         labels.append(
             f"{kind} {vehicle.truncation or 0.0:.2f} {occluded} {alpha:.4f} {box_2d} "

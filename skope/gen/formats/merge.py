@@ -15,11 +15,11 @@ from skope.files.atomic import replacing_folder
 from skope.gen.formats.dataset_builder import bare_name, check_outside, dataset_at, finish_dataset, labelled_frame
 from skope.gen.output.licences import united
 from skope.gen.output.writers import FolderWriter, FrameFiles
-from skope.schema import AnnotationFile, Image
+from skope.schema import VEHICLE_ALONE, AnnotationFile, Image
 from skope.terminal.console import Console
 
 
-def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
+def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alone: bool = False) -> None:
     """Write a dataset with the images of several datasets.
 
     Images and depth are hard links where the file system allows them. Splits keep their names. A site that several
@@ -30,10 +30,11 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
         sources: Two or more dataset folders.
         out: A folder that is empty or missing. It is written whole or not at all.
         console: Where progress is shown.
+        vehicles_alone: Whether labels of people on foot and on two wheels are left out.
 
     Raises:
-        UserError: The datasets have different keypoint schemes, licences that exclude each other, or a site or image
-            in different splits.
+        UserError: The datasets have different keypoint schemes, or, without `vehicles_alone`, different categories;
+            licences that exclude each other, or a site or image in different splits.
     """
     if len(sources) < 2:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
@@ -47,15 +48,24 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
             raise UserError(
                 f"{other.root}: has keypoint scheme {other.scheme.title}, {first.root} has {first.scheme.title}"
             )
+    categories = VEHICLE_ALONE if vehicles_alone else first.categories
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
-        writer = FolderWriter(folder, first.scheme)
-        names, begun, taken = _Sites(), dict[str, tuple[Path, str]](), set[str]()
+        writer = FolderWriter(folder, first.scheme, categories)
+        for dataset in datasets:
+            if not vehicles_alone:
+                _check_categories(dataset.root, dataset.categories, first.root, categories)
+        names, begun, taken, left_out = _Sites(), dict[str, tuple[Path, str]](), set[str](), 0
         for dataset in datasets:
             twice = Counter[Path]()
             sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
             for split in dataset.splits:
                 file = dataset.read(split)
+                if vehicles_alone:
+                    left_out += len(file.road_users)
+                    file = replace(file, road_users=())
+                else:
+                    _check_categories(dataset.root / split, file.categories, first.root, categories)
                 names.check(dataset, split, file)
                 twice.update(_twice(dataset, split, file, begun))
                 images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
@@ -65,10 +75,17 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                 console.say(
                     f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
                 )
+        if left_out:
+            console.say(f"{left_out} labels of people on foot and on two wheels are left out")
         finish_dataset(
             writer,
             # Names without folders: the card is published, and must not show how the user's disk is laid out.
-            command=shlex.join(["skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)]),
+            command=shlex.join(
+                [
+                    *("skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)),
+                    *(["--vehicles-alone"] if vehicles_alone else []),
+                ]
+            ),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
             sources=[
@@ -81,6 +98,16 @@ def merge(sources: Sequence[Path], out: Path, console: Console) -> None:
                 for d in datasets
             ],
             **_fleet(datasets),
+        )
+
+
+def _check_categories(where: Path, has: Sequence[str], whose: Path, wanted: Sequence[str]) -> None:
+    """Raise a UserError where a dataset labels other categories than the first one (`whose`): people that one of them
+    draws and does not label would count as background."""
+    if tuple(has) != tuple(wanted):
+        raise UserError(
+            f"{where}: labels {', '.join(has)}, {whose} {', '.join(wanted)}: whom one of them does not label would "
+            "count as background; --vehicles-alone leaves those labels out"
         )
 
 
@@ -164,12 +191,12 @@ def _frames(
     taken: set[str],
 ) -> Iterator[FrameFiles]:
     """Images of a split under free names, which become `taken`; `sums` are checksums by present names."""
-    own = file.by_image()
+    own, others = file.by_image(), file.road_users_by_image()
     for image in images:
         new, files = _rename(image, names, dataset, taken)
         known = {name: sums[path] for name, path in files.items() if path in sums}
         contents = {name: dataset.root / path for name, path in files.items()}
-        yield labelled_frame(split, new, own[image.id], contents, known)
+        yield labelled_frame(split, new, own[image.id], contents, known, others[image.id])
 
 
 def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> tuple[Image, dict[str, str]]:

@@ -32,7 +32,7 @@ from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle
 from skope.gen.output.writers import FolderWriter
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.pictures.video import write_video
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, AnnotationFile, Image
 from skope.terminal.console import Console
 from skope.types import Array
 
@@ -220,9 +220,12 @@ def read_map(path: Path) -> dict[int, int]:
 def write(dataset: Dataset, out: Path, console: Console) -> None:
     """Write each recording of a dataset as an archive to `out`, and `SCENES` and `MAP` beside the archives.
 
-    Masks, depth, world coordinates and ignored vehicles are left out: the layout has no place for them.
+    Masks, depth, world coordinates, ignored vehicles and people on foot and on two wheels are left out: the layout has
+    no place for them.
     """
-    groups = [(split, own) for split in dataset.splits for own in _groups(dataset, split)]
+    files = {split: dataset.read(split) for split in dataset.splits}
+    groups = [(split, own) for split, file in files.items() for own in _groups(file)]
+    others = sum(len(file.road_users) for file in files.values())
     places, ignored = [], 0
     for number, (split, (images, vehicles)) in enumerate(
         console.bar(groups, unit="scene", label="writing scenes"), start=1
@@ -238,12 +241,13 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     write_text(out / SCENES, text.getvalue())
     if ignored:
         console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
+    if others:
+        console.say(f"{others} people on foot and on two wheels are left out: this format has vehicles alone")
     if dataset.scheme.name == SKOPE33.name:
         write_json(out / MAP, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 
 
-def _groups(dataset: Dataset, split: str) -> list[tuple[list[Image], dict[int, list[Annotation]]]]:
-    file = dataset.read(split)
+def _groups(file: AnnotationFile) -> list[tuple[list[Image], dict[int, list[Annotation]]]]:
     return [(images, file.by_image()) for images in recordings(file)]
 
 

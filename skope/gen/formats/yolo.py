@@ -1,12 +1,13 @@
 """Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, a text file an image.
 
 A row is `0 x y w h` and x, y, v of each keypoint, lengths as shares of the image's width and height; an image without
-a vehicle has an empty file. What is ignored has no place here: an ignored vehicle is background to this format's
-trainers.
+a vehicle has an empty file. Of a dataset that labels people on foot and on two wheels these are classes 1 to 3, with
+v = 0 in all keypoints, since each row of this format has the same length. What is ignored has no place here: it is
+background to this format's trainers.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -19,7 +20,7 @@ from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.output.writers import place_file
 from skope.keypoints import K, Scheme
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console, counted
 
 VALIDATED: Final = 0.1
@@ -35,7 +36,7 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
     parts = _parts(dataset, console)
     kept, ignored = 0, Counter[str]()
     for name, file in parts.items():
-        own = file.by_image()
+        own = file.labels_by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
             if path.suffix.lower() not in SUFFIXES:
@@ -47,20 +48,22 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
                 raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
-            rows = [_row(vehicle, image, chosen) for vehicle in own[image.id] if not vehicle.ignored]
+            rows = [_row(label, image, chosen, file.categories) for label in own[image.id] if not label.ignored]
             kept += len(rows)
-            ignored.update(vehicle.ignore_reason or "others" for vehicle in own[image.id] if vehicle.ignored)
+            ignored.update(label.ignore_reason or "others" for label in own[image.id] if label.ignored)
             write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
         console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")
+    several = any(len(file.categories) > 1 for file in parts.values())
     if ignored:
+        ignored_noun = "ignored road user" if several else "ignored vehicle"
         reasons = ", ".join(f"{number} {reason}" for reason, number in ignored.most_common())
         console.say(
-            f"{counted(ignored.total(), 'ignored vehicle')} beside {kept} others: background here ({reasons}), as this "
+            f"{counted(ignored.total(), ignored_noun)} beside {kept} others: background here ({reasons}), as this "
             "format has no place for them"
         )
-    write_text(out / "data.yaml", _yaml(dataset, list(parts), chosen, flip))
+    write_text(out / "data.yaml", _yaml(dataset, parts, chosen, flip))
 
 
 def _findable(name: str) -> PurePosixPath:
@@ -87,6 +90,12 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
     parts = {split: dataset.read(split) for split in dataset.splits}
     if TRAIN not in parts:
         raise UserError(f"{dataset.root}: has no split {TRAIN}, which this format cannot do without")
+    for split, file in parts.items():
+        if file.categories != parts[TRAIN].categories:
+            raise UserError(
+                f"{dataset.root}: {split}: labels {', '.join(file.categories)}, split {TRAIN} labels "
+                f"{', '.join(parts[TRAIN].categories)}: this format has one list of classes"
+            )
     if VAL not in parts:
         whole = parts[TRAIN]
         parts[TRAIN], parts[VAL] = held_back(whole, VALIDATED)
@@ -102,14 +111,16 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
     return parts
 
 
-def _row(vehicle: Annotation, image: Image, chosen: Sequence[int]) -> str:
+def _row(label: Annotation | RoadUser, image: Image, chosen: Sequence[int], categories: Sequence[str]) -> str:
     size = np.array([image.width, image.height], dtype=np.float64)
-    box = vehicle.bbox
+    box = label.bbox
     numbers = [*((box[:2] + box[2:] / 2) / size), *(box[2:] / size)]
     cells = [f"{number:.6f}" for number in numbers]
-    for x, y, v in vehicle.keypoints[list(chosen)]:
+    points = label.keypoints if isinstance(label, Annotation) else np.zeros((K, 3))
+    for x, y, v in points[list(chosen)]:
         cells += [f"{x / size[0]:.6f}", f"{y / size[1]:.6f}", f"{v:.0f}"]
-    return f"0 {' '.join(cells)}\n"
+    number = 0 if isinstance(label, Annotation) else categories.index(label.category)
+    return f"{number} {' '.join(cells)}\n"
 
 
 def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
@@ -120,8 +131,11 @@ def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
     return [chosen.index(i) for i in partners] if set(partners) == set(chosen) else None
 
 
-def _yaml(dataset: Dataset, parts: Sequence[str], chosen: Sequence[int], flip: Sequence[int] | None) -> str:
+def _yaml(
+    dataset: Dataset, parts: Mapping[str, AnnotationFile], chosen: Sequence[int], flip: Sequence[int] | None
+) -> str:
     others = [name for name in parts if name not in (TRAIN, VAL)]
+    categories = parts[TRAIN].categories
     lines = [
         f"# Paths are relative to this file. Licence: {dataset.licence}",
         f"train: images/{TRAIN}",
@@ -131,7 +145,7 @@ def _yaml(dataset: Dataset, parts: Sequence[str], chosen: Sequence[int], flip: S
         *([f"flip_idx: {list(flip)}"] if flip is not None else []),
         f"kpt_oks_sigmas: {[dataset.scheme.sigmas[i] for i in chosen]}",
         "names:",
-        "  0: vehicle",
+        *(f"  {number}: {name}" for number, name in enumerate(categories)),
         "kpt_names:",
         "  0:",
         *(f"    - {dataset.scheme.names[i]}" for i in chosen),

@@ -6,13 +6,12 @@ Files and their bytes, schema, ids, masks, re-projection, visibility, depth and 
 import hashlib
 import itertools
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera.model import Camera
@@ -20,21 +19,24 @@ from skope.dataset import shards
 from skope.dataset.folder import CARD, MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.gen.formats.archive import added_by_system
+from skope.gen.inspect.check_boxes import (
+    DEPTH_LIMIT,
+    box_3d_findings,
+    box_findings,
+    depth_findings,
+    mask_findings,
+    wrapped,
+)
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
 from skope.gen.output.frames import FORMATS
 from skope.gen.output.writers import rows_of
-from skope.schema import Annotation, AnnotationFile, Image, far_outside
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside
 
 Array = NDArray[np.floating[Any]]
 
 REPROJECTION_PX = 0.1
-BOX_PX = 1.0
-"""Boxes are of silhouettes at pixel centres, masks too."""
-DISTANCE_M = 0.05
 OUTSIDE_M = 0.35
 """Mirrors stand out of the box, metres."""
-DEPTH_LIMIT = 250.0
-"""Depth files end soon after this, metres."""
 ACCELERATION = 10.0
 """More than any vehicle brakes or corners with, m/s^2."""
 TURN_LEVER_M = 4.0
@@ -74,7 +76,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     yield from _check_manifest(dataset)
     if not dataset.splits:
         yield Finding(f"{dataset.root}", "no annotation files")
-    counts = Counter[str]()
+    counts, others = Counter[str](), Counter[tuple[str, str]]()
     seen = _Seen(own="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"]))
     for split in dataset.splits:
         name = f"{shards.FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
@@ -84,19 +86,31 @@ def check(dataset: Dataset) -> Iterator[Finding]:
             yield Finding(name, str(error).removeprefix(f"{dataset.root / name}: "))
             continue
         yield from seen.twice(name, split, file)
+        if file.categories != dataset.categories:
+            yield Finding(
+                name, f"categories: are {', '.join(file.categories)}, {CARD} says {', '.join(dataset.categories)}"
+            )
         yield from _check_motion(name, file)
         yield from _check_totals(dataset, name, split)
-        groups = file.by_image()
+        groups = file.labels_by_image()
         for image in file.images:
             for where, text in _check_image(dataset, image, groups[image.id]):
                 yield Finding(f"{name}: {where}", text, image.file_name)
         counts["images"] += len(file.images)
         counts["ground_truth"] += sum(not a.ignored for a in file.annotations)
+        others.update((user.category, "ignored" if user.ignored else "ground_truth") for user in file.road_users)
     yield from _check_takes(dataset, seen.frames)
     for key, count in counts.items():
         said = dataset.card.get("counts", {}).get(key)
         if said is not None and said != count:
             yield Finding(CARD, f"counts.{key}: is {said}, the annotations hold {count}")
+    told = dataset.card.get("counts", {}).get("by_category", {})
+    for name, kind in itertools.product(dataset.categories[1:], ("ground_truth", "ignored")):
+        said = told.get(name, {}).get(kind, 0)
+        if said != others[name, kind]:
+            yield Finding(
+                CARD, f"counts.by_category.{name}.{kind}: is {said}, the annotations hold {others[name, kind]}"
+            )
 
 
 class _Seen:
@@ -129,7 +143,7 @@ class _Seen:
         self._images.update(image.id for image in file.images)
         names = {image.id: image.file_name for image in file.images}
         tracks: set[tuple[int, int]] = set()
-        for annotation in file.annotations:
+        for annotation in (*file.annotations, *file.road_users):
             where, image_name = f"{name}: annotation {annotation.id}", names[annotation.image_id]
             if annotation.id in self._annotations:
                 yield Finding(where, "id: stands in another split too", image_name)
@@ -138,7 +152,7 @@ class _Seen:
                 if track in tracks:
                     yield Finding(where, f"track_id: {track[1]} stands twice in image {track[0]}", image_name)
                 tracks.add(track)
-        self._annotations.update(annotation.id for annotation in file.annotations)
+        self._annotations.update(annotation.id for annotation in (*file.annotations, *file.road_users))
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
@@ -184,7 +198,7 @@ def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
     """What the reader of annotation files works out itself, and others take from the file."""
     for image, annotations in rows_of(dataset, split):
         for row in annotations:
-            labelled = sum(v > 0 for v in row["keypoints"][2::3])
+            labelled = sum(v > 0 for v in row.get("keypoints", ())[2::3])
             if row.get("num_keypoints", labelled) != labelled:
                 where = f"{name}: image {image['id']}, annotation {row['id']}"
                 yield Finding(
@@ -195,8 +209,9 @@ def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
 def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
     """Velocities against how far a track's vehicle has come from image to image."""
     images = {image.id: image for image in file.images}
-    tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation]]] = {}
-    for one in file.annotations:
+    tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation | RoadUser]]] = {}
+    every: list[Annotation | RoadUser] = [*file.annotations, *file.road_users]
+    for one in every:
         image = images[one.image_id]
         if one.velocity is not None and one.box_3d is not None and one.track_id and image.time_s is not None:
             key = (image.site, image.recording, one.track_id)
@@ -209,33 +224,28 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
             (here, lever), (there, _) = _measured_place(a), _measured_place(b)
             came = (there - here) / (end - start)
             wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
-            turn = abs(float(_wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
+            turn = abs(float(wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
             # At most so far apart is the mean of two velocities from the mean velocity between them.
             if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
-                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far the vehicle has come",
+                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far it has come",
                     image.file_name,
                 )
 
 
-def _measured_place(annotation: Annotation) -> tuple[Array, float]:
-    """A place (3,) on a vehicle that moves with its velocity, and how far at most it is from where that is measured.
+def _measured_place(annotation: Annotation | RoadUser) -> tuple[Array, float]:
+    """A place (3,) on a road user that moves with its velocity, and how far at most it is from where that is measured.
 
     The box around both parts of an articulated vehicle grows and shrinks while it bends: its front axle is taken.
     """
     assert annotation.box_3d is not None
-    if annotation.articulation is None or annotation.keypoints_3d is None:
+    if isinstance(annotation, RoadUser) or annotation.articulation is None or annotation.keypoints_3d is None:
         return annotation.box_3d.center, 0.0
     return annotation.keypoints_3d[list(keypoints.WHEELS[:2])].mean(axis=0), TURN_LEVER_M
 
 
-def _wrapped(angle: Any) -> Any:
-    """An angle brought into -pi to pi, radians."""
-    return np.arctan2(np.sin(angle), np.cos(angle))
-
-
-def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) -> Iterator[tuple[str, str]]:
+def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> Iterator[tuple[str, str]]:
     try:
         dataset.image(image)
         depth = dataset.depth(image)
@@ -246,91 +256,52 @@ def _check_image(dataset: Dataset, image: Image, annotations: list[Annotation]) 
         found, size = f"{depth.shape[1]}x{depth.shape[0]}", f"{image.width}x{image.height}"
         yield f"image {image.id}", f"depth_file_name: is {found} instead of {size}"
         depth = None
-    for annotation in annotations:
+    for annotation in labels:
         where = f"image {image.id}, annotation {annotation.id}"
-        yield from ((where, text) for text in _check_annotation(image, annotation))
+        yield from ((where, text) for text in box_findings(image, annotation))
         if "takes" in dataset.card and annotation.ignored and annotation.ignore_reason is None:
-            yield where, "ignore_reason: missing on an ignored vehicle"
-        yield from ((where, text) for text in _check_mask(image, annotation))
-        yield from ((where, text) for text in _check_box_3d(image.camera, annotation))
+            kind = "vehicle" if isinstance(annotation, Annotation) else annotation.category
+            yield where, f"ignore_reason: missing on an ignored {kind}"
+        yield from ((where, text) for text in mask_findings(image, annotation))
+        yield from ((where, text) for text in box_3d_findings(image.camera, annotation))
+        if isinstance(annotation, RoadUser):
+            if depth is not None and image.camera is not None:
+                yield from ((where, text) for text in depth_findings(depth, image.camera, annotation))
+            continue
+        yield from ((where, text) for text in _check_keypoints(image, annotation))
+        yield from ((where, text) for text in _check_keypoints_3d(annotation))
         if image.camera is not None and annotation.keypoints_3d is not None:
             yield from ((where, text) for text in _check_projection(image.camera, annotation))
             if depth is not None:
                 yield from ((where, text) for text in _check_visibility(depth, image.camera, annotation))
 
 
-def _check_mask(image: Image, annotation: Annotation) -> Iterator[str]:
-    """The visible pixels against `area` and `bbox_visible`."""
-    rle = annotation.segmentation
-    if not isinstance(rle, dict):
-        return
-    if list(rle.get("size", [])) != [image.height, image.width]:
-        yield f"segmentation.size: is {rle.get('size')}, expected {[image.height, image.width]}"
-        return
-    try:
-        mask = coco_mask.decode({**rle, "counts": str(rle["counts"]).encode()})
-    except Exception as error:  # pycocotools raises what it likes
-        yield f"segmentation.counts: cannot be decoded: {error}"
-        return
-    area = int(mask.sum())
-    if area != round(annotation.area):
-        yield f"segmentation: has {area} pixels, area says {annotation.area:g}"
-    if area and annotation.bbox_visible is not None:
-        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-        tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
-        if np.abs(tight - annotation.bbox_visible).max() > BOX_PX:
-            yield f"bbox_visible: is {annotation.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
-        low, size = annotation.bbox[:2], annotation.bbox[2:]
-        if (tight[:2] < low - BOX_PX).any() or (tight[:2] + tight[2:] > low + size + BOX_PX).any():
-            yield "bbox: visible pixels lie outside"
-
-
-def _check_box_3d(camera: Camera | None, annotation: Annotation) -> Iterator[str]:
-    box = annotation.box_3d
-    if box is None:
-        return
-    if (box.size_lwh <= 0).any():
-        yield "box_3d.size_lwh: is not positive"
-    if np.abs(box.R @ box.R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(box.R) < 0:
-        yield "box_3d.R: is no rotation"
-        return
-    turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
-    if abs(_wrapped(turned)) > 1e-4:
-        yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
-    if camera is not None and annotation.distance is not None:
-        away = float(np.linalg.norm(camera.to_camera(box.center)))
-        if abs(away - annotation.distance) > DISTANCE_M:
-            yield f"distance: is {annotation.distance:.2f} m, the box's centre is {away:.2f} m away"
-    if annotation.keypoints_3d is not None:
-        own = (annotation.keypoints_3d - box.center) @ box.R
-        if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
-            yield "keypoints_3d: a point lies far outside box_3d"
-        if annotation.articulation is not None:
-            # The trailer's rearmost axle points to its left.
-            right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
-            bend = float(_wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
-            if abs(_wrapped(bend - annotation.articulation)) > BEND_RAD:
-                yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
-
-
-def _check_annotation(image: Image, annotation: Annotation) -> Iterator[str]:
-    boxes = {"bbox": annotation.bbox, "bbox_visible": annotation.bbox_visible}
-    for name, box in boxes.items():
-        if box is not None and ((box[:2] < 0).any() or (box[:2] + box[2:] > [image.width, image.height]).any()):
-            yield f"{name}: reaches out of the image"
+def _check_keypoints(image: Image, annotation: Annotation) -> Iterator[str]:
     x, y, v = annotation.keypoints.T
     if ((v > 0) & ((x < 0) | (y < 0) | (x >= image.width) | (y >= image.height))).any():
         yield "keypoints: a labelled point lies outside the image"
     if ((v == 0) & ((x != 0) | (y != 0))).any():
         yield "keypoints: v = 0 with coordinates"
-    if not annotation.ignored and annotation.bbox[2:].min() <= 0:
-        yield f"bbox: has no area: width {annotation.bbox[2]:g}, height {annotation.bbox[3]:g}"
     # Of a point in the outermost pixels the part that holds it may lie beyond the image, and so in no box.
     inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
     for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
         yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
-    if annotation.area_full is not None and annotation.area > annotation.area_full:
-        yield "area: more visible pixels than the whole silhouette has"
+
+
+def _check_keypoints_3d(annotation: Annotation) -> Iterator[str]:
+    """The keypoints in the world against the 3D box, and an articulated vehicle's angle."""
+    box = annotation.box_3d
+    if box is None or annotation.keypoints_3d is None:
+        return
+    own = (annotation.keypoints_3d - box.center) @ box.R
+    if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
+        yield "keypoints_3d: a point lies far outside box_3d"
+    if annotation.articulation is not None:
+        # The trailer's rearmost axle points to its left.
+        right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
+        bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
+        if abs(wrapped(bend - annotation.articulation)) > BEND_RAD:
+            yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
 
 
 def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:

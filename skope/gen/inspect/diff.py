@@ -1,14 +1,14 @@
 """Compare two datasets: the differences between their labels and between their files."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from skope.dataset.folder import Dataset, read_manifest
 from skope.errors import UserError
-from skope.schema import Annotation, Image
+from skope.schema import CATEGORIES, Annotation, Labelled, RoadUser
 
 Key = tuple[str | None, str | None, int | None]
 
@@ -33,22 +33,20 @@ def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
         if alone := here.keys() - there.keys():
             yield f"{len(alone)} frames only in {root}, such as {_named(min(alone, key=str))}"
     common = first.keys() & second.keys()
-    pairs: list[tuple[Annotation, Annotation]] = []
-    odd, ignored = Counter[str](), 0
+    both_labels: list[tuple[Annotation | RoadUser, Annotation | RoadUser]] = []
+    odd = Counter[str]()
     for key in common:
-        (_, mine), (_, theirs) = first[key], second[key]
-        odd["vehicles"] += mine.keys() != theirs.keys()
-        pairs += [(mine[track], theirs[track]) for track in mine.keys() & theirs.keys()]
-    if odd["vehicles"]:
-        yield f"{odd['vehicles']} of {len(common)} frames hold other vehicles"
+        mine, theirs = first[key], second[key]
+        for name in CATEGORIES:
+            odd[name] += {one for one in mine if one[0] == name} != {one for one in theirs if one[0] == name}
+        both_labels += [(mine[one], theirs[one]) for one in mine.keys() & theirs.keys()]
+    for name, count in odd.items():
+        if count:
+            yield f"{count} of {len(common)} frames hold other {name}s"
+    yield from _boxes(both_labels)
+    pairs = [(a, b) for a, b in both_labels if isinstance(a, Annotation) and isinstance(b, Annotation)]
     if not pairs:
         return
-    ignored = sum(a.ignore_reason != b.ignore_reason for a, b in pairs)
-    if ignored:
-        yield f"{ignored} of {len(pairs)} vehicles are ignored in one, or for another reason"
-    boxes = np.array([np.abs(a.bbox - b.bbox).max() for a, b in pairs])
-    if (boxes > 0).any():
-        yield f"boxes differ by up to {boxes.max():.2f} px, {(boxes > 1).mean():.2%} of them by more than 1 px"
     v = np.array([a.keypoints[:, 2] != b.keypoints[:, 2] for a, b in pairs])
     if v.any():
         yield f"v differs for {v.mean():.3%} of {v.size} keypoints"
@@ -58,11 +56,25 @@ def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
         yield f"keypoints differ by up to {apart.max():.2f} px, on average by {apart.mean():.3f} px"
 
 
-def _frames(dataset: Dataset, split: str) -> dict[Key, tuple[Image, dict[Any, Annotation]]]:
+def _boxes(pairs: Sequence[tuple[Labelled, Labelled]]) -> Iterator[str]:
+    if not pairs:
+        return
+    ignored = sum(a.ignore_reason != b.ignore_reason for a, b in pairs)
+    if ignored:
+        yield f"{ignored} of {len(pairs)} road users are ignored in one, or for another reason"
+    boxes = np.array([np.abs(a.bbox - b.bbox).max() for a, b in pairs])
+    if (boxes > 0).any():
+        yield f"boxes differ by up to {boxes.max():.2f} px, {(boxes > 1).mean():.2%} of them by more than 1 px"
+
+
+def _frames(dataset: Dataset, split: str) -> dict[Key, dict[tuple[str, Any], Annotation | RoadUser]]:
+    """The labels of each frame, by category and track."""
     file = dataset.read(split)
-    groups = file.by_image()
+    groups = file.labels_by_image()
     return {
-        (image.site, image.recording, image.frame_index): (image, {a.track_id: a for a in groups[image.id]})
+        (image.site, image.recording, image.frame_index): {
+            ("vehicle" if isinstance(a, Annotation) else a.category, a.track_id): a for a in groups[image.id]
+        }
         for image in file.images
     }
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.pictures import draw
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, Image, RoadUser
 
 Pixels = NDArray[np.uint8]
 
@@ -22,13 +22,13 @@ _CELL: Final = 640
 """Width of an image on a sheet, pixels."""
 
 
-def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], layers: Sequence[str]) -> Pixels:
+def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser], layers: Sequence[str]) -> Pixels:
     """Draw labels on an image.
 
     Args:
         dataset: Where the image is.
         image: Its record.
-        annotations: Its annotations.
+        labels: Its vehicles and other road users.
         layers: Some of `LAYERS`; "depth" takes the place of the photograph.
 
     Returns:
@@ -44,15 +44,17 @@ def overlay(dataset: Dataset, image: Image, annotations: Sequence[Annotation], l
             raise UserError(f"{dataset.root}: image {image.id} has no depth file")
         pixels = draw.depth(metres)
     if "mask" in layers:
-        pixels = draw.masks(pixels, annotations)
+        pixels = draw.masks(pixels, labels)
     if "boxes_3d" in layers:
         if image.camera is None:
             raise UserError(f"{dataset.root}: image {image.id} has no camera")
-        pixels = draw.boxes_3d(pixels, annotations, image.camera)
+        pixels = draw.boxes_3d(pixels, labels, image.camera)
     if "occlusion" in layers:
-        pixels = draw.occlusion(pixels, annotations)
+        pixels = draw.occlusion(pixels, labels)
     if "keypoints" in layers:
-        pixels = draw.annotations(pixels, annotations, scheme=dataset.scheme)
+        vehicles = [label for label in labels if isinstance(label, Annotation)]
+        others = [label for label in labels if isinstance(label, RoadUser)]
+        pixels = draw.annotations(pixels, vehicles, others, scheme=dataset.scheme)
     return pixels
 
 
@@ -63,7 +65,7 @@ def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -
         for image in file.images:
             if image.id == number:
                 path = out / f"{Path(image.file_name).with_suffix('').as_posix().replace('/', '_')}.png"
-                draw.write(path, overlay(dataset, image, file.by_image()[image.id], layers))
+                draw.write(path, overlay(dataset, image, file.labels_by_image()[image.id], layers))
                 return path
     raise UserError(f"{dataset.root}: no image has id {number}")
 
@@ -83,10 +85,10 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
     Raises:
         UserError: There is no such image.
     """
-    groups: dict[str, list[tuple[Image, list[Annotation]]]] = {}
+    groups: dict[str, list[tuple[Image, list[Annotation | RoadUser]]]] = {}
     for split in dataset.splits:
         file = dataset.read(split)
-        own = file.by_image()
+        own = file.labels_by_image()
         for image in file.images:
             if site is None or image.site == site:
                 groups.setdefault(site or split, []).append((image, own[image.id]))

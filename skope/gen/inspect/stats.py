@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,9 +15,11 @@ from skope.dataset import shards
 from skope.dataset.folder import Dataset
 from skope.files.atomic import replacing
 from skope.keypoints import K
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image
 from skope.terminal.text_table import text_table
 
+_OPTIONAL: Final = ("bend_deg", "road_users")
+"""Numbers that only some datasets have."""
 PICTURES: Final = 200
 """Number of images of a split, evenly spread, whose brightness is measured."""
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
@@ -51,11 +53,34 @@ class SplitStats:
     types: Mapping[str, int]
     bend_deg: tuple[float, float, float] | None = None
     """Angle between an articulated vehicle and its trailer, whichever way; None where there is none."""
+    road_users: Mapping[str, "CategoryStats"] | None = None
+    """Statistics of each category without keypoints that is labelled; None where vehicles alone are."""
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as JSON values; null where there was nothing to count."""
         values = {name: _without_nan(value) for name, value in asdict(self).items()}
-        return values if self.bend_deg else {name: value for name, value in values.items() if name != "bend_deg"}
+        if self.road_users is not None:
+            values["road_users"] = {name: one.to_dict() for name, one in self.road_users.items()}
+        return {name: value for name, value in values.items() if value is not None or name not in _OPTIONAL}
+
+
+@dataclass(frozen=True)
+class CategoryStats:
+    """Statistics of one category without keypoints in one split."""
+
+    ground_truth: int
+    ignored: int
+    tracks: int
+    """Number of distinct ones among the ground truth, by site, recording and track id."""
+    distance_m: tuple[float, float, float]
+    """Quartiles, as those of vehicles."""
+    box_height_px: tuple[float, float, float]
+    occluded: float
+    """Mean share of the silhouette that something hides."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The numbers as JSON values."""
+        return {name: _without_nan(value) for name, value in asdict(self).items()}
 
 
 def _without_nan(value: Any) -> Any:
@@ -91,6 +116,23 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
         brightness=_brightness(dataset, file.images),
         types=_types(known),
         bend_deg=_quartiles(bends) if bends else None,
+        road_users={name: _category_stats(file, name, places) for name in file.categories[1:]} or None,
+    )
+
+
+def _category_stats(
+    file: AnnotationFile, category: str, places: Mapping[int, tuple[str | None, str | None]]
+) -> CategoryStats:
+    """Statistics of one category; `places` are site and recording of each image."""
+    every = [user for user in file.road_users if user.category == category]
+    known = [user for user in every if not user.ignored]
+    return CategoryStats(
+        ground_truth=len(known),
+        ignored=len(every) - len(known),
+        tracks=len({(*places[user.image_id], user.track_id) for user in known if user.track_id is not None}),
+        distance_m=_quartiles([user.distance for user in known if user.distance is not None]),
+        box_height_px=_quartiles([float(user.bbox[3]) for user in known]),
+        occluded=_mean(np.array([user.occlusion for user in known if user.occlusion is not None])),
     )
 
 
@@ -146,9 +188,30 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
     }
     if any(s.bend_deg for s in columns):
         said["bend of articulated ones, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
-    return [(name, [cell(s) for s in columns]) for name, cell in said.items()] + [
-        (f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()
+    return [
+        *((name, [cell(s) for s in columns]) for name, cell in said.items()),
+        *((f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()),
+        *(
+            row
+            for name in CATEGORIES[1:]
+            if any(name in (s.road_users or {}) for s in columns)
+            for row in _rows_of(name, columns)
+        ),
     ]
+
+
+def _rows_of(category: str, columns: Sequence[SplitStats]) -> list[tuple[str, list[str]]]:
+    """What is said of a category without keypoints."""
+    cells: dict[str, Callable[[CategoryStats], str]] = {
+        f"{category}s": lambda s: str(s.ground_truth),
+        "  ignored": lambda s: str(s.ignored),
+        "  distinct": lambda s: str(s.tracks),
+        "  distance, m": lambda s: _median(s.distance_m),
+        "  box height, px": lambda s: _median(s.box_height_px),
+        "  hidden share": lambda s: _known(s.occluded, ".3f"),
+    }
+    told = [(s.road_users or {}).get(category) for s in columns]
+    return [(name, ["-" if one is None else cell(one) for one in told]) for name, cell in cells.items()]
 
 
 def _median(values: tuple[float, float, float]) -> str:

@@ -211,7 +211,7 @@ def annotate(
     """
     labelled = range(len(moment.labelled().vehicles))
     # Vehicles that no pixel shows have no label, and are not built for one.
-    extents = {i: extent for i in labelled if (extent := _measure_extent(view, i, camera))}
+    extents = {i: extent for i in labelled if (extent := measure_extent(view, i, camera))}
     seen = sorted(extents, key=lambda i: moment.vehicles[i].track_id)
     world = locate(moment.only(seen), rules.localizer)
     pixels, _, valid = camera.project(world.points)
@@ -236,7 +236,7 @@ def annotate(
             [np.where(v[k, :, None] > 0, _clip_to_image(pixels[k], camera), 0.0), v[k, :, None]], axis=1
         )
         occluded = rules.occlusion == "others" and bool(by_others[k])
-        reason = _ignore_reason(extents[i], occluded, float(view.contrast[i]), rules)
+        reason = ignore_reason(extents[i], occluded, float(view.contrast[i]), rules)
         if reason:
             tally.ignored[reason] = tally.ignored.get(reason, 0) + 1
         out.append(
@@ -269,8 +269,8 @@ def _clip_to_image(pixels: Array, camera: Camera) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Extent:
-    """Boxes, mask and pixel counts of a vehicle in the image."""
+class Extent:
+    """Boxes, mask and pixel counts of a road user in the image."""
 
     bbox: Array
     """(4,) x, y, width, height of the silhouette inside the image, pixels."""
@@ -286,7 +286,7 @@ class _Extent:
     """Pixels of the whole silhouette, also outside the image."""
 
     def fields(self) -> dict[str, Any]:
-        """The fields of `Annotation` that follow from these."""
+        """The fields of `schema.Labelled` that follow from these."""
         return {
             "bbox": self.bbox,
             "bbox_visible": self.bbox_visible,
@@ -298,8 +298,8 @@ class _Extent:
         }
 
 
-def _measure_extent(view: RenderedFrame, i: int, camera: Camera) -> _Extent | None:
-    """Boxes, mask and pixel counts of the frame's i-th vehicle; None where none of its pixels is visible."""
+def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None:
+    """Boxes, mask and pixel counts of the frame's i-th road user; None where none of its pixels is visible."""
     silhouette = view.silhouettes[i]
     height, width = silhouette.mask.shape
     x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
@@ -312,7 +312,7 @@ def _measure_extent(view: RenderedFrame, i: int, camera: Camera) -> _Extent | No
     # of the vehicle in any case.
     inside = whole | visible
     corner = np.array([x0, y0, 0, 0])
-    return _Extent(
+    return Extent(
         bbox_of(inside) + corner,
         bbox_of(visible) + corner,
         _segmentation(visible, (x0, y0), (camera.width, camera.height)),
@@ -343,7 +343,8 @@ def bbox_of(mask: Mask) -> Array:
     return np.array(cv2.boundingRect(mask.view(np.uint8)), dtype=np.float64)
 
 
-def _ignore_reason(shape: _Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
+def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
+    """Why a road user of an extent is ignored; None where it is ground truth."""
     if occluded:
         return "occluded"
     if shape.visible < rules.min_visible * shape.whole:

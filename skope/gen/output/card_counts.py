@@ -2,40 +2,52 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-Kind = tuple[str, str | None]
-"""How a vehicle is counted: "ground_truth" or "ignored", and its type."""
+Kind = tuple[str, str | None, str]
+"""How a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
 
 
-def kind_of(iscrowd: int, vehicle_type: str | None) -> Kind:
-    """The kind of a vehicle, by two fields of its annotation."""
-    return "ignored" if iscrowd else "ground_truth", vehicle_type
+def kind_of(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> Kind:
+    """The kind of a vehicle, by two fields of its annotation, or of another road user, by its category."""
+    return "ignored" if iscrowd else "ground_truth", vehicle_type, category
+
+
+def saved_kind(values: Sequence[Any]) -> Kind:
+    """A kind as JSON has it; what was begun before there were categories has vehicles alone."""
+    status, vehicle_type = values[:2]
+    return status, vehicle_type, values[2] if len(values) > 2 else "vehicle"
 
 
 class Counts:
-    """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason."""
+    """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason.
+
+    People on foot and on two wheels are counted apart, by category.
+    """
 
     def __init__(self) -> None:
-        self.images = self.vehicles = 0
+        self.images = self.labels = 0
         self.by: dict[str, defaultdict[str, Counter[str]]] = {
-            group: defaultdict(Counter) for group in ("split", "site", "weather", "vehicle_type")
+            group: defaultdict(Counter) for group in ("split", "site", "weather", "vehicle_type", "category")
         }
         self.tally: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
         self.apart_m: list[float] = []
         self.most_apart_m = 0.0
 
-    def add(self, places: Mapping[str, str | None], vehicles: Iterable[Kind], tally: Mapping[str, Any]) -> None:
-        """Count an image with its vehicles; `places` name its split, site and weather.
+    def add(self, places: Mapping[str, str | None], kinds: Iterable[Kind], tally: Mapping[str, Any]) -> None:
+        """Count an image with its labels; `places` name its split, site and weather.
 
         What is not known of an image or a vehicle is not counted.
         """
         known = [(group, name) for group, name in places.items() if name is not None]
         for group, name in known:
             self.by[group][name]["images"] += 1
-        for (kind, type_), number in Counter(vehicles).items():
+        for (kind, type_, category), number in Counter(kinds).items():
+            if category != "vehicle":
+                self.by["category"][category][kind] += number
+                continue
             for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
                 self.by[group][name][kind] += number
         tally = dict(tally)
@@ -61,6 +73,7 @@ class Counts:
             "by_site": self._table("site", "images", "ground_truth", "ignored"),
             "by_weather": self._table("weather", "images", "ground_truth", "ignored"),
             "by_vehicle_type": self._table("vehicle_type", "ground_truth", "ignored"),
+            **({"by_category": self._table("category", "ground_truth", "ignored")} if self.by["category"] else {}),
         }
 
     def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:

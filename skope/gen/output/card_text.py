@@ -60,12 +60,19 @@ def summary(card: Card) -> str:
         return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
+    others = [f", {row['ground_truth']} {name}s" for name, row in _by_category(card).items()]
     besides = f", and {ignored} more that are marked as ignored" if ignored else ""
     return (
         f"{counts['images']} images{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{besides}."
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(others)}{besides}."
     )
+
+
+def _by_category(card: Card) -> dict[str, Mapping[str, int]]:
+    """Counts of each category without keypoints that a dataset labels."""
+    told = card.get("counts", {}).get("by_category", {})
+    return {name: told.get(name, {"ground_truth": 0, "ignored": 0}) for name in card.get("categories", ())[1:]}
 
 
 def _scheme(card: Card) -> str:
@@ -177,6 +184,9 @@ def _balance(card: Card) -> list[TextTable]:
         tables.append(
             TextTable(title, [key.replace("_", " "), *(heads.get(c, c) for c in columns), "of vehicles"], rows)
         )
+    if others := _by_category(card):
+        rows = [[name, str(row["ground_truth"]), str(row["ignored"])] for name, row in others.items()]
+        tables.append(TextTable("Other road users", ["category", "ground_truth", "ignored"], rows))
     return tables
 
 
@@ -192,8 +202,7 @@ def limits(card: Card) -> list[str]:
     said += [
         "The pictures are drawn. A detector trained on them alone finds less in photographs: measure it on labelled "
         "footage of the road where it is to work, and fine-tune it there.",
-        "Only motor vehicles with four or more wheels are labelled. Pedestrians, bicycles and motorcycles may stand "
-        "before them and have no labels; of a truck with a trailer the tractor is labelled.",
+        _left_unlabelled(card),
         "Hidden keypoints (v = 1) are exact although nobody could see them: labels by hand of photographs are not.",
     ]
     if fleet.get("substituted"):
@@ -205,6 +214,19 @@ def limits(card: Card) -> list[str]:
     if depth and depth != "none":
         said.append("Depth files end at 255.99 m.")
     return said
+
+
+def _left_unlabelled(card: Card) -> str:
+    if len(card.get("categories", ())) > 1:
+        return (
+            "Only motor vehicles with four or more wheels have keypoints. Bicycles and motorcycles (with whoever rides "
+            "them) and pedestrians are categories of their own, with boxes and masks; of a truck with a trailer the "
+            "tractor is labelled. People in vehicles have no labels, nor have parked bicycles and motorcycles."
+        )
+    return (
+        "Only motor vehicles with four or more wheels are labelled. Pedestrians, bicycles and motorcycles may stand "
+        "before them and have no labels; of a truck with a trailer the tractor is labelled."
+    )
 
 
 def people(card: Card) -> str:

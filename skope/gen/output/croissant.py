@@ -5,7 +5,7 @@ Source: the format's specification, docs.mlcommons.org/croissant/docs/croissant-
 has the same bytes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -118,7 +118,9 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
         "rai:dataLimitations": card_text.limits(card),
         "rai:dataAnnotationProtocol": list(card["label_rules"]),
         "rai:personalSensitiveInformation": [card_text.people(card)],
-        **(_shards(sums) if card.get("format") == "shards" else _folder(sums, _types(card))),
+        **(
+            _shards(sums) if card.get("format") == "shards" else _folder(sums, _types(card), card.get("categories", ()))
+        ),
     }
 
 
@@ -129,7 +131,7 @@ def _types(card: Mapping[str, Any]) -> str:
     return ", ".join(kind for kind in schema.VEHICLE_TYPES if kind in usual)
 
 
-def _folder(sums: Mapping[str, str], types: str) -> Json:
+def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> Json:
     files = [_file(path, sums, "application/json") for path in sums if path.startswith("annotations/")]
     # Readers take one list of rows from a set of files, so that the same files are two sets.
     files += [
@@ -140,7 +142,16 @@ def _folder(sums: Mapping[str, str], types: str) -> Json:
         folder = pattern.split("/")[0]
         for suffix in sorted({Path(path).suffix for path in sums if path.startswith(f"{folder}/")}):
             files.append(_set(f"{folder}-files", pattern + suffix, _MIME[suffix], description))
-    return {"distribution": files, "recordSet": [_record_set(name, *of, types) for name, of in _RECORDS.items()]}
+    records = []
+    for name, (rows, description, fields) in _RECORDS.items():
+        if rows == "annotations" and categories:
+            description = "Annotated road users of all splits; COCO keypoints, a file a split."
+            ids = ", ".join(f"{schema.CATEGORIES.index(one) + 1} {one}" for one in categories)
+            # Readers put columns side by side, so that none may be missing in some rows.
+            fields = {key: value for key, value in fields.items() if key != "vehicle_type"}
+            fields["category_id"] = ("sc:Integer", f"One of {ids}.")
+        records.append(_record_set(name, rows, description, fields, types))
+    return {"distribution": files, "recordSet": records}
 
 
 def _shards(sums: Mapping[str, str]) -> Json:

@@ -17,11 +17,12 @@ from skope.gen.output.card_counts import Counts
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
+from skope.gen.output.writers import categories_field
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
 _VARIED: Final = ("world", "conditions")
-"""Presets that have views and jitter unless they are told otherwise."""
+"""Presets that have views, jitter and labelled road users unless they are told otherwise."""
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
@@ -39,11 +40,12 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     return {
         "version": schema.VERSION,
         **keypoints.SKOPE33.fields(),
+        **categories_field(parameters.categories),
         "format": parameters.format,
         "seed": parameters.seed,
         "command": command(parameters),
         "counts": counts.to_dict(),
-        "label_rules": label_rules(parameters.rules),
+        "label_rules": [*label_rules(parameters.rules), *(road_user_rules() if parameters.road_users else [])],
         "occlusion_rules": {
             "vehicles": counts.tally["vehicles"],
             "taken_by_others": counts.tally["occluded_others"],
@@ -89,10 +91,12 @@ def command(p: Parameters) -> str:
     parts += [f"--share {p.vehicle_share}"] if p.vehicle_share else []
     if p.preset in _VARIED:
         parts += [f"--views {p.views}", _switch("town-jitter", p.town_jitter), _switch("shape-jitter", p.shape_jitter)]
+        parts += [] if p.road_users else ["--no-road-users"]
     else:
         parts += ["--shape-jitter"] if p.shape_jitter else []
         parts += [f"--views {p.views}"] if p.views else []
         parts += ["--town-jitter"] if p.town_jitter else []
+        parts += ["--road-users"] if p.road_users else []
     parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
     parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT else []
     return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
@@ -120,6 +124,16 @@ def label_rules(rules: Rules) -> list[str]:
         f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {annotate.MIN_PIXELS} visible "
         f"pixels; unseen, contrast under {annotate.MIN_CONTRAST:g}.",
         f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
+    ]
+
+
+def road_user_rules() -> list[str]:
+    """The rules behind the labels of people on foot and on two wheels, in words."""
+    return [
+        "Bicycles, motorcycles (each with its rider, passengers and load) and pedestrians are categories of their own, "
+        "without keypoints: v = 0 in all 33.",
+        "They are ignored by the same rules; as they have no keypoints, they are occluded when something else hides "
+        "more than half of the pixels that their silhouette has inside the image.",
     ]
 
 

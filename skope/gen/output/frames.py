@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.errors import UserError, one_of
-from skope.files.json_files import json_bytes
 from skope.gen.labels.annotate import RuleCounts, Rules, annotate
-from skope.gen.output.card_counts import kind_of
-from skope.gen.output.writers import FrameFiles, Labels, checksum
+from skope.gen.labels.road_users import annotate_road_users
+from skope.gen.output.writers import FrameFiles, Labels, checksum, label_fields
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.scene.recording import Recording
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, Image, RoadUser
 
 FORMATS: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
 """Suffixes of images by `--image-format`."""
@@ -67,8 +66,10 @@ def frames_of(
     """
     for frame in frames:
         view = renderer.render(frame)
-        annotations, tally = annotate(recording.moment(frame), view, recording.camera, rules, image_id=0)
-        yield files_of(recording, frame, view, annotations, tally, encoding)
+        moment, camera = recording.moment(frame), recording.camera
+        annotations, tally = annotate(moment, view, camera, rules, image_id=0)
+        others = annotate_road_users(moment, view, camera, rules, 0, 1) if recording.road_users else []
+        yield files_of(recording, frame, view, annotations, tally, encoding, others)
 
 
 def files_of(
@@ -78,8 +79,9 @@ def files_of(
     annotations: Sequence[Annotation],
     tally: RuleCounts,
     encoding: Encoding,
+    road_users: Sequence[RoadUser] = (),
 ) -> FrameFiles:
-    """Encode a rendered frame, whose `annotations` and `tally` are what `annotate` gives."""
+    """Encode a rendered frame: `annotations` and `tally` are what `annotate` gives, ids are given by the writer."""
     name = recording.info.frame_name(frame)
     files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
     depth_name = f"depth/{name}.png" if encoding.depth else None
@@ -89,8 +91,7 @@ def files_of(
     labels = Labels(
         name=name,
         image=coco.image_to_dict(image),
-        rows=[json_bytes(coco.annotation_to_dict(annotation)) for annotation in annotations],
-        kinds=[kind_of(annotation.iscrowd, annotation.vehicle_type) for annotation in annotations],
+        **label_fields(annotations, road_users),
         sha256={path: checksum(data) for path, data in files.items()},
         tally=vars(tally),
     )

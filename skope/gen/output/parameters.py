@@ -15,6 +15,7 @@ from skope.gen.output.frames import Encoding
 from skope.gen.scene.conditions import Range
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import RecordingInfo
+from skope.schema import CATEGORIES, VEHICLE_ALONE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +87,8 @@ class Parameters:
     """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
     further_models: bool = False
     """Whether traffic also has the models of `further_fleet.toml`: more lorries, buses, vans and others."""
+    road_users: bool = False
+    """Whether people on foot and on two wheels are labelled, in categories of their own, and there are more of them."""
     randomised: float = 0.0
     """Share of the simulated traffics whose ground and walls have random colours and patterns, 0..1."""
     own: OwnSiteRecord | None = None
@@ -97,6 +100,11 @@ class Parameters:
     """What the images may be used under, as the card states it."""
     versions: Mapping[str, str] = field(default_factory=versions)
     """Versions of skope and of the libraries that decide bytes."""
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that the labels have."""
+        return CATEGORIES if self.road_users else VEHICLE_ALONE
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images; a UserError where `size` says none of 16 to 8192 pixels."""
@@ -220,7 +228,7 @@ _RANGES: Final = ("traffic", "distractors")
 """Fields that hold a range or None."""
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
-_ASKED: Final = ("vehicle_share", "further_models", *_NAMES)
+_ASKED: Final = ("vehicle_share", "further_models", "road_users", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
@@ -232,7 +240,7 @@ _KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("sites", *_NAMES), _TEXTS),
     "vehicle_share": _NUMBER_OR_NULL,
     "frames": _COUNT_BY_NAME,
-    **dict.fromkeys(("further_models", "seasons", "shape_jitter", "town_jitter"), _SWITCH),
+    **dict.fromkeys(("further_models", "road_users", "seasons", "shape_jitter", "town_jitter"), _SWITCH),
     "own": _OBJECT_OR_NULL,
     **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
 }

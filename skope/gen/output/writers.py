@@ -20,6 +20,7 @@ from skope.files.json_files import json_bytes, read_json
 from skope.files.reading import sha256_of
 from skope.gen.output.card_counts import Counts, Kind, kind_of
 from skope.keypoints import SKOPE33, Scheme
+from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
 FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
@@ -57,10 +58,11 @@ class DatasetWriter(ABC):
     """Writes frames into the dataset folder at `root`, recording by recording, and then the manifest.
 
     Ids of images and annotations count through the whole dataset from 1, in the order in which frames are added.
+    `categories` are the names of those that its makers labelled.
     """
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
+        self.root, self.scheme, self.categories = root, scheme, categories
         self._counts = Counts()
         self._sums: dict[str, str] = {}
         self._tallies: dict[str, Any] = {}
@@ -85,20 +87,19 @@ class DatasetWriter(ABC):
         places = {"split": split, "site": labels.image.get("site"), "weather": labels.image.get("weather")}
         counts.add(places, labels.kinds, labels.tally)
         counts.images += 1
-        rows = [_with_ids(row, counts.vehicles + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
-        counts.vehicles += len(rows)
+        rows = [_with_ids(row, counts.labels + k, counts.images) for k, row in enumerate(labels.rows, start=1)]
+        counts.labels += len(rows)
         return replace(labels, image={**labels.image, "id": counts.images}, rows=rows)
 
 
 class FolderWriter(DatasetWriter):
     """Writes annotation files; images and depth lie beside them."""
 
-    def __init__(self, root: Path, scheme: Scheme = SKOPE33) -> None:
-        super().__init__(root)
-        self.scheme = scheme
+    def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
+        super().__init__(root, scheme, categories)
         self._open = ExitStack()
         self._splits: dict[str, tuple[list[bytes], IO[bytes]]] = {}
-        """Rows of images in memory, and those of vehicles, a line each, in a temporary file when they are many."""
+        """Rows of images in memory, and those of labels, a line each, in a temporary file when they are many."""
 
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         if split not in self._splits:
@@ -121,7 +122,7 @@ class FolderWriter(DatasetWriter):
                 path = Path("annotations") / f"{split}.json"
                 annotations.seek(0)
                 rows = (row[:-1] for row in annotations)
-                coco.write_lines(self.root / path, {"split": split}, images, rows, self.scheme)
+                coco.write_lines(self.root / path, {"split": split}, images, rows, self.scheme, self.categories)
                 self.add_file(path)
         return super().finish()
 
@@ -129,8 +130,8 @@ class FolderWriter(DatasetWriter):
 class ShardWriter(DatasetWriter):
     """Writes a tar shard for each recording; loose files of the folder that are in it are removed."""
 
-    def __init__(self, root: Path) -> None:
-        super().__init__(root)
+    def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
+        super().__init__(root, scheme, categories)
         self._numbers: dict[str, int] = {}
 
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
@@ -173,9 +174,25 @@ class ShardWriter(DatasetWriter):
             yield f"{labels.name}.json", b'{"image":%b,"annotations":[%b]}' % (json_bytes(image), rows)
 
 
-def writer_of(form: str, root: Path, scheme: Scheme = SKOPE33) -> DatasetWriter:
+def writer_of(
+    form: str, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE
+) -> DatasetWriter:
     """The writer of a format of `FORMATS`."""
-    return ShardWriter(root) if form == "shards" else FolderWriter(root, scheme)
+    return (ShardWriter if form == "shards" else FolderWriter)(root, scheme, categories)
+
+
+def categories_field(categories: tuple[str, ...]) -> dict[str, Any]:
+    """The field of a card that names its labels' categories; none where vehicles are the only one."""
+    return {"categories": list(categories)} if categories != VEHICLE_ALONE else {}
+
+
+def label_fields(vehicles: Iterable[Annotation], road_users: Iterable[RoadUser]) -> dict[str, Any]:
+    """The fields of `Labels` that hold a frame's vehicles and, after them, its other road users."""
+    own, others = list(vehicles), list(road_users)
+    rows = [*map(coco.annotation_to_dict, own), *map(coco.road_user_to_dict, others)]
+    kinds = [kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
+    kinds += [kind_of(user.iscrowd, None, user.category) for user in others]
+    return {"rows": list(map(json_bytes, rows)), "kinds": kinds}
 
 
 def checksum(data: bytes) -> str:
@@ -240,8 +257,14 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
             raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
         # Other tools may have rewritten the file: ids are put first, as `_with_ids` needs them.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
-        kinds = [kind_of(row["iscrowd"], row.get("vehicle_type")) for row in annotations]
+        kinds = [_kind_of_row(row, dataset.categories) for row in annotations]
         yield FrameFiles(files, Labels(name, image, rows, kinds, sums, tally))
+
+
+def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> Kind:
+    number = row.get("category_id", CATEGORY_ID)
+    other = len(categories) > 1 and number in ROAD_USER_IDS
+    return kind_of(row["iscrowd"], row.get("vehicle_type"), CATEGORIES[number - 1] if other else CATEGORIES[0])
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:

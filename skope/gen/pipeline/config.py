@@ -157,6 +157,7 @@ class DatasetRequest:
             distractors=p.distractors,
             seasons=p.seasons,
             further_models=p.further_models,
+            road_users=p.road_users,
             randomised=p.randomised,
         )
         return replace(plan, **self._asked_vehicles(plan))

@@ -19,7 +19,7 @@ from skope.files import safe_names
 from skope.files.atomic import file_in_place_of, locked, no_links_out, write_bytes, writing
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.files.reading import read_bytes
-from skope.gen.output.card_counts import Counts
+from skope.gen.output.card_counts import Counts, saved_kind
 from skope.gen.output.dataset_card import write as write_card
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.output.writers import FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
@@ -245,14 +245,14 @@ class Store:
             whole = False
         if not whole:
             raise UserError(f"{path}: is damaged; move it away, and its frame is drawn anew")
-        return Labels(name, head["image"], rows, [*map(tuple, head["kinds"])], head["sha256"], head["tally"])
+        return Labels(name, head["image"], rows, [*map(saved_kind, head["kinds"])], head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 
     def merge(self) -> Counts:
         """Write the annotation files or shards, and the manifest; returns the counts of images and vehicles."""
         plan = self.plan
-        writer = writer_of(plan.parameters.format, self.root)
+        writer = writer_of(plan.parameters.format, self.root, categories=plan.parameters.categories)
         for info in plan.recordings:
             writer.add_file(self.recording_path(info).relative_to(self.root))
             writer.add(info.split, self._frames(info))

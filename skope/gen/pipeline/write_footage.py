@@ -18,6 +18,7 @@ from skope.files.json_files import read_json
 from skope.files.output_folders import changed
 from skope.files.safe_names import for_opencv
 from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.road_users import annotate_road_users
 from skope.gen.output.frames import image_of
 from skope.gen.pipeline.lighting_messages import lighting_messages
 from skope.gen.render.choose_renderer import make_renderer
@@ -25,7 +26,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.pictures import draw
-from skope.schema import Annotation, AnnotationFile, Image
+from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
 
 FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
@@ -119,20 +120,32 @@ def write_footage(
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
     images: list[Image] = []
     annotations: list[Annotation] = []
+    road_users: list[RoadUser] = []
     with ExitStack() as stack:
         plain = stack.enter_context(_open_video(footage.video, size, fps))
         drawn = stack.enter_context(_open_video(footage.overlay, size, fps)) if footage.overlay else None
         drawn_by = make_renderer(renderer, recording, partial(lighting_messages(console), name))
         frames = _render_frames(recording, drawn_by, footage.video.name)
-        for pixels, image, vehicles in console.bar(frames, total=len(recording), unit="image", label="rendering"):
-            numbered = [replace(vehicle, id=len(annotations) + i + 1) for i, vehicle in enumerate(vehicles)]
+        for pixels, image, vehicles, others in console.bar(
+            frames, total=len(recording), unit="image", label="rendering"
+        ):
+            before = len(annotations) + len(road_users)
+            numbered = [replace(vehicle, id=before + i) for i, vehicle in enumerate(vehicles, start=1)]
             plain.add(pixels)
             if drawn:
-                drawn.add(draw.annotations(pixels, numbered))
+                drawn.add(draw.annotations(pixels, numbered, others))
             images.append(image)
             annotations += numbered
+            road_users += [replace(user, id=before + user.id) for user in others]
         info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
-        file = AnnotationFile(images=tuple(images), annotations=tuple(annotations), info=info, name=name)
+        file = AnnotationFile(
+            images=tuple(images),
+            annotations=tuple(annotations),
+            info=info,
+            name=name,
+            road_users=tuple(road_users),
+            categories=CATEGORIES if recording.road_users else VEHICLE_ALONE,
+        )
         # The labels come first, before the videos are renamed into place: they say which footage the files are of.
         write(footage.labels, file)
     return footage
@@ -140,11 +153,15 @@ def write_footage(
 
 def _render_frames(
     recording: Recording, renderer: Renderer, video: str
-) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation]]]:
+) -> Iterator[tuple[NDArray[np.uint8], Image, list[Annotation], list[RoadUser]]]:
+    camera, rules = recording.camera, Rules()
     for frame in range(len(recording)):
         view = renderer.render(frame)
-        vehicles, _ = annotate(recording.moment(frame), view, recording.camera, Rules(), image_id=frame + 1)
-        yield view.rgb, image_of(recording, frame, f"{video}/{frame:06d}", frame + 1), vehicles
+        moment, image = recording.moment(frame), image_of(recording, frame, f"{video}/{frame:06d}", frame + 1)
+        vehicles, _ = annotate(moment, view, camera, rules, image.id)
+        first = len(vehicles) + 1
+        others = annotate_road_users(moment, view, camera, rules, image.id, first) if recording.road_users else []
+        yield view.rgb, image, vehicles, others
 
 
 class _Video:

@@ -15,6 +15,10 @@ class Stream(Enum):
     TRAFFIC = auto()
     """Time that traffic runs before the recording, SUMO's seed, and which vehicles drive where."""
     PEDESTRIANS = auto()
+    CROWDS = auto()
+    """Pedestrians who are labelled, in place of `PEDESTRIANS`."""
+    RIDERS = auto()
+    """How many of those who drive by ride on two wheels, where riders are labelled."""
     TRAFFIC_SHARE = auto()
     """Traffic of a recording, as a share of its site's."""
     HEAVY_SHARE = auto()
@@ -71,6 +75,8 @@ _NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.DROPS_ON_GLASS: (13,),
     Stream.LENS_DIRT: (17,),
     Stream.SCREEN_GRAPHICS: (18,),
+    Stream.CROWDS: (19,),
+    Stream.RIDERS: (20,),
     Stream.SENSOR_NOISE: (),
 }
 _IN_PICTURES: Final = (

@@ -84,6 +84,8 @@ class RecordingPlan:
     """Whether the season is drawn where what stands along the roads is."""
     further_models: bool = False
     """Whether traffic also has the fleet's further models."""
+    road_users: bool = False
+    """Whether people on foot and on two wheels are labelled, and there are more and other ones of them."""
     randomised: float = 0.0
     """Share of simulated traffics whose ground and walls have random colours and patterns, 0..1."""
 
@@ -118,7 +120,7 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class RecordedVehicle:
-    """What stays the same about a road user through a recording: a vehicle, or a bystander that is not labelled."""
+    """What stays the same about a road user through a recording: a vehicle, or a bystander."""
 
     track_id: int
     model: str
@@ -129,7 +131,8 @@ class RecordedVehicle:
     """Name of a vehicle's paint."""
     parked: bool = False
     labelled: bool = True
-    """False for bystanders: people on foot and on two wheels. They come after the vehicles."""
+    """Whether it is a vehicle; False for bystanders, people on foot and on two wheels, who come after the vehicles and
+    have labels of their own where `Recording.road_users` says so."""
     recurs: bool = False
     """Whether other recordings of the dataset have vehicles of exactly this shape, drawn at random (see `SHAPES`)."""
 
@@ -139,7 +142,7 @@ class RecordedVehicle:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One frame: the state of N road users near the camera, labelled vehicles first, then bystanders."""
+    """One frame: the state of N road users near the camera, vehicles first, then bystanders."""
 
     time_s: float
     vehicles: tuple[RecordedVehicle, ...]
@@ -156,7 +159,7 @@ class Moment:
     """SUMO's state string of each signal program."""
     T_world_trailer: Array
     """(N, 3, 4, 4) poses of the trailer of an articulated vehicle and of its wheels rear right, rear left (see
-    `skope.gen.vehicles.model.Trailer`); the identity for road users without one."""
+    `skope.gen.vehicles.model.Trailer`), or of three more moving parts of a bystander; the identity for others."""
 
     def part_poses(self, i: int) -> Array:
         """(8, 4, 4) poses of the parts of the i-th road user (see `skope.gen.vehicles.model.Body`)."""
@@ -209,6 +212,8 @@ class Recording:
     """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`. Default: no vehicle has one."""
     photograph: NDArray[np.uint8] | None = None
     """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
+    road_users: bool = False
+    """Whether bystanders are labelled too, in categories of their own."""
 
     def __post_init__(self) -> None:
         safe_names.name("town", self.town.name)
@@ -253,7 +258,7 @@ class Recording:
 
     def starts_like(self, other: "Recording") -> bool:
         """Whether the first frames are exactly those of `other`, a recording that is not longer."""
-        same = ("town", *_HEADER, "conditions", "photograph")
+        same = ("town", *_HEADER, "conditions", "photograph", "road_users")
         rows = len(other.frame)
         return (
             len(self) >= len(other)
@@ -271,7 +276,7 @@ class Recording:
 _ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
 _ARRAYS: Final = ("times_s", *_ROWS)
 _TRAILER: Final = "T_world_trailer"
-"""The array that only files with an articulated vehicle have."""
+"""The array that only files with an articulated vehicle have, or with a bystander of more than four moving parts."""
 _FILES: Final = ("network", "photograph")
 """Fields of `OwnRoad` that are stored as bytes."""
 _HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
@@ -289,6 +294,7 @@ def packed(recording: Recording) -> bytes:
         "town": recording.town.name,
         **({"variant": asdict(variant)} if (variant := recording.town.variant) else {}),
         **{name: getattr(recording, name) for name in _HEADER},
+        **({"road_users": True} if recording.road_users else {}),
         "size": [recording.camera.width, recording.camera.height],
         "camera": recording.camera.to_dict(),
         "conditions": recording.conditions.to_dict(),
@@ -393,4 +399,5 @@ def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recordi
         signals=tuple(header["signals"]),
         **{name: _full(file[name]) for name in _ARRAYS},
         T_world_trailer=_full(file[_TRAILER]) if _TRAILER in file else None,
+        road_users=header.get("road_users") is True,
     )

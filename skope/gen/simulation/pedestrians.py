@@ -10,8 +10,11 @@ import shapely
 from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
+from skope.gen.bystanders import looks
 from skope.gen.bystanders.bystander import Bystander, build
+from skope.gen.bystanders.joints import sunk
 from skope.gen.bystanders.people import Look, lowered
+from skope.gen.bystanders.riding import standing_lean
 from skope.gen.traffic.sumo import SumoRider
 from skope.types import Array
 
@@ -23,6 +26,18 @@ _STANDING: Final = 0.15
 """Share of pedestrians who stand still."""
 _ELBOW_ROOM: Final = 0.4
 """Least distance from a pedestrian's middle to the side of a parked vehicle, metres."""
+_CROWDS: Final = (0.8, 12.0)
+"""Range of the mean number of groups of labelled pedestrians on 100 m of sidewalk, drawn for each recording."""
+_GROUPS: Final = (0.62, 0.24, 0.09, 0.05)
+"""Share of the groups of one, two, three and four people."""
+_RUNNING: Final = 0.04
+"""Share of the groups that run."""
+_WIDEST: Final = 0.65
+"""Labelled pedestrians keep to this distance from the middle of a sidewalk, metres."""
+_CIRCLE: Final = 0.55
+"""Distance of people who stand together from their middle, metres."""
+_ABREAST: Final = 0.64
+"""Distance of two people who walk side by side, metres."""
 _ASIDE: Final = 0.45
 """Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
 
@@ -41,16 +56,24 @@ class PlacedBystander:
 
     @property
     def part_poses(self) -> Array:
-        """(4, 4, 4) poses of its moving parts in the world."""
-        return self.T_world_body @ self.body.pose(self.travelled)
+        """(P, 4, 4) poses of its moving parts in the world."""
+        return self.T_world_body @ self.body.pose(self.travelled, float(np.linalg.norm(self.velocity)))
 
 
 class Riders:
     """Follows SUMO's riders: how far each has come, and how it leans in curves."""
 
-    def __init__(self, kinds: Mapping[str, str], rng_of: Callable[[str], np.random.Generator]) -> None:
-        """Follow riders: `kinds` is each one's kind by name, `rng_of` gives the generator of a rider's look."""
-        self._kinds, self._rng_of = kinds, rng_of
+    def __init__(
+        self, kinds: Mapping[str, str], rng_of: Callable[[str], np.random.Generator], *, jointed: bool = False
+    ) -> None:
+        """Follow riders.
+
+        Args:
+            kinds: Each one's kind by name.
+            rng_of: Gives the generator of the look of the rider of a name.
+            jointed: Whether bodies are those of riders who are labelled.
+        """
+        self._kinds, self._rng_of, self._jointed = kinds, rng_of, jointed
         self._bodies: dict[str, Bystander] = {}
         self._travelled: dict[str, float] = {}
         self._yaw: dict[str, float] = {}
@@ -62,15 +85,17 @@ class Riders:
 
     def _place(self, name: str, state: SumoRider, dt: float) -> PlacedBystander:
         if name not in self._bodies:
-            look = Look.drawn(self._rng_of(name))
-            self._bodies[name] = build(self._kinds[name], look.to_dict())
+            kind, rng = self._kinds[name], self._rng_of(name)
+            look = looks.drawn(kind, rng) if self._jointed else Look.drawn(rng)
+            self._bodies[name] = build(kind, look.to_dict())
             self._travelled[name], self._yaw[name], self._lean[name] = 0.0, state.yaw, 0.0
         turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt
         self._yaw[name] = state.yaw
         self._travelled[name] += state.speed * dt
         lean = math.atan(float(np.clip(turn * state.speed / _GRAVITY, -0.7, 0.7)))
         self._lean[name] += (lean - self._lean[name]) * dt / (0.3 + dt)
-        T = _frame(state.position, state.yaw, state.pitch, -self._lean[name])
+        to_the_left = self._lean[name] + (standing_lean(state.speed) if self._jointed else 0.0)
+        T = _frame(state.position, state.yaw, state.pitch, -to_the_left)
         return PlacedBystander(self._bodies[name], T, state.speed * T[:3, 0], self._travelled[name])
 
 
@@ -123,9 +148,57 @@ class Walkers:
                 free = [way for way in (walk, replace(walk, aside=0.0)) if not way.meets(standing)]
                 self._walks += free[:1]
 
+    @classmethod
+    def labelled(
+        cls, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = (), *, raining: bool = False
+    ) -> "Walkers":
+        """Pedestrians who are labelled: few or many, alone and in groups that walk or stand together.
+
+        Args:
+            paths: Middles of sidewalks (N, 3).
+            rng: Draws them all.
+            parked: Footprints of parked vehicles, metres.
+            raining: Whether many have umbrellas.
+        """
+        out = cls((), rng)
+        standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
+        crowd = math.exp(rng.uniform(math.log(_CROWDS[0]), math.log(_CROWDS[1])))
+        for path in paths:
+            length = _length(path)
+            for _ in range(rng.poisson(length / 100 * crowd)):
+                group = [walk for walk in _group(path, length, rng, raining) if not walk.meets(standing)]
+                out._walks += group
+        return out
+
     def at(self, time: float) -> dict[str, PlacedBystander]:
         """All pedestrians by name at a time, seconds."""
         return {f"p{i:04d}": _place_walker(walk, time) for i, walk in enumerate(self._walks)}
+
+
+def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) -> list[_Walk]:
+    """One or more people who go the same way side by side, or stand together and look at each other."""
+    count = 1 + int(rng.choice(len(_GROUPS), p=_GROUPS))
+    start, aside = float(rng.uniform(0, length)), float(rng.normal(0, _ASIDE))
+    stands, way = rng.random() < _STANDING, float(rng.choice([-1, 1]))
+    # Walls stand where a sidewalk ends.
+    room = _WIDEST - ((_CIRCLE if stands else _ABREAST / 2) if count > 1 else 0.0)
+    aside = min(max(aside, -room), room)
+    speed = way * float(rng.choice([rng.normal(1.35, 0.2), rng.normal(2.7, 0.3)], p=[1 - _RUNNING, _RUNNING]))
+    facing = float(rng.uniform(-math.pi, math.pi))
+    out = []
+    for k in range(count):
+        body = build("pedestrian", looks.drawn("pedestrian", rng, raining=raining).to_dict())
+        if stands and count > 1:
+            around = 2 * math.pi * k / count
+            ahead, beside = _CIRCLE * math.cos(around), _CIRCLE * math.sin(around)
+            facing = math.atan2(beside, -ahead)
+        elif stands:
+            ahead = beside = 0.0
+        else:  # in pairs: a sidewalk is not wide
+            ahead, beside = float(0.15 * rng.normal()) - 0.9 * (k // 2), _ABREAST * (k % 2 - 0.5 * (count > 1))
+        speed_of = 0.0 if stands else speed
+        out.append(_Walk(body, path, start + ahead, speed_of, aside + beside, facing if stands else 0.0))
+    return out
 
 
 def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
@@ -142,7 +215,8 @@ def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
     # To the right of the path's own direction, whichever way the pedestrian walks.
     right = np.array([along[1], -along[0], 0.0]) * way / max(float(np.hypot(along[0], along[1])), 1e-9)
     place = here + walk.aside * right
-    place[2] -= lowered(walk.body.look, travelled)
+    look, speed = walk.body.look, abs(walk.speed)
+    place[2] -= sunk(look, travelled, speed) if walk.body.jointed else lowered(look, travelled)
     T = _frame((float(place[0]), float(place[1]), float(place[2])), yaw + walk.facing, 0.0, 0.0)
     return PlacedBystander(walk.body, T, abs(walk.speed) * np.array([math.cos(yaw), math.sin(yaw), 0.0]), travelled)
 

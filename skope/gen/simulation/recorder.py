@@ -19,6 +19,7 @@ from skope.gen.simulation.physics import Pose, at_rest
 from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import Snapshot, Traffic
+from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import FleetEntry, build, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import draw_paint
@@ -47,6 +48,8 @@ FLASH: Final = 0.667
 DAYTIME_LAMPS: Final = 0.4
 """Share of the vehicles that drive with their headlamps lit by day, where cameras are to differ as those of many
 countries do."""
+UNLIT: Final = 0.15
+"""Share of the cyclists who ride without lamps in the dark, and of the motorcyclists who do by day."""
 TRACKS_PER_RECORDING: Final = 100_000
 """Track ids of a site's recordings are this far apart, so that they never meet."""
 
@@ -62,6 +65,20 @@ def flashed(lamps: int, time: float, name: str) -> int:
     indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
     phase = zlib.crc32(name.encode()) / 2**32
     return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
+
+
+def _rider_lamps(kind: str, name: str, dark: bool) -> int:
+    """The lamps that a labelled rider has lit: a bicycle's front lamp is one as vehicles have for backing up.
+
+    Args:
+        kind: Kind of the body.
+        name: Name of the rider, whose habit follows from it.
+        dark: Whether vehicles have their lamps lit.
+    """
+    unlit = zlib.crc32(f"{name} unlit".encode()) < UNLIT * 2**32
+    if kind == "motorcyclist":
+        return LAMPS["low_beam"] if dark or not unlit else 0
+    return LAMPS["low_beam"] | LAMPS["reverse"] if kind == "cyclist" and dark and not unlit else 0
 
 
 def _half_view(camera: Camera) -> float:
@@ -185,11 +202,12 @@ class Recorder:
         """Add bystanders, by name, to the last frame that was added."""
         for name, other in others.items():
             if self._distance(other.T_world_body[:2, 3].tolist()) < REACH:
-                pose = Pose(other.T_world_body, other.part_poses, other.velocity)
-                look = other.body.look.to_dict()
-                self._note(
-                    len(self._times) - 1, name, other.body.kind, look, "black", pose, self._always, labelled=False
-                )
+                parts, look = other.part_poses, other.body.look.to_dict()
+                more = np.concatenate([parts[4:], trailer_motion.NONE[: 7 - len(parts)]])
+                pose = Pose(other.T_world_body, parts[:4], other.velocity, more)
+                dark = bool(self._always)
+                lamps = _rider_lamps(other.body.kind, name, dark) if other.body.jointed else self._always
+                self._note(len(self._times) - 1, name, other.body.kind, look, "black", pose, lamps, labelled=False)
 
     def _note(
         self,
@@ -249,4 +267,5 @@ class Recorder:
             T_world_trailer=trailers if (trailers != np.eye(4)).any() else None,
             velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
+            road_users=plan.road_users,
         )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from shapely import Polygon
 
 from skope.camera.model import Camera
 from skope.gen.scene.camera_sampling import CameraRanges, drawn
@@ -22,7 +23,7 @@ from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.town import Mast, Variant
-from skope.gen.traffic.demand import in_town
+from skope.gen.traffic.demand import USUAL_RIDERS, Riding, in_town
 from skope.gen.traffic.sumo import Snapshot, Traffic, step_for
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import FleetEntry, fleet
@@ -84,10 +85,12 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             passing=RoadGraph.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
             step=step,
             watched=cameras.watch,
+            riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.road_users else USUAL_RIDERS,
         ) as traffic,
         World(step) as world,
     ):
-        riders = Riders({trip.name: trip.model for trip in traffic.trips.values()}, first.rng_of)
+        kinds = {trip.name: trip.model for trip in traffic.trips.values()}
+        riders = Riders(kinds, first.rng_of, jointed=first.road_users)
         traffic.warm_up(warm_up - ahead)
         snapshots: Iterable[Snapshot] = traffic.steps(steps + 2 * ahead)
         if first.views:
@@ -173,15 +176,22 @@ class _Cameras:
         footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
         masts = town.variant.masts if town.variant else ()
         places = [mast.position for mast in masts] or [first.site.position]
-        for plan, (x, y, _), recorder in zip(self._plans, places, self.recorders, strict=True):
+        cameras = zip(self._plans, places, self.recorders, self._conditions, strict=True)
+        for plan, (x, y, _), recorder, conditions in cameras:
             recorder.park(standing)
             paths = sidewalks(town, (x, y), CROWD_REACH)
-            self.walkers.append(Walkers(paths, plan.rng(Stream.PEDESTRIANS), footprints))
+            self.walkers.append(_walkers(plan, paths, footprints, raining=conditions.rain_mm_h > 0))
 
     def recordings(self) -> list[Recording]:
         """What was recorded, camera by camera."""
         each = zip(self.recorders, self._plans, self._cameras, self._conditions, strict=True)
         return [recorder.recording(plan, camera, conditions) for recorder, plan, camera, conditions in each]
+
+
+def _walkers(plan: RecordingPlan, paths: Sequence[Array], parked: Sequence[Polygon], *, raining: bool) -> Walkers:
+    if plan.road_users:
+        return Walkers.labelled(paths, plan.rng(Stream.CROWDS), parked, raining=raining)
+    return Walkers(paths, plan.rng(Stream.PEDESTRIANS), parked)
 
 
 def _conditions(plan: RecordingPlan) -> Conditions:

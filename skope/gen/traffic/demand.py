@@ -21,8 +21,18 @@ _HEAVY_SPEED: Final = 25.0
 """Speed that the limiters of heavy vehicles allow, m/s."""
 RIDERS: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """Road users on two wheels, by SUMO's vehicle class."""
-_RIDER_SHARE: Final = {"cyclist": 0.03, "motorcyclist": 0.02}
-"""Number of riders of each kind for one vehicle."""
+_NARROW: Final[Mapping[str, Mapping[str, str]]] = {
+    "cyclist": {"latAlignment": "right", "minGapLat": "0.25", "maxSpeed": "7", "width": "0.65", "length": "1.8"},
+    "motorcyclist": {
+        "latAlignment": "arbitrary", "minGapLat": "0.15", "minGap": "1.0", "width": "0.75", "length": "2.1",
+        "lcPushy": "0.8", "lcAssertive": "2", "lcSpeedGain": "5", "maxSpeedLat": "1.2", "accel": "3.5", "decel": "5",
+    },
+}  # fmt: skip
+"""SUMO's attributes of riders who pass between lanes and along queues, on top of their drivers' manners."""
+_COMPANY: Final = {"cyclist": 0.30, "motorcyclist": 0.12}
+"""Share of the riders with somebody behind them who goes the same way."""
+_BEHIND_S: Final = 1.1
+"""Seconds between riders of a group."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,25 @@ class Trip:
     @property
     def type_id(self) -> str:
         return f"{self.model}.{self.driver}"
+
+
+@dataclass(frozen=True)
+class Riding:
+    """How many riders there are, and how they ride."""
+
+    shares: Mapping[str, float]
+    """Number of riders of each kind for one vehicle."""
+    narrow: bool = False
+    """Whether they pass between lanes, and some ride in groups."""
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> "Riding":
+        """Draw the riders of a traffic in which they are labelled: from a few to a third of all."""
+        return cls({kind: float(np.exp(rng.uniform(np.log(0.03), np.log(0.25)))) for kind in RIDERS}, narrow=True)
+
+
+USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
+"""Riders where they are not labelled."""
 
 
 @cache
@@ -65,7 +94,7 @@ def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry
     }
 
 
-def write_types(path: Path, models: Mapping[str, FleetEntry]) -> None:
+def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = USUAL_RIDERS) -> None:
     """Write SUMO's vehicle types: each model with each kind of driver, and riders."""
     root = ElementTree.Element("additional")
     for driver, row in _tables()["drivers"].items():
@@ -74,7 +103,8 @@ def write_types(path: Path, models: Mapping[str, FleetEntry]) -> None:
             attributes = manner | _attributes(entry.vehicle)
             ElementTree.SubElement(root, "vType", {"id": f"{name}.{driver}", **attributes})
         for rider, vehicle_class in RIDERS.items():
-            ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **manner, "vClass": vehicle_class})
+            own = {**manner, **(_NARROW[rider] if riders.narrow else {})}
+            ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **own, "vClass": vehicle_class})
     ElementTree.ElementTree(root).write(path, encoding="utf-8")
 
 
@@ -103,16 +133,17 @@ def trips(
     duration: float,
     rng: np.random.Generator,
     passing: frozenset[str] = frozenset(),
+    riders: Riding = USUAL_RIDERS,
 ) -> Iterator[Trip]:
     """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back.
 
-    With `passing`, all on ways over one of these edges.
+    With `passing`, all on ways over one of these edges. `vehicles_per_hour` are of all kinds together.
     """
     routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
     weights = np.array([weight for _, weight in routes])
-    riders = sum(_RIDER_SHARE.values()) * sum(entry.share for entry in models.values())
+    ridden = sum(riders.shares.values()) * sum(entry.share for entry in models.values())
     users = {name: entry.share for name, entry in models.items()}
-    users |= {name: riders * share / sum(_RIDER_SHARE.values()) for name, share in _RIDER_SHARE.items()}
+    users |= {name: ridden * share / sum(riders.shares.values()) for name, share in riders.shares.items()}
     drivers = driver_shares()
     time = 0.0
     for i in range(1_000_000):
@@ -123,6 +154,11 @@ def trips(
         model, driver = drawn(users, rng), drawn(drivers, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
         yield Trip(f"v{i:05d}", model, driver, color, time, edges)
+        if riders.narrow and model in RIDERS:
+            for k in range(1, 4):
+                if rng.random() >= _COMPANY[model]:
+                    break
+                yield Trip(f"v{i:05d}.{k}", model, driver, color, time + k * _BEHIND_S, edges)
 
 
 def driver_shares() -> dict[str, float]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.gen.scene.lamps import LAMPS
-from skope.gen.traffic.demand import RIDERS, Trip, trips, write_types
+from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
@@ -208,6 +208,7 @@ class Traffic:
         passing: frozenset[str] = frozenset(),
         step: float = STEP,
         watched: Callable[[float, float], bool] = lambda x, y: True,
+        riders: Riding = USUAL_RIDERS,
     ) -> None:
         """Draw the traffic; SUMO starts when the context is entered.
 
@@ -222,17 +223,27 @@ class Traffic:
             step: Length of a step, seconds.
             watched: Whether a place (world x, y in metres) is watched. A vehicle is reported from the first time that
                 it comes to a watched place. Default: everywhere.
+            riders: How many riders there are among those who are drawn, and how they ride.
 
         Raises:
             UserError: `flows` does not fit the network.
         """
         self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
+        self._riders = riders
         # Drawn before the trips: a longer recording draws more trips, and must still begin like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
             if flows
-            else trips(network, fleet, vehicles_per_hour=vehicles_per_hour, duration=duration, rng=rng, passing=passing)
+            else trips(
+                network,
+                fleet,
+                vehicles_per_hour=vehicles_per_hour,
+                duration=duration,
+                rng=rng,
+                passing=passing,
+                riders=riders,
+            )
         )
         self.trips: Mapping[str, Trip] = {trip.name: trip for trip in planned}
         self._chassis = {name: Chassis.of(entry.vehicle) for name, entry in fleet.items()}
@@ -258,7 +269,7 @@ class Traffic:
                 types = Path(f"/proc/self/fd/{file.fileno()}")
             else:
                 types = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "types.add.xml"
-            write_types(types, self._fleet)
+            write_types(types, self._fleet, self._riders)
             options["additional-files"] = types
             pairs = ((f"--{name}", *([str(value)] if value != "" else [])) for name, value in options.items())
             libsumo.start(["sumo", *(word for pair in pairs for word in pair)])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope import keypoints
-from skope.schema import array
+from skope.field_checks import array
 from skope.types import Array
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError, one_of
+from skope.field_checks import array
 from skope.files.atomic import write_bytes
 from skope.files.json_files import check_version, read_json
 from skope.files.safe_names import name as check_name
@@ -23,7 +24,7 @@ from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.marked_models import Marked
 from skope.gen.vehicles.model import Derived
 from skope.gen.vehicles.shape import Dimensions
-from skope.schema import VEHICLE_TYPES, array
+from skope.schema import VEHICLE_TYPES
 from skope.types import Array
 
 DENSITY: Final = 115.0

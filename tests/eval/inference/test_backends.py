@@ -26,6 +26,8 @@ from skope.eval.inference.backends import eight_bits
 from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
+from skope.eval.inference.backends.suppression import suppress_together
+from skope.schema import CATEGORIES
 from skope.terminal.console import Console
 
 PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
@@ -293,3 +295,26 @@ def test_the_command_names_what_computes(skope: Any, random_run: Path, pixels: N
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert not Path("p").exists()
+
+
+@pytest.mark.parametrize("backend", ["openvino", "onnx", "together"])
+def test_backends_find_other_road_users_too(backend: str, categories_run: Path) -> None:
+    """Those that torch finds surely, of each category; only vehicles go through the keypoint head."""
+    if backend in ("openvino", "onnx"):
+        pytest.importorskip({"openvino": "openvino", "onnx": "onnxruntime"}[backend])
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
+    before, after = (load_weights(find_checkpoint(categories_run), CPU)[0] for _ in range(2))
+    if backend == "together":
+        suppress_together(after)
+    else:
+        prepare(after, {}, CPU, backend=backend, precision="float32", console=Console(quiet=True))
+    one, two = (detect(m, [pixels], CPU, min_score=0.2, categories=CATEGORIES)[0] for m in (before, after))
+    assert len(one) > 2
+    assert set(one.road_users.categories.tolist()) == {2, 3, 4}
+    sure = one.road_users.of(one.road_users.scores > 0.21)
+    for box, score, category in zip(sure.boxes_xyxy, sure.scores, sure.categories, strict=True):
+        alike = two.road_users.of(two.road_users.categories == category)
+        overlaps = boxes.iou(box, alike.boxes_xyxy)[0]
+        assert overlaps.max() > 0.99
+        assert alike.scores[overlaps.argmax()] == pytest.approx(score, abs=0.01)
+    assert two.keypoints.shape == (len(two), 33, 3)

@@ -3,10 +3,14 @@
 import copy
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
+from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect
@@ -88,3 +92,55 @@ def test_a_checkpoint_of_its_own(skope: Any, own_truth: tuple[Path, Path], tmp_p
     assert not path_beside(run / "epoch_001.safetensors").exists()
     assert skope("eval", *common, "--checkpoint", out, "--out", "after")[0] == 0
     assert json.loads(Path("after", "metrics.json").read_text())["calibrated"] is True
+
+
+def _softmax(logits: torch.Tensor) -> np.ndarray:
+    return torch.softmax(logits.double(), dim=-1).numpy()
+
+
+@pytest.mark.parametrize("classes", [2, 5])
+def test_folded_logits_of_vehicles_are_the_calibrated_ones(classes: int) -> None:
+    """Exactly where there are two classes; with more, where one of the others leads, and nearly everywhere else."""
+    torch.manual_seed(1)
+    model: Any = SimpleNamespace(
+        roi_heads=SimpleNamespace(
+            box_predictor=FastRCNNPredictor(8, classes), keypoint_predictor=KeypointRCNNPredictor(4, 33)
+        )
+    )
+    box = model.roi_heads.box_predictor.cls_score
+    regions = 10 * torch.randn(2000, 8)
+    with torch.inference_mode():
+        before = box(regions)
+    points = ScoreCalibration(scale=np.ones(33), offset=np.zeros(33), fitted_on={})
+    calibrated_weights.fold(model, (0.7, -0.4), points)
+    with torch.inference_mode():
+        after = _softmax(box(regions))
+    expected = calibrated_weights.calibrated(_softmax(before)[:, 1], 0.7, -0.4)
+    others = np.sort(np.delete(before.numpy(), 1, axis=1), axis=1)
+    leads = others[:, -1] - others[:, -2] > 8 if classes > 2 else np.ones(len(before), dtype=bool)
+    assert leads.sum() > 100
+    np.testing.assert_allclose(after[leads, 1], expected[leads], atol=1e-3)
+    assert np.abs(after[:, 1] - expected).max() < 0.15
+    # The order of the other categories among each other is what it was.
+    rest = [k for k in range(classes) if k != 1]
+    assert (np.argsort(after[:, rest]) == np.argsort(before.numpy()[:, rest])).all()
+
+
+def test_weights_of_one_class_are_folded_to_the_same_bits_as_ever() -> None:
+    torch.manual_seed(2)
+    box = FastRCNNPredictor(16, 2).cls_score
+    model: Any = SimpleNamespace(
+        roi_heads=SimpleNamespace(
+            box_predictor=SimpleNamespace(cls_score=copy.deepcopy(box)), keypoint_predictor=KeypointRCNNPredictor(4, 33)
+        )
+    )
+    points = ScoreCalibration(scale=np.ones(33), offset=np.zeros(33), fitted_on={})
+    calibrated_weights.fold(model, (0.83, -0.37), points)
+    with torch.no_grad():
+        for parameter in (box.weight, box.bias):
+            half = 0.83 * (parameter[1] - parameter[0]) / 2
+            parameter.copy_(torch.stack([-half, half]))
+        box.bias += torch.tensor([0.37 / 2, -0.37 / 2])
+    folded = model.roi_heads.box_predictor.cls_score
+    assert torch.equal(folded.weight, box.weight)
+    assert torch.equal(folded.bias, box.bias)

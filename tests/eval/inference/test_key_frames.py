@@ -8,8 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from skope import boxes
+from skope.detections import AnyResult
 from skope.eval.inference.key_frames import with_frames_between
-from skope.schema import Image, Result
+from skope.schema import Image, Result, RoadUserResult
 
 SIZE = (320, 200)
 CAR = (48, 32)
@@ -140,3 +141,45 @@ def test_a_run_that_goes_on_keeps_the_names() -> None:
         [one.track_id for one in found] for _, found, _ in with_frames_between(iter(frames[5:]), find, 5, whole[5])
     ]
     assert later == whole[5:]
+
+
+def walker(image_id: int, at: tuple[float, float], category: int = 4) -> RoadUserResult:
+    """Somebody as large as the drawn cars: a road user has no keypoints to follow."""
+    low, high = np.clip(at, 0, SIZE), np.clip(np.add(at, CAR), 0, SIZE)
+    box = np.concatenate([low, high - low])
+    return RoadUserResult(image_id=image_id, score=0.8, bbox=box, category_id=category)
+
+
+def test_road_users_without_keypoints_are_followed_beside_vehicles() -> None:
+    """By points in the middle of their boxes, where they speed up too; vehicles are where they are without them."""
+    places = (lambda k: (200.0, 20.0), speeding_up)
+
+    def find(frame: tuple[Image, NDArray[np.uint8]]) -> list[AnyResult]:
+        k = frame[0].id - 1
+        return [vehicle(k + 1, places[0](k)), walker(k + 1, places[1](k))]
+
+    frames = drawn(12, places)
+    both = list(with_frames_between(iter(frames), find, 5))
+    alone = list(with_frames_between(iter(frames), lambda frame: find(frame)[:1], 5))
+    names = set()
+    for k, ((image, (car, person), key), (_, (lonely,), _)) in enumerate(zip(both, alone, strict=True)):
+        assert np.array_equal(car.bbox, lonely.bbox)
+        assert np.array_equal(car.keypoints, lonely.keypoints)
+        assert isinstance(person, RoadUserResult)
+        assert (person.image_id, person.category_id, person.interpolated) == (image.id, 4, not key)
+        assert person.bbox == pytest.approx(walker(k + 1, speeding_up(k)).bbox, abs=1.5)
+        names.add((car.track_id, person.track_id))
+    ((car_name, person_name),) = names
+    assert car_name != person_name
+
+
+def test_nobody_becomes_another_kind_between_key_frames() -> None:
+    """A bicycle in the place of a pedestrian of the frame before is somebody else."""
+
+    def find(frame: tuple[Image, NDArray[np.uint8]]) -> list[AnyResult]:
+        return [walker(frame[0].id, (100.0, 50.0), 4 if frame[0].id == 1 else 2)]
+
+    out = list(with_frames_between(iter(drawn(4, [lambda k: (100.0, 50.0)])), find, 3))
+    numbers = {(one.category_id, one.track_id) for _, found, _ in out for one in found}
+    assert len(numbers) == 2
+    assert len({track for _, track in numbers}) == 2

@@ -58,11 +58,12 @@ def test_proposals_are_those_of_torchvision(seed: int) -> None:
 
 @pytest.mark.parametrize("counts", [(40, 17), (3, 0), (0, 0)])
 @pytest.mark.parametrize("score_thresh", [0.05, 0.5])
-def test_detections_are_those_of_torchvision(counts: tuple[int, int], score_thresh: float) -> None:
+@pytest.mark.parametrize("classes", [2, 5])
+def test_detections_are_those_of_torchvision(counts: tuple[int, int], score_thresh: float, classes: int) -> None:
     draw, model = torch.Generator().manual_seed(sum(counts)), Model(score_thresh)
     proposals = [drawn(count, draw=draw) for count in counts]
-    logits = torch.randn(sum(counts), 2, generator=draw)
-    offsets = torch.randn(sum(counts), 8, generator=draw)
+    logits = torch.randn(sum(counts), classes, generator=draw)
+    offsets = torch.randn(sum(counts), 4 * classes, generator=draw)
     expected = model.roi_heads.postprocess_detections(logits, offsets, proposals, SIZES)
     suppress_together(model)  # type: ignore[arg-type]
     for ours, theirs in zip(

@@ -13,7 +13,7 @@ import pytest
 from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import read_image
-from skope.detections import Detections
+from skope.detections import Detections, RoadUserDetections
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
@@ -144,3 +144,40 @@ def test_tiles_are_an_option(skope: Any, random_run: Path) -> None:
     assert (code, error.count("\n")) == (2, 1)
     assert "tiles = none, now auto" in error
     assert skope(*common, "x", "--tiles", "some")[0] == 2
+
+
+def people(*rows: tuple[float, float, float, float, float, int]) -> RoadUserDetections:
+    """Road users of x, y, width, height, score and category."""
+    table = np.array(rows, dtype=float).reshape(-1, 6)
+    return RoadUserDetections(boxes.xywh_to_xyxy(table[:, :4]), table[:, 4], table[:, 5].astype(np.int64))
+
+
+def nothing(size: tuple[int, int], users: RoadUserDetections) -> Detections:
+    return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 33, 3)), size, road_users=users)
+
+
+def test_road_users_are_joined_by_category() -> None:
+    """Each once, the surest box of each; what a tile's edge cuts is left to the whole image."""
+    left, right = Tile(0, 0, 600, 400), Tile(400, 0, 600, 400)
+    whole = nothing((1000, 400), people((100, 50, 20, 40, 0.5, 4), (590, 50, 40, 40, 0.6, 2)))
+    parts = [
+        (
+            left,
+            nothing(
+                (600, 400), people((100, 50, 20, 40, 0.9, 4), (100, 50, 20, 40, 0.4, 2), (590, 50, 10, 40, 0.9, 2))
+            ),
+        ),
+        (right, nothing((600, 400), people((300, 50, 16, 40, 0.7, 3)))),
+    ]
+    users = joined(whole, parts).road_users
+    found = zip(users.boxes_xyxy[:, 0].tolist(), users.scores.tolist(), users.categories.tolist(), strict=True)
+    assert list(found) == [(100, 0.9, 4), (700, 0.7, 3), (590, 0.6, 2), (100, 0.4, 2)]
+
+
+def test_a_part_of_a_rider_whom_a_tile_cuts_is_left_out() -> None:
+    tile = Tile(0, 0, 600, 400)
+    whole = nothing((1000, 400), people((560, 50, 80, 100, 0.9, 3)))
+    part = people((562, 52, 30, 40, 0.8, 3), (562, 52, 30, 40, 0.7, 4))
+    users = joined(whole, [(tile, nothing((600, 400), part))]).road_users
+    assert users.categories.tolist() == [3, 4]
+    assert users.scores.tolist() == [0.9, 0.7]

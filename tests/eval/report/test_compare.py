@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from skope.dataset import coco
-from skope.schema import AnnotationFile, Image, Result
-from tests.samples import make_annotation
+from skope.schema import AnnotationFile, Image, Result, RoadUserResult
+from tests.samples import make_annotation, make_road_user
 
 IMAGES = 60
 
@@ -108,3 +108,26 @@ def test_what_cannot_be_compared_gets_one_line(skope: Any, runs: tuple[Path, Pat
     assert "tallies.json: damaged" in said("fewer", runs[0])
     (tmp_path / "fewer" / "tallies.json").write_text('{"version": 7}')
     assert "not a file of `skope eval` of version 1" in said("fewer", runs[0])
+
+
+def test_figures_of_other_road_users_stand_side_by_side(skope: Any, tmp_path: Path) -> None:
+    """Also where one of the detectors knows none of them."""
+    image = Image(id=1, file_name="1.png", width=300, height=200)
+    users = (make_road_user(2, 1, (10, 100, 20, 50)), make_road_user(3, 1, (60, 100, 20, 50)))
+    vehicle = make_annotation(1, 1, (100, 10, 100, 60))
+    file = AnnotationFile(
+        images=(image,), annotations=(vehicle,), road_users=users, categories=("vehicle", "pedestrian")
+    )
+    coco.write(tmp_path / "truth.json", file)
+    car = Result(image_id=1, score=0.95, bbox=vehicle.bbox, keypoints=vehicle.keypoints)
+    people = [RoadUserResult(image_id=1, score=0.95, bbox=u.bbox, category_id=4) for u in users]
+    for name, found in (("a", [car, *people]), ("b", [car, people[0]]), ("c", [car])):
+        coco.write_results(tmp_path / f"{name}.json", found)
+        assert skope("eval", "--annotations", "truth.json", "--predictions", f"{name}.json", "--out", name)[0] == 0
+    code, out, err = skope("eval", "compare", "a", "b", "c")
+    assert (code, err) == (0, "")
+    rows = [line.split() for line in out.splitlines() if " pedestrian " in line]
+    assert ["pedestrian", "recall", "1.000", "0.500", "-"] in rows
+    assert ["pedestrian", "precision", "1.000", "1.000", "-"] in rows
+    assert skope("eval", "compare", "c", "c", "--out", "same.json")[0] == 0
+    assert "categories" not in json.loads(Path("same.json").read_text())["splits"]["truth"]

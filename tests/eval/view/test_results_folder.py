@@ -18,7 +18,7 @@ from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
 from skope.files.json_files import write_json
 from skope.pictures.video import write_video
-from skope.schema import AnnotationFile, Image
+from skope.schema import AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import Console
 from skope.viewer.collection import Collection
 from skope.viewer.documents import Documents
@@ -225,3 +225,25 @@ def test_predictions_that_are_missing_are_named(skope: Any, tmp_path: Path) -> N
     predicted(tmp_path / "out", records(1), None)
     (tmp_path / "out/predictions.json").unlink()
     assert skope("eval", "view", "out")[::2] == (2, "skope: out/predictions.json: no such file\n")
+
+
+def test_who_was_found_on_foot_in_footage_is_shown(tmp_path: Path) -> None:
+    folder = predicted(tmp_path, records(2), None)
+    assert not Documents(collection(folder)).index()["others"]
+    box = np.array([4.0, 5, 10, 30])
+    people = [
+        RoadUserResult(image_id=2, score=0.9, bbox=box, category_id=4, track_id=12),
+        RoadUserResult(image_id=2, score=0.7, bbox=box + [20, 0, 0, 0], category_id=2),
+    ]
+    vehicle = Result(image_id=2, score=0.8, bbox=box, keypoints=np.ones((33, 3)))
+    coco.write_results(folder / "predictions.json", [vehicle, *people])
+    documents = Documents(collection(folder))
+    assert documents.index()["others"]
+    details = documents.details(1)
+    assert [(one["category"], one["box"]) for one in details["others"]] == [
+        ("pedestrian", [4, 5, 10, 30]),
+        ("bicycle", [24, 5, 10, 30]),
+    ]
+    assert details["others"][0]["words"] == "pedestrian 12"
+    assert [one["score"] for one in details["detections"]] == [0.8]
+    assert documents.details(0)["others"] == []

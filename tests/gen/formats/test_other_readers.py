@@ -17,6 +17,7 @@ from pycocotools.coco import COCO
 from torchvision.datasets import CocoDetection
 
 from tests.gen.formats.foreign_files import write
+from tests.samples import make_dataset
 
 FOLDERS = (
     "cam1/images/a_{}", "images/images/b_{}", ".hidden/c_{}", "labels/d_{}", "e f/%20#{}", "[x]/*g?_{}", "Straße/ü'{}",
@@ -31,6 +32,18 @@ found = datumaro.Dataset.import_from(sys.argv[1], "coco_person_keypoints")
 labelled = [any(a.type.name == "points" for a in item.annotations) for item in found]
 shown = [item.media is not None and item.media.data is not None for item in found]
 print(json.dumps([len(labelled), sum(labelled), sum(shown)]))
+"""
+
+
+_KINDS = """
+import collections, json, sys
+import datumaro
+found = datumaro.Dataset.import_from(sys.argv[1], "coco_person_keypoints")
+names = [label.name for label in found.categories()[datumaro.AnnotationType.label]]
+marks = [a for item in found for a in item.annotations]
+count = lambda kind: dict(collections.Counter(names[a.label] for a in marks if a.type.name == kind))
+points = [a for a in marks if a.type.name == "points" and sum(v.value for v in a.visibility)]
+print(json.dumps([count("bbox"), dict(collections.Counter(names[a.label] for a in points))]))
 """
 
 
@@ -97,3 +110,34 @@ def test_ultralytics(others: Path) -> None:
     files = {part: sum(path.is_file() for path in Path("yolo/images", part).rglob("*")) for part in ("train", "val")}
     assert files["train"] + files["val"] > 0.9 * len(NAMES)
     assert counts == {part: [str(files[part]), "0", "0"] for part in files}, said[-2000:]
+
+
+@pytest.mark.slow
+def test_datumaro_finds_people_as_boxes(others: Path, skope: Any) -> None:
+    """As the library of CVAT's formats reads them: vehicles with points, the others as boxes without any."""
+    make_dataset(Path("data"), images=3, splits=("train",), road_users=True)
+    assert skope("gen", "convert", "data", "cvat", "--to", "cvat", "-q")[0] == 0
+    done = subprocess.run([others / "python", "-c", _KINDS, "cvat"], capture_output=True, text=True, check=True)
+    boxes, points = json.loads(done.stdout.splitlines()[-1])
+    assert {name: number for name, number in boxes.items() if name != "vehicle"} == dict.fromkeys(
+        ("bicycle", "motorcycle", "pedestrian"), 3
+    )
+    assert points == {"vehicle": 6}
+
+
+@pytest.mark.slow
+def test_ultralytics_learns_from_people_without_points(others: Path, skope: Any) -> None:
+    make_dataset(Path("data"), images=14, splits=("train",), road_users=True)
+    assert skope("gen", "convert", "data", "yolo", "--to", "yolo", "-q")[0] == 0
+    flags = "epochs=1 imgsz=64 batch=4 workers=0 plots=False device=cpu model=yolo11n-pose.yaml"
+    done = subprocess.run(
+        [others / "yolo", "train", "task=pose", f"data={Path('yolo/data.yaml').resolve()}", *flags.split()],
+        env={**os.environ, "YOLO_CONFIG_DIR": str(Path("settings").resolve()), "PYTHONPATH": ""},
+        capture_output=True,
+        text=True,
+    )
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said[-2000:]
+    assert re.search(r"train: .*? 12 images, 0 backgrounds, 0 corrupt", said), said[-2000:]
+    # 1 image to validate on: two vehicles, a bicycle and a pedestrian; the ignored motorcycle is background.
+    assert re.search(r"all +1 +4 ", said), said[-2000:]

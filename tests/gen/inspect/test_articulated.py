@@ -11,6 +11,7 @@ from skope.dataset import coco
 from skope.dataset.folder import Dataset
 from skope.eval.pose.pose_errors import PoseErrors, summary, table
 from skope.gen.inspect import check, stats
+from skope.gen.inspect.check_boxes import box_3d_findings
 from skope.keypoints import SKOPE33
 from skope.schema import Annotation, AnnotationFile, Image
 from tests.gen.labels.test_articulated import CAMERA, labelled
@@ -24,11 +25,11 @@ def lorry(bend_deg: float) -> Annotation:
 
 @pytest.mark.parametrize("bend_deg", [0.0, 35.0, -35.0])
 def test_a_sound_lorry_has_no_findings(bend_deg: float) -> None:
-    assert list(check._check_box_3d(CAMERA, lorry(bend_deg))) == []
+    assert list(box_3d_findings(CAMERA, lorry(bend_deg))) == list(check._check_keypoints_3d(lorry(bend_deg))) == []
 
 
 def test_an_angle_that_the_rear_wheels_contradict_is_found() -> None:
-    (text,) = check._check_box_3d(CAMERA, replace(lorry(35.0), articulation=-0.3))
+    (text,) = check._check_keypoints_3d(replace(lorry(35.0), articulation=-0.3))
     assert text.startswith("articulation: is -0.3000, the rear wheels of keypoints_3d say 0.6109")
 
 

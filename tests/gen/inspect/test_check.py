@@ -147,7 +147,7 @@ LABELS: list[tuple[Callable[[Document], None], list[str]]] = [
     (set_in(largest, distance=1.0), ["distance: is 1.00 m"]),
     (turn_box, ["box_3d.yaw"]),
     (move_box, ["keypoints_3d: a point lies far outside box_3d"]),
-    (hurry, ["velocity: with annotation", "m/s from how far the vehicle has come"]),
+    (hurry, ["velocity: with annotation", "m/s from how far it has come"]),
     (forget_reason, ["ignore_reason"]),
     (repeat_annotation, ["id", "stands twice"]),
     (repeat_image, ["share an id"]),

@@ -49,3 +49,15 @@ def test_footage_is_made_again_and_other_footage_refused(skope: Any) -> None:
     Path("out/t01_main_west.json").unlink()
     assert skope(*call)[0] == 2
     assert Path("out/t01_main_west.mp4").read_bytes() == before["t01_main_west.mp4"]
+
+
+def test_footage_labels_people_where_it_is_asked_for(skope: Any) -> None:
+    call = ("gen", "video", "t01_mill_corner", "--size", "320x180", *SHORT, "--road-users", "--overlay")
+    assert skope(*call, "--seconds", "0.4", "--seed", "3")[0] == 0
+    file = coco.read(Path("out/t01_mill_corner.json"))
+    assert file.categories == ("vehicle", "bicycle", "motorcycle", "pedestrian")
+    assert file.road_users
+    assert {user.image_id for user in file.road_users} == {image.id for image in file.images} == {1, 2}
+    ids = [label.id for label in (*file.annotations, *file.road_users)]
+    assert sorted(ids) == list(range(1, len(ids) + 1))
+    assert file.info["options"]["road_users"] is True

@@ -9,6 +9,7 @@ from shapely import Point, Polygon
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.gen.bystanders.bystander import KINDS, build
+from skope.gen.bystanders.luggage import LOADS
 from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
@@ -85,6 +86,43 @@ def test_the_lower_foot_of_a_walker_touches_the_ground() -> None:
                 at = leg.vertices[leg.vertices[:, 2] < -(HIP - 0.01) * one.body.look.height]
                 soles.append((at @ T[:3, :3].T + T[:3, 3])[:, 2].mean())
             assert min(soles) == pytest.approx(0.1, abs=0.04)
+
+
+def test_labelled_people_walk_in_groups_and_keep_to_the_sidewalk() -> None:
+    straight = PATH[:2]
+    counts = [len(Walkers.labelled([straight] * 10, np.random.default_rng(k)).at(0.0)) for k in range(12)]
+    assert max(counts) > 4 * max(min(counts), 1)  # few people in one recording, crowds in another
+    walkers = Walkers.labelled([straight] * 40, np.random.default_rng(5))
+    before, after = walkers.at(3.0), walkers.at(3.5)
+    together, facing = 0, 0
+    for name, one in before.items():
+        assert one.body.jointed
+        assert abs(one.T_world_body[1, 3]) <= 0.66
+        moved = np.linalg.norm(after[name].T_world_body[:2, 3] - one.T_world_body[:2, 3])
+        x = one.T_world_body[0, 3]
+        if 3 < x < 27:
+            assert moved == pytest.approx(0.5 * np.linalg.norm(one.velocity), abs=0.02)
+        for other in before.values():
+            apart = other.T_world_body[:3, 3] - one.T_world_body[:3, 3]
+            alike = np.allclose(other.velocity, one.velocity) and other is not one
+            if alike and 0 < np.linalg.norm(apart) < 1.2:
+                together += 1
+                facing += not one.velocity.any() and one.T_world_body[:3, 0] @ apart > 0
+    assert together > len(before) / 4
+    assert facing > 0
+    tall = Polygon([(10, -2), (14, -2), (14, 2), (10, 2)])
+    assert not Walkers.labelled([straight] * 10, np.random.default_rng(5), [tall]).at(0.0)
+    rain = Walkers.labelled([straight] * 40, np.random.default_rng(5), raining=True).at(0.0)
+    assert any(LOADS[int(one.body.look.load)] == "umbrella" for one in rain.values())
+
+
+def test_labelled_riders_stand_on_their_left_foot_where_they_wait() -> None:
+    riders = Riders({"r": "cyclist"}, lambda _: np.random.default_rng(1), jointed=True)
+    for speed, leans in ((5.0, False), (0.0, True)):
+        state = SumoRider((0.0, 0.0, 0.0), 0.0, 0.0, speed)
+        rider = riders.follow({"r": state}, STEP)["r"]
+        assert (rider.T_world_body[1, 2] > 0.05) == leans  # to the left
+        assert rider.part_poses.shape == (7, 4, 4)
 
 
 def test_riders_lean_into_curves_and_their_wheels_roll() -> None:

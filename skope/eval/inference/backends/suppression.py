@@ -22,7 +22,7 @@ _LEAST_SIDE: Final = 1e-2
 
 
 def suppress_together(model: KeypointRCNN) -> None:
-    """Let a model of one class choose its proposals and its detections in this way from now on."""
+    """Let a model choose its proposals and its detections in this way from now on."""
     model.rpn.filter_proposals = _Proposals(model.rpn)
     model.roi_heads.postprocess_detections = _Detections(model.roi_heads)
 
@@ -60,7 +60,8 @@ class _Proposals:
         scores = torch.stack([one for _, one in levels], dim=1).sigmoid()
         good = _has_sides(boxes, self._least_side) & (scores >= self._least_score) & (scores > 0)
         kept = not_overlapped(boxes.flatten(0, 1), good.flatten(0, 1), self._overlap).view_as(good)
-        return _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), self._after)
+        found, sure, _ = _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), self._after)
+        return found, sure
 
 
 class _Detections:
@@ -76,11 +77,11 @@ class _Detections:
         proposals: Sequence[Tensor],
         image_shapes: Sequence[tuple[int, int]],
     ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-        """Choose detections.
+        """Choose detections; those of one category do not suppress another's.
 
         Args:
-            class_logits: (M of all N images, 2) of background and vehicle.
-            box_regression: (M of all, 8) offsets of the boxes of both.
+            class_logits: (M of all N images, 1 + C) of the background and C categories.
+            box_regression: (M of all, 4 + 4 C) offsets of the boxes of each.
             proposals: (M, 4) regions of each image, xyxy, pixels.
             image_shapes: Height and width of each image.
 
@@ -88,18 +89,21 @@ class _Detections:
             (D, 4) boxes, (D,) scores and (D,) classes of the detections of each image, best first.
         """
         heads, counts = self._heads, [len(one) for one in proposals]
-        of_classes = heads.box_coder.decode(box_regression, list(proposals)).reshape(-1, 2, 4)
-        decoded = torch.split(of_classes[:, 1], counts)
-        vehicle = torch.split(softmax(class_logits, -1)[:, 1], counts)
+        classes = class_logits.shape[1]
+        of_classes = heads.box_coder.decode(box_regression, list(proposals)).reshape(-1, classes, 4)
+        decoded = torch.split(of_classes[:, 1:], counts)
+        likely = torch.split(softmax(class_logits, -1)[:, 1:], counts)
         most = max(counts)
-        boxes = torch.stack([pad(one, (0, 0, 0, most - len(one))) for one in decoded])
-        scores = torch.stack([pad(one, (0, most - len(one)), value=-1.0) for one in vehicle])
-        boxes, scores = _best(boxes, scores, most)
-        boxes = _clipped(boxes, image_shapes)
+        # Axes: image, category, region.
+        boxes = torch.stack([pad(one, (0, 0, 0, 0, 0, most - len(one))) for one in decoded]).transpose(1, 2)
+        scores = torch.stack([pad(one, (0, 0, 0, most - len(one)), value=-1.0) for one in likely]).transpose(1, 2)
+        groups, best = _best(boxes.flatten(0, 1), scores.flatten(0, 1), most)
+        boxes, scores = _clipped(groups.view_as(boxes), image_shapes), best.view_as(scores)
         good = _has_sides(boxes, _LEAST_SIDE) & (scores > max(0.0, heads.score_thresh))
-        kept = not_overlapped(boxes, good, heads.nms_thresh)
-        found, sure = _chosen(boxes, scores, kept, heads.detections_per_img)
-        return found, sure, [torch.ones_like(one, dtype=torch.int64) for one in sure]
+        kept = not_overlapped(boxes.flatten(0, 1), good.flatten(0, 1), heads.nms_thresh).view_as(good)
+        most_found = heads.detections_per_img
+        found, sure, numbers = _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), most_found)
+        return found, sure, [1 + number // most for number in numbers]
 
 
 def _best(boxes: Tensor, logits: Tensor, most: int) -> tuple[Tensor, Tensor]:
@@ -122,14 +126,15 @@ def _has_sides(boxes: Tensor, least: float) -> Tensor:
     return (boxes[..., 2:] - boxes[..., :2] >= least).all(dim=-1)
 
 
-def _chosen(boxes: Tensor, scores: Tensor, kept: Tensor, most: int) -> tuple[list[Tensor], list[Tensor]]:
-    """The boxes and scores that are kept, of each image the best, `most` of them at most."""
+def _chosen(boxes: Tensor, scores: Tensor, kept: Tensor, most: int) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+    """The boxes and scores that are kept, of each image the best, `most` of them at most; and their numbers."""
     best, index = scores.masked_fill(~kept, -1.0).topk(min(most, scores.shape[1]), dim=1)
     counts = (best >= 0).sum(dim=1).tolist()
     found = _taken(boxes, index)
     return (
         [one[:count] for one, count in zip(found, counts, strict=True)],
         [one[:count] for one, count in zip(best, counts, strict=True)],
+        [one[:count] for one, count in zip(index, counts, strict=True)],
     )
 
 

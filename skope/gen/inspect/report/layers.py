@@ -1,5 +1,6 @@
 """One image of the gallery: the photograph, depth over it, and labels as layers of a drawing."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from html import escape
 from typing import Final
@@ -14,7 +15,8 @@ from skope.keypoints import Scheme
 from skope.page import image_viewer
 from skope.page.html_pieces import tag
 from skope.pictures import draw
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, Image, RoadUser
+from skope.terminal.console import counted
 
 LAYERS: Final = {
     "boxes": "boxes",
@@ -30,17 +32,19 @@ _DEPTH: Final = 480
 """Pixels of the longer edge of a depth picture."""
 
 
-def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> str:
+def figure(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> str:
     """An image with its layers; a UserError says what is wrong with one of its files."""
     try:
         photograph, metres = dataset.image(image), dataset.depth(image)
     except UserError as error:
         raise UserError(f"{error} (skope gen check {dataset.root} finds everything that is wrong)") from None
-    known = [vehicle for vehicle in vehicles if not vehicle.ignored]
+    known = [label for label in labels if not label.ignored]
     size = (image.width, image.height)
-    words = f"{len(known)} vehicles" if len(known) != 1 else "1 vehicle"
-    if len(vehicles) > len(known):
-        words += f", {len(vehicles) - len(known)} ignored"
+    words = counted(sum(isinstance(label, Annotation) for label in known), "vehicle")
+    others = Counter(label.category for label in known if isinstance(label, RoadUser))
+    words += "".join(f", {counted(number, name)}" for name, number in sorted(others.items()))
+    if len(labels) > len(known):
+        words += f", {len(labels) - len(known)} ignored"
     caption = ", ".join(part for part in (image.split, image.site, image.weather, _sun(image), words) if part)
     photo = tag(
         "img",
@@ -58,15 +62,20 @@ def figure(dataset: Dataset, image: Image, vehicles: Sequence[Annotation]) -> st
             "div",
             photo,
             _depth(metres),
-            image_viewer.drawing(_layers(image, vehicles, dataset.scheme), size),
+            image_viewer.drawing(_layers(image, labels, dataset.scheme), size),
             class_="stage",
         ),
         class_="photo",
         data_split=image.split,
         data_site=image.site,
         data_weather=image.weather,
-        data_type=" ".join(sorted({vehicle.vehicle_type or "unknown" for vehicle in known})),
+        data_type=" ".join(sorted({kind_of(label) for label in known})),
     )
+
+
+def kind_of(label: Annotation | RoadUser) -> str:
+    """What a label is filtered by: type of a vehicle, category of another road user."""
+    return (label.vehicle_type or "unknown") if isinstance(label, Annotation) else label.category
 
 
 def _depth(metres: NDArray[np.float32] | None) -> str:
@@ -85,59 +94,61 @@ def _sun(image: Image) -> str:
     return f"sun {abs(degrees):.0f}° {'above' if degrees >= 0 else 'below'} the horizon"
 
 
-def _layers(image: Image, vehicles: Sequence[Annotation], scheme: Scheme) -> list[str]:
-    known = [vehicle for vehicle in vehicles if not vehicle.ignored]
-    kinds: dict[str, Callable[[Annotation], str]] = {
+def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Scheme) -> list[str]:
+    known = [label for label in labels if not label.ignored]
+    kinds: dict[str, Callable[[Annotation | RoadUser], str]] = {
         "masks": _mask,
-        "boxes3d": lambda vehicle: _box_3d(image, vehicle),
-        "boxes": lambda vehicle: image_viewer.box(vehicle.bbox, draw.words_of(vehicle)),
-        "points": lambda vehicle: _points(vehicle, _scale(vehicle, image), scheme),
+        "boxes3d": lambda label: _box_3d(image, label),
+        "boxes": lambda label: image_viewer.box(label.bbox, draw.words_of(label)),
+        "points": lambda label: _points(label, _scale(label, image), scheme),
     }
     layers = [
-        tag("g", *(_own(vehicle, of(vehicle), _scale(vehicle, image)) for vehicle in known), class_=name)
+        tag("g", *(_own(label, of(label), _scale(label, image)) for label in known), class_=name)
         for name, of in kinds.items()
     ]
-    ignored = [image_viewer.box(vehicle.bbox, draw.words_of(vehicle)) for vehicle in vehicles if vehicle.ignored]
+    ignored = [image_viewer.box(label.bbox, draw.words_of(label)) for label in labels if label.ignored]
     return [tag("g", *ignored, class_="ignored"), *layers]
 
 
-def _scale(vehicle: Annotation, image: Image) -> float:
+def _scale(label: Annotation | RoadUser, image: Image) -> float:
     """How large points are drawn: small on small vehicles, where they would run together."""
-    return float(np.clip(vehicle.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
+    return float(np.clip(label.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 
-def _own(vehicle: Annotation, drawn: str, scale: float) -> str:
-    """The SVG group of one vehicle, with what is drawn of it in its colour."""
+def _own(label: Annotation | RoadUser, drawn: str, scale: float) -> str:
+    """The SVG group of one road user, with what is drawn of it in its colour."""
     if not drawn:
         return ""
     return tag(
         "g",
         drawn,
-        style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(vehicle)) + f";--s:{scale:.2f}",
-        data_of=vehicle.vehicle_type or "unknown",
+        style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(label)) + f";--s:{scale:.2f}",
+        data_of=kind_of(label),
     )
 
 
-def _points(vehicle: Annotation, scale: float, scheme: Scheme) -> str:
+def _points(vehicle: Annotation | RoadUser, scale: float, scheme: Scheme) -> str:
+    if isinstance(vehicle, RoadUser):
+        return ""
     seen = vehicle.keypoints[:, 2]
     return image_viewer.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
 
 
-def _box_3d(image: Image, vehicle: Annotation) -> str:
-    if vehicle.box_3d is None or image.camera is None:
+def _box_3d(image: Image, label: Annotation | RoadUser) -> str:
+    if label.box_3d is None or image.camera is None:
         return ""
     straight = image.camera.distortion.model == "none"
     ends: dict[bool, str] = {False: "", True: ""}
-    for pieces, front in draw.edges_3d(vehicle.box_3d, image.camera):
+    for pieces, front in draw.edges_3d(label.box_3d, image.camera):
         if pieces and straight:
             pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
         ends[front] += "".join(f"M{image_viewer.place(start)}L{image_viewer.place(end)}" for start, end in pieces)
     return image_viewer.path(ends[False], "edges_3d") + image_viewer.path(ends[True], "front")
 
 
-def _mask(vehicle: Annotation) -> str:
+def _mask(label: Annotation | RoadUser) -> str:
     """The outline of the visible pixels, simplified by less than a pixel."""
-    inside = draw.mask_of(vehicle)
+    inside = draw.mask_of(label)
     if inside is None:
         return ""
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)

@@ -10,7 +10,7 @@ from typing import Final
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure
+from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure, kind_of
 from skope.gen.inspect.report.plots import Spread, plots, spread_of
 from skope.gen.inspect.report.sample import spread
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
@@ -18,10 +18,10 @@ from skope.gen.output import card_text
 from skope.page import document
 from skope.page.html_pieces import table, tag
 from skope.page.image_viewer import switches
-from skope.schema import Annotation, Image
+from skope.schema import Annotation, Image, RoadUser
 from skope.terminal.console import Console
 
-Labelled = tuple[Image, Sequence[Annotation]]
+Labelled = tuple[Image, Sequence[Annotation | RoadUser]]
 
 _FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
 _HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, for what is known of it."
@@ -37,7 +37,7 @@ def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> 
     for split in console.bar(dataset.splits, unit="split", label="reading"):
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
-        own = file.by_image()
+        own = file.labels_by_image()
         # Files of other tools leave the split to their name.
         images = [replace(image, split=image.split or split) for image in file.images]
         candidates += [(images[i], own[images[i].id]) for i in spread(images, count)]
@@ -104,9 +104,9 @@ def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
 def _kinds(key: str, chosen: Sequence[Labelled]) -> Counter[str]:
     """How many images there are of each value that a filter has."""
     counts = Counter[str]()
-    for image, vehicles in chosen:
+    for image, labels in chosen:
         if key == "type":
-            counts.update({vehicle.vehicle_type or "unknown" for vehicle in vehicles if not vehicle.ignored})
+            counts.update({kind_of(label) for label in labels if not label.ignored})
         else:
             counts.update(filter(None, [getattr(image, key)]))
     return counts
@@ -114,12 +114,12 @@ def _kinds(key: str, chosen: Sequence[Labelled]) -> Counter[str]:
 
 def _has(layer: str, chosen: Sequence[Labelled]) -> bool:
     """Whether any image has something to show on a layer."""
-    every = [vehicle for _, vehicles in chosen for vehicle in vehicles]
+    every = [label for _, labels in chosen for label in labels]
     return {
         "boxes": True,
         "points": True,
-        "boxes3d": any(vehicle.box_3d is not None for vehicle in every),
-        "masks": any(isinstance(vehicle.segmentation, Mapping) for vehicle in every),
+        "boxes3d": any(label.box_3d is not None for label in every),
+        "masks": any(isinstance(label.segmentation, Mapping) for label in every),
         "depth": any(image.depth_file_name for image, _ in chosen),
-        "ignored": any(vehicle.ignored for vehicle in every),
+        "ignored": any(label.ignored for label in every),
     }[layer]

@@ -1,0 +1,212 @@
+"""People on foot and on two wheels followed over the road by the places where they stand.
+
+They have no pose: a place is that of their box's lower edge, a heading that in which they move. A sight joins the track
+that shares its number (what `skope eval predict` has followed from frame to frame), or else the nearest one of its
+category in variances, as each moves by the filter that vehicles move by.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final, Self
+
+import numpy as np
+
+from skope.eval.assignment import cheapest_pairs
+from skope.eval.tracking import kalman
+from skope.eval.tracking.ground_points import GroundPoint, Sight
+from skope.eval.tracking.ground_track import GroundTrack
+from skope.eval.tracking.kalman import GATE, State
+from skope.schema import CATEGORIES
+from skope.types import Array
+
+_SPEEDS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
+"""Standard deviation of the speed of somebody who is seen for the first time, m/s."""
+_SLACK_M: Final = 0.3
+"""Added to every prediction's standard deviation when road users are told apart."""
+_LOST_S: Final = 1.0
+"""Who is not seen for so long is somebody else when coming back."""
+_LAG_S: Final = 20.0
+"""What was seen so long ago is not changed by what is seen now."""
+_FEWEST: Final = 3
+"""A track has at least so many places."""
+_SHORTEST_S: Final = 0.4
+"""A track lasts at least this long."""
+_SIDEWALK_M: Final = 0.1
+"""Standard deviation of the height of pedestrians' feet over the road: a kerb is 10 to 15 cm high."""
+_MOVES: Final = 2.0
+"""Who moves by so many standard deviations of the speed, and by `_LEAST_SPEED`, has a heading."""
+_LEAST_SPEED: Final = 0.5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoadUserTrack(GroundTrack):
+    """Somebody on foot or on two wheels over M frames: all from the first to the last place, seen or not."""
+
+    category: str
+
+    def on_sidewalks(self, eye: Array) -> Self:
+        """The track where who walks may do so above the road all the way, seen by a camera at `eye` (3,).
+
+        That is no noise that more frames would average away.
+        """
+        if self.category != "pedestrian":
+            return self
+        away = np.linalg.norm(self.position[:, :2] - eye[:2], axis=1)
+        per_metre = away / np.maximum(1.0, eye[2] - self.position[:, 2])
+        return replace(self, position_sigma=np.hypot(self.position_sigma, _SIDEWALK_M * per_metre))
+
+    @cached_property
+    def heading(self) -> Array:
+        """(M,) direction of motion, radians, counter-clockwise from world x; NaN where it may be none."""
+        moves = self.speed > np.maximum(_LEAST_SPEED, _MOVES * self.speed_sigma)
+        return np.where(moves, np.arctan2(self.velocity[:, 1], self.velocity[:, 0]), np.nan)
+
+
+@dataclass(eq=False, slots=True)
+class _Step:
+    """One frame of a track that is being followed."""
+
+    frame: int
+    time_s: float
+    transition: Array
+    predicted: State
+    filtered: State
+    sight: Sight | None = None
+
+
+@dataclass(eq=False)
+class _Open:
+    """A track that is being followed."""
+
+    category_id: int
+    steps: list[_Step]
+    """The frames that can still change."""
+    link: int | None
+    """What the latest sight shares with others."""
+    last_s: float
+    """Time of the latest place."""
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, sigmas, z, box, score."""
+
+    @property
+    def state(self) -> State:
+        return self.steps[-1].filtered
+
+    def take(self, sight: Sight) -> None:
+        """Take in the latest frame's sight."""
+        step = self.steps[-1]
+        step.sight, self.link = sight, sight.link
+        if sight.point is not None:
+            step.filtered = kalman.updated_at(step.filtered, sight.point.place, sight.point.covariance)
+            self.last_s = step.time_s
+
+    def settle(self, until_s: float) -> None:
+        """Smooth, and keep what came before `until_s` as it then is."""
+        steps = self.steps
+        means, spreads = kalman.smoothed(
+            [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
+        )
+        count = sum(step.time_s < until_s for step in steps)
+        places, speeds = kalman.deviations(means[:count], spreads[:count])
+        for step, mean, place, speed in zip(steps[:count], means, places.tolist(), speeds.tolist(), strict=False):
+            height = np.nan if step.sight is None or step.sight.point is None else step.sight.point.height
+            seen = [np.nan] * 5 if step.sight is None else [*step.sight.bbox, step.sight.score]
+            self.rows.append((step.frame, step.time_s, *mean[:4], place, speed, height, *seen))
+        del steps[:count]
+
+    def finished(self) -> RoadUserTrack | None:
+        """The whole track up to its last place, as number 0; None where it is too short to be somebody."""
+        del self.steps[sum(step.time_s <= self.last_s for step in self.steps) :]
+        self.settle(np.inf)
+        rows = np.array(self.rows)
+        measured = np.isfinite(rows[:, 8])
+        times = rows[:, 1]
+        if measured.sum() < _FEWEST or times[-1] - times[0] < _SHORTEST_S:
+            return None
+        return RoadUserTrack(
+            number=0,
+            category=CATEGORIES[self.category_id - 1],
+            frames=rows[:, 0].astype(np.intp),
+            times_s=times,
+            position=np.column_stack([rows[:, 2:4], np.interp(times, times[measured], rows[measured, 8])]),
+            velocity=rows[:, 4:6],
+            position_sigma=rows[:, 6],
+            speed_sigma=rows[:, 7],
+            measured=measured,
+            boxes=rows[:, 9:13],
+            scores=rows[:, 13],
+        )
+
+
+def follow_road_users(
+    images: Iterable[Sequence[Sight]], times_s: Sequence[float], first_number: int = 1
+) -> list[RoadUserTrack]:
+    """Follow people on foot and on two wheels through consecutive images of one camera.
+
+    Args:
+        images: Who is seen in each image.
+        times_s: Seconds of each image, rising.
+        first_number: Number of the first track; the others count on, by their first frames.
+    """
+    live: list[_Open] = []
+    ended: list[_Open] = []
+    before = times_s[0] if times_s else 0.0
+    for frame, (sights, time_s) in enumerate(zip(images, times_s, strict=True)):
+        F, Q = kalman.motion(time_s - before)
+        ended += [track for track in live if time_s - track.last_s > _LOST_S]
+        live = [track for track in live if time_s - track.last_s <= _LOST_S]
+        for track in live:
+            ahead = kalman.predicted(track.state, F, Q)
+            track.steps.append(_Step(frame, time_s, F, ahead, ahead))
+        for known, sight in _pairs(live, sights):
+            if known is not None:
+                known.take(sight)
+            elif sight.point is not None:
+                live.append(_begun(frame, time_s, sight, sight.point))
+        for track in live:
+            if time_s - track.steps[0].time_s > 2 * _LAG_S:
+                track.settle(time_s - _LAG_S)
+        before = time_s
+    tracks = [track for track in map(_Open.finished, ended + live) if track is not None]
+    tracks.sort(key=lambda track: int(track.frames[0]))
+    return [replace(track, number=number) for number, track in enumerate(tracks, start=first_number)]
+
+
+def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
+    speed = _SPEEDS[CATEGORIES[sight.category_id - 1]]
+    state = kalman.first_state_at(point.place, point.covariance, speed)
+    return _Open(sight.category_id, [_Step(frame, time_s, np.eye(6), state, state, sight)], sight.link, time_s)
+
+
+def _pairs(live: Sequence[_Open], sights: Sequence[Sight]) -> list[tuple[_Open | None, Sight]]:
+    """Each sight with its track; None where it has none."""
+    of_sight: dict[int, _Open] = {}
+    names = {(track.category_id, track.link): track for track in live if track.link is not None}
+    for i, sight in enumerate(sights):
+        # Out of the names, so that of two sights with one number only the first has the track.
+        if sight.link is not None and (track := names.pop((sight.category_id, sight.link), None)) is not None:
+            of_sight[i] = track
+    taken = {id(track) for track in of_sight.values()}
+    free = [track for track in live if id(track) not in taken]
+    rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
+    points = [(sight.category_id, sight.point) for _, sight in rest if sight.point is not None]
+    for row, column in cheapest_pairs(_distances(free, points), GATE):
+        of_sight[rest[column][0]] = free[row]
+    return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
+
+
+def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
+    """(T, P) squared distances of places, with their categories, from where tracks are expected, in variances.
+
+    Infinite for another category.
+    """
+    means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
+    spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)
+    places = np.array([point.place for _, point in points]).reshape(1, -1, 2)
+    covariances = np.array([point.covariance for _, point in points]).reshape(1, -1, 2, 2)
+    away = places - means
+    total = spreads + covariances + _SLACK_M**2 * np.eye(2)
+    squared = np.einsum("tpi,tpij,tpj->tp", away, np.linalg.inv(total), away)
+    alike = np.equal.outer([track.category_id for track in tracks], [category for category, _ in points])
+    return np.where(alike, squared, np.inf)

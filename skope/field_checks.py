@@ -1,0 +1,54 @@
+"""Checks of single fields, which raise a UserError that names the field, what was expected and what came."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from skope.errors import UserError, one_of
+from skope.types import Array
+
+
+def array(name: str, value: Any, *shape: int) -> Array:
+    """`value` as a float array of `shape`, or a UserError that names the field."""
+    try:
+        result = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(f"{name}: expected numbers, got {str(value)[:60]!r}") from None
+    if result.size != math.prod(shape):
+        expected = " x ".join(map(str, shape))
+        raise UserError(f"{name}: expected {expected} numbers, got {result.size}")
+    if not np.isfinite(result).all():
+        raise UserError(f"{name}: not all numbers are finite")
+    return result.reshape(shape)
+
+
+def integer(name: str, value: Any, least: int) -> int:
+    """`value`, or a UserError where it is no whole number from `least`."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise UserError(f"{name}: expected a whole number from {least}, got {value!r}")
+    return value
+
+
+def share(name: str, value: float | None) -> None:
+    """Raise a UserError unless `value` is None or from 0 to 1."""
+    if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
+        raise UserError(f"{name}: expected a share from 0 to 1, got {value!r}")
+
+
+def choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
+    """Raise a UserError, which lists the choices, unless `value` is None or one of them."""
+    if value is not None:
+        one_of(name, value, choices)
+
+
+def number(name: str, value: Any) -> None:
+    """Raise a UserError unless `value` is a finite number from 0."""
+    if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+        raise UserError(f"{name}: expected a number from 0, got {value!r}")
+
+
+def probability(name: str, value: Any) -> None:
+    """Raise a UserError unless `value` is a number from 0 to 1."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+        raise UserError(f"{name}: expected a number from 0 to 1, got {value!r}")

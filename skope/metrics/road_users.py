@@ -1,0 +1,95 @@
+"""Figures of people on foot and on two wheels by category and size, from their boxes alone, through pycocotools.
+
+They stand apart from those of vehicles: what is found of one category never counts for or against another.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from skope.metrics.coco_ap import evaluated, found_box, mean_precision, truth_box
+from skope.metrics.counts import ratio
+from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
+
+IOU: Final = 0.5
+"""IoU at which a detection matches, that of AP50."""
+
+
+def category_figures(
+    file: AnnotationFile,
+    results: Sequence[RoadUserResult],
+    *,
+    score: float,
+    boxes: str = "full",
+    all_scores: bool = True,
+    known: Sequence[str] = CATEGORIES,
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Average precision, precision and recall of each category but vehicles that `file` labels, by COCO's sizes.
+
+    An ignored road user is a COCO crowd region of its category: a detection that lies on it to half of its area and
+    matches nobody is neither right nor wrong. Of an image the 300 best results of a category count.
+
+    Args:
+        file: The ground truth of a split.
+        results: What a detector found, in images of `file`.
+        score: Precision and recall count what scores above this.
+        boxes: Which boxes of the ground truth are matched to, one of `match.BOX_KINDS`.
+        all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
+        known: Categories that the detector has learnt; the others are left out.
+
+    Returns:
+        Category -> size ("all", "small", "medium" or "large", by area: under 32 x 32, under 96 x 96 pixels) -> the
+        counts "ground_truth", "ignored", "detections" and "matched", and "precision", "recall", "ap" and "ap50", None
+        where there is nothing to divide by.
+    """
+    images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
+    out = {}
+    for name in [name for name in file.categories[1:] if name in known]:
+        truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
+        own = [result for result in results if result.category == name]
+        found = [found_box(i, result) for i, result in enumerate(own, start=1)]
+        out[name] = _by_size(images, truth, found, score, all_scores=all_scores)
+    return out
+
+
+def _by_size(
+    images: list[dict[str, Any]],
+    truth: list[dict[str, Any]],
+    found: list[dict[str, Any]],
+    score: float,
+    *,
+    all_scores: bool,
+) -> dict[str, dict[str, Any]]:
+    """The figures of one category by size."""
+    from pycocotools.cocoeval import Params
+
+    params = Params(iouType="bbox")
+    areas = dict(zip(params.areaRngLbl, params.areaRng, strict=True))
+    evaluation = evaluated(images, truth, found, "bbox", areas)
+    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, IOU))[0])
+    precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none
+    out = {}
+    for i, (size, area) in enumerate(areas.items()):
+        of_images = [row for row in evaluation.evalImgs if row is not None and row["aRng"] == list(area)]
+        counts = _counts(of_images, at, score)
+        out[size] = {
+            "ignored": sum(row["iscrowd"] and area[0] <= row["area"] <= area[1] for row in truth),
+            **counts,
+            "precision": ratio(counts["matched"], counts["detections"]),
+            "recall": ratio(counts["matched"], counts["ground_truth"]),
+            "ap": mean_precision(precision[:, :, :, i]) if all_scores else None,
+            "ap50": mean_precision(precision[at, :, :, i]) if all_scores else None,
+        }
+    return out
+
+
+def _counts(of_images: Sequence[dict[str, Any]], at: int, score: float) -> dict[str, int]:
+    """Counts over pycocotools' rows of all images at the IoU threshold of number `at`."""
+    counts = dict.fromkeys(("ground_truth", "detections", "matched"), 0)
+    for row in of_images:
+        counts["ground_truth"] += int((np.asarray(row["gtIgnore"]) == 0).sum())
+        counted = (np.asarray(row["dtScores"]) > score) & ~np.asarray(row["dtIgnore"][at], dtype=bool)
+        counts["detections"] += int(counted.sum())
+        counts["matched"] += int((counted & (np.asarray(row["dtMatches"][at]) > 0)).sum())
+    return counts

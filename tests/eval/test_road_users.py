@@ -1,0 +1,159 @@
+"""`skope eval` and `skope eval predict` with a detector that finds people on foot and on two wheels too."""
+
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from skope.dataset import coco
+from skope.detections import apart
+from skope.eval.inference.anonymize import blurred
+from skope.schema import CATEGORIES, Result, RoadUserResult
+from tests import road_users, samples
+
+QUIET = ("--device", "cpu", "-q")
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
+    skope: Any, categories_run: Path, tmp_path: Path
+) -> None:
+    data = road_users.make_dataset(tmp_path / "data", images=3, splits=("easy",))
+    common = ("--data", data, "--split", "easy", "--score", "0.2", *QUIET)
+    code, said, error = skope("eval", *common, "--checkpoint", categories_run, "--out", "eval")
+    assert code == 0, error
+    entry = read(Path("eval/metrics.json"))["splits"]["easy"]
+    assert list(entry["categories"]) == list(CATEGORIES[1:])
+    assert entry["categories"]["pedestrian"]["all"]["ground_truth"] == 3
+    assert entry["categories"]["motorcycle"]["all"]["recall"] is None
+    assert entry["ground_truth"] == 6, "vehicles alone"
+    first = next(line for line in said.splitlines() if " pedestrian " in line)
+    assert first.split()[:3] == ["easy", "pedestrian", "all"]
+    motorcycle = entry["categories"]["motorcycle"]
+    sizes = [size for size, figures in motorcycle.items() if size == "all" or figures["detections"]]
+    assert sum(" motorcycle " in line for line in said.splitlines()) == len(sizes)
+    page = Path("eval/report.html").read_text()
+    assert "People on foot and on two wheels" in page
+    assert re.search(r'data-tip="pedestrian \d+"', page), "labelled ones in the pictures"
+    assert re.search(r'data-tip="(bicycle|motorcycle|pedestrian), score 0\.\d\d"', page), "and those that are found"
+    vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))
+    assert len(vehicles) > 3
+    assert {other.category for other in others} == set(CATEGORIES[1:])
+    assert entry["detections"] == sum(vehicle.score > 0.2 for vehicle in vehicles)
+    rows = [row for row in read(Path("eval/predictions_easy.json")) if row["category_id"] > 1]
+    assert not any("keypoints" in row for row in rows)
+    # The results file by itself gives the same figures; vehicles' do not depend on the others.
+    alone = ("--predictions", Path("eval/predictions_easy.json"), *common)
+    assert skope("eval", *alone, "--out", "again")[0] == 0
+    assert read(Path("again/metrics.json"))["splits"]["easy"] == entry
+    coco.write_results(Path("vehicles.json"), vehicles)
+    assert skope("eval", "--predictions", "vehicles.json", *common, "--out", "vehicles")[0] == 0
+    without = read(Path("vehicles/metrics.json"))["splits"]["easy"]
+    assert without == {key: value for key, value in entry.items() if key != "categories"}
+
+
+def test_where_the_ground_truth_labels_vehicles_alone_there_are_no_other_figures(
+    skope: Any, categories_run: Path, tmp_path: Path
+) -> None:
+    data = samples.make_dataset(tmp_path / "data", images=1, splits=("easy",))
+    code, said, error = skope("eval", "--data", data, "--checkpoint", categories_run, "--out", "eval", *QUIET)
+    assert code == 0, error
+    assert "categories" not in read(Path("eval/metrics.json"))["splits"]["easy"]
+    assert "pedestrian" not in said
+    assert "two wheels" not in Path("eval/report.html").read_text()
+
+
+def test_on_given_boxes_there_are_vehicles_alone(skope: Any, categories_run: Path, tmp_path: Path) -> None:
+    data = road_users.make_dataset(tmp_path / "data", images=1, splits=("easy",))
+    given = ("--boxes", "given", "--data", data, "--checkpoint", categories_run, "--out", "eval", *QUIET)
+    assert skope("eval", *given)[0] == 0
+    assert "categories" not in read(Path("eval/metrics.json"))["splits"]["easy"]
+
+
+def test_a_calibration_says_whom_it_leaves_out(skope: Any, categories_run: Path, tmp_path: Path) -> None:
+    data = road_users.make_dataset(tmp_path / "data", images=2, splits=("easy",))
+    common = ("--data", data, "--split", "easy", "--checkpoint", categories_run, "--device", "cpu")
+    assert skope("eval", *common, "--out", "eval")[0] == 0
+    # The truth is what it finds, so that it finds something.
+    path, found = data / "annotations" / "easy.json", coco.read_results(Path("eval/predictions_easy.json"))
+    vehicles = [
+        replace(
+            samples.make_annotation(i, one.image_id, tuple(one.bbox)),
+            keypoints=one.keypoints.round() * [1, 1, 0] + [0, 0, 2],
+        )
+        for i, one in enumerate(found, start=1)
+    ]
+    coco.write(path, replace(coco.read(path), annotations=tuple(vehicles), road_users=()))
+    code, said, error = skope("eval", "calibrate", *common, "--score", "0.05", "--out", "a.safetensors")
+    assert code == 0, error
+    assert "scores of bicycle, motorcycle, pedestrian are not calibrated" in said
+
+
+def test_predicting_images(skope: Any, categories_run: Path, tmp_path: Path) -> None:
+    data = road_users.make_dataset(tmp_path / "data", images=2, splits=("easy",))
+    wanted = ("--checkpoint", categories_run, "--score", "0.2", "--overlay", "--blur", "--device", "cpu")
+    code, said, error = skope("eval", "predict", data / "images" / "site", *wanted, "--out", "seen")
+    assert code == 0, error
+    vehicles, others = apart(coco.iter_all_results(Path("seen/predictions.json")))
+    assert vehicles
+    assert others
+    assert coco.read(Path("seen/frames.json")).categories == CATEGORIES
+    counts = Counter(other.category for other in others)
+    line = next(line for line in said.splitlines() if line.endswith(" in 2 images"))
+    assert line.startswith(f"{len(vehicles)} vehicles, ")
+    assert all(f"{count} {name}" in line for name, count in counts.items())
+    assert len(list(Path("seen/overlays").rglob("*.jpg"))) == 2
+
+
+@pytest.mark.parametrize("more", [(), ("--every-frame",), ("--unconfirmed",)])
+def test_predicting_a_video(skope: Any, categories_run: Path, stops_after: Any, more: tuple[str, ...]) -> None:
+    """Numbers are one category's, and a stopped run ends with the same bytes."""
+    writer = cv2.VideoWriter("v.mp4", cv2.VideoWriter.fourcc(*"mp4v"), 10, (96, 64))
+    noise = np.random.default_rng(0).integers(0, 256, (64, 106, 3), dtype=np.uint8)
+    for i in range(12):
+        writer.write(np.ascontiguousarray(noise[:, i // 2 : i // 2 + 96]))
+    writer.release()
+    wanted = ("v.mp4", "--checkpoint", categories_run, "--score", "0.15", "--overlay", *QUIET, *more)
+    assert skope("eval", "predict", *wanted, "--out", "whole")[0] == 0
+    _, others = apart(coco.iter_all_results(Path("whole/predictions.json")))
+    assert others
+    kinds: dict[int, set[str]] = {}
+    for row in read(Path("whole/predictions.json")):
+        kinds.setdefault(row["track_id"], set()).add(CATEGORIES[row["category_id"] - 1])
+    assert all(len(names) == 1 for names in kinds.values())
+    numbers = [max(n for n, names in kinds.items() if "vehicle" in names)]
+    assert min(n for n, names in kinds.items() if "vehicle" not in names) == numbers[0] + 1
+    with stops_after(2):
+        skope("eval", "predict", *wanted, "--out", "parts")
+    assert skope("eval", "predict", *wanted, "--out", "parts")[0] == 0
+    assert Path("parts/predictions.json").read_bytes() == Path("whole/predictions.json").read_bytes()
+
+
+def test_heads_are_made_unrecognisable_and_nothing_else_is() -> None:
+    image = np.random.default_rng(3).integers(0, 256, (200, 200, 3), dtype=np.uint8)
+    user = RoadUserResult(image_id=1, score=0.9, bbox=np.array([80.0, 60, 40, 100]), category_id=4)
+    out = blurred(image, [], [user])
+    head = (slice(60, 100), slice(80, 120))
+    assert out[head].std() < 0.25 * image[head].std()
+    changed = (out != image).any(axis=2)
+    assert not changed[:50].any()
+    assert not changed[110:].any()
+    assert not changed[:, :70].any()
+    assert not changed[:, 126:].any()
+    assert np.array_equal(blurred(image, []), image)
+
+
+def test_vehicles_and_others_are_told_apart_in_their_order() -> None:
+    vehicle = Result(image_id=1, score=0.5, bbox=np.zeros(4), keypoints=np.zeros((33, 3)))
+    user = RoadUserResult(image_id=1, score=0.9, bbox=np.zeros(4), category_id=2)
+    second = replace(user, category_id=3)
+    assert apart([vehicle, user, second]) == ([vehicle], [user, second])
