@@ -49,8 +49,8 @@ def test_world_asks_for_lorries_and_buses_that_may_be_learnt_and_each_traffic_ha
     models = {name for plan in plans for name in plan.vehicles}
     assert {fleet()[name].vehicle.vehicle_type for name in models} == HEAVY
     assert not any(fleet()[name].held_out for name in models)
-    shares = {(plan.site.name, plan.leader): plan.vehicle_share for plan in plans}
-    assert all(plan.vehicle_share == shares[plan.site.name, plan.leader] for plan in plans)
+    shares = {(plan.site.name, plan.leader): plan.vehicle_share or 0.0 for plan in plans}
+    assert all((plan.vehicle_share or 0.0) == shares[plan.site.name, plan.leader] for plan in plans)
     low, high = presets()["world"]["heavy"]
     assert low <= min(shares.values()) < 0.1
     assert high >= max(shares.values()) > 0.3
