@@ -41,6 +41,10 @@ CHECKED_POINTS: Final = 6
 """From so many points on, one that contradicts the others is found."""
 _WRONG: Final = 1e-3
 """Probability that a set of right points loses one."""
+_DOUBTED: Final = 4
+"""So many points are left out by turns, those that the others contradict most."""
+_RIVAL_COST: Final = 9.2
+"""Points without which the cost is within this of the least cannot be told apart (99% of chi-squared, two degrees)."""
 _SURPRISE: Final = 0.01
 """Residuals that are less likely than this widen the covariance."""
 PLACE_SHARE: Final = 0.9
@@ -282,12 +286,17 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
     )
     if solved is None or not math.isfinite(solved.cost):
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
-    outliers: list[str] = []
+    outliers, doubts = list[str](), list[str]()
     while (
         len(outliers) < len(evidence.points) // 4
         and (wrong := _contradicting(terms, solved, unknown, evidence.size)) is not None
     ):
         outliers.append(terms[wrong[0]].name)
+        if wrong[2]:
+            doubts.append(
+                f"point {outliers[-1]} contradicts the others and is left out, but they agree nearly as well without "
+                f"{' or '.join(wrong[2])}: mark these again"
+            )
         terms, solved = [term for i, term in enumerate(terms) if i != wrong[0]], wrong[1]
     camera = _camera(solved.at, evidence.size)
     covariance = np.asarray(np.linalg.pinv(solved.J.T @ solved.J), dtype=np.float64)
@@ -295,7 +304,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
     if chi2.sf(solved.cost, spare) < _SURPRISE:
         covariance = covariance * solved.cost / spare
     calibration = SiteCalibration(camera, tuple(unknown), covariance, _residuals(terms, camera), tuple(outliers), ())
-    return SiteCalibration(**{**vars(calibration), "warnings": _warnings(evidence, calibration)})
+    return SiteCalibration(**{**vars(calibration), "warnings": (*doubts, *_warnings(evidence, calibration))})
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,8 +393,9 @@ def _smooth_cost(terms: Sequence[_Term], camera: Camera) -> float:
 
 def _contradicting(
     terms: Sequence[_Term], solved: _Solved, unknown: Sequence[str], size: tuple[int, int]
-) -> tuple[int, _Solved] | None:
-    """The point without which the others agree so much better that it must be wrong, and the camera without it."""
+) -> tuple[int, _Solved, list[str]] | None:
+    """The point without which the others agree so much better that it must be wrong, the camera without it, and the
+    names of points of which the same may be said."""
     points = [i for i, term in enumerate(terms) if term.kind == "point"]
     if len(points) < CHECKED_POINTS:
         return None
@@ -397,10 +407,14 @@ def _contradicting(
         rows = slice(first[i], first[i + 1])
         free = np.eye(len(solved.blocks[i])) - hat[rows, rows] + 1e-9 * np.eye(len(solved.blocks[i]))
         gains.append(float(solved.blocks[i] @ np.linalg.solve(free, solved.blocks[i])))
-    worst = points[int(np.argmax(gains))]
-    without = _solved([term for k, term in enumerate(terms) if k != worst], solved.at, unknown, size)
-    unlikely = chi2.sf(solved.cost - without.cost, 2) < _WRONG / len(points)
-    return (worst, without) if unlikely else None
+    doubted = [points[k] for k in np.argsort(gains)[::-1][:_DOUBTED]]
+    without = {i: _solved([term for k, term in enumerate(terms) if k != i], solved.at, unknown, size) for i in doubted}
+    worst = min(doubted, key=lambda i: without[i].cost)
+    unlikely = chi2.sf(solved.cost - without[worst].cost, 2) < _WRONG / len(points)
+    if not unlikely:
+        return None
+    rivals = [terms[i].name for i in doubted if i != worst and without[i].cost - without[worst].cost < _RIVAL_COST]
+    return worst, without[worst], rivals
 
 
 def _residuals(terms: Sequence[_Term], camera: Camera) -> tuple[Residual, ...]:

@@ -123,6 +123,19 @@ def test_a_wrong_point_is_named_and_left_out() -> None:
     assert found.camera.position == pytest.approx(CAMERA.position, abs=0.02)
 
 
+def test_points_of_which_either_may_be_wrong_are_both_named() -> None:
+    """Two marks of one place that are 1 m apart: the other four points do not tell which of them is wrong."""
+    pixels = np.concatenate([PIXELS[:6], PIXELS[:1] + 2])
+    places = on_road(pixels)
+    places[6] += [0.8, 0.6, 0.0]
+    found = calibrate(
+        Evidence(SIZE, points=marked_points(pixels[[0, 1, 2, 3, 6, 5]], places[[0, 1, 2, 3, 6, 5]], "abcdef"))
+    )
+    assert len(found.outliers) == 1
+    other = ({"a", "e"} - set(found.outliers)).pop()
+    assert any(f"nearly as well without {other}" in line for line in found.warnings)
+
+
 def test_stated_errors_are_those_of_repeated_calibrations() -> None:
     rng, at = np.random.default_rng(5), np.array([[700.0, 300.0], [300.0, 600.0]])
     found, stated = [], []
