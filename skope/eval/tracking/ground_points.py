@@ -81,8 +81,9 @@ def _in_image(
     ]
     spread = np.array(sigmas) if sigma_px is None else np.full(len(found), sigma_px)
     points: list[GroundPoint | None] = [None] * len(found)
-    if scene.ground is not None and found:
-        points = ground_points(scene.camera_of(image), scene.ground, feet, spread)
+    road = scene.road_in(image)
+    if road is not None and found:
+        points = ground_points(scene.camera_of(image), road, feet, spread)
     out = []
     for one, foot, point in zip(found, feet, points, strict=True):
         shown = point if foot[1] < image.height - _EDGE_PX else None
