@@ -237,8 +237,19 @@ class Annotation(Labelled):
         return int((self.keypoints[:, 2] > 0).sum())
 
 
+class _Categorised:
+    """What has one of the categories without keypoints."""
+
+    category_id: int
+
+    @property
+    def category(self) -> str:
+        """Name of its category."""
+        return CATEGORIES[self.category_id - 1]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RoadUser(Labelled):
+class RoadUser(Labelled, _Categorised):
     """One bicycle or motorcycle, each with whoever rides it, or one person on foot, in one image."""
 
     category_id: int
@@ -247,11 +258,6 @@ class RoadUser(Labelled):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_road_user(self.category_id)
-
-    @property
-    def category(self) -> str:
-        """Name of its category."""
-        return CATEGORIES[self.category_id - 1]
 
 
 def _check_road_user(category_id: Any) -> None:
@@ -363,7 +369,7 @@ class Result(Found):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RoadUserResult(Found):
+class RoadUserResult(Found, _Categorised):
     """One predicted bicycle, motorcycle or person on foot of a COCO results file."""
 
     category_id: int
@@ -372,8 +378,3 @@ class RoadUserResult(Found):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_road_user(self.category_id)
-
-    @property
-    def category(self) -> str:
-        """Name of its category."""
-        return CATEGORIES[self.category_id - 1]
