@@ -7,7 +7,7 @@ the marks' errors are carried there; lens distortion and focal length are always
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from scipy.special import erf
 from scipy.stats import chi2
 
+from skope.camera.derivatives import slopes
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.camera.model import Camera, Distortion
 from skope.camera.pose_from_points import FEWEST, fit_camera
@@ -87,21 +88,17 @@ class SiteCalibration:
         """(..., 2, 2) covariance of x and y of `places`, with marks that are `sigma_px` off an axis."""
         uv = np.asarray(pixels, dtype=np.float64)
         at, columns = _values(self.camera), [PARAMETERS.index(name) for name in self.parameters]
-        slopes = []
-        for k in columns:
-            ahead, behind = (
-                ground_places(_camera(at + sign * _unit(k), self._size), uv, height)[..., :2] for sign in (1, -1)
-            )
-            slopes.append((ahead - behind) / (2 * _CAMERA_STEPS[k]))
-        J = np.stack(slopes, axis=-1)
+        steps = _CAMERA_STEPS[columns]
+
+        def moved(step: Array) -> Array:
+            values = at.copy()
+            values[columns] += step * steps
+            return ground_places(_camera(values, self._size), uv, height)[..., :2]
+
+        J = slopes(moved, np.zeros(len(columns)), 1.0) / steps
         out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
         if sigma_px:
-            steps = np.eye(2) * 0.25
-            moved = [
-                (ground_places(self.camera, uv + s, height) - ground_places(self.camera, uv - s, height))[..., :2] / 0.5
-                for s in steps
-            ]
-            J = np.stack(moved, axis=-1)
+            J = slopes(lambda step: ground_places(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
             out = out + sigma_px**2 * J @ np.swapaxes(J, -1, -2)
         return out
 
@@ -162,7 +159,7 @@ def _point_term(point: MarkedPoint) -> _Term:
         return _finite(camera.project(point.place)[0] - point.pixel)
 
     def covariance(camera: Camera) -> Array:
-        J = _slopes(lambda place: camera.project(place)[0], point.place, 0.01)
+        J = _finite_slopes(lambda place: camera.project(place)[0], point.place, 0.01)
         of_place = np.diag([point.sigma_m, point.sigma_m, point.sigma_z_m]) ** 2
         return np.asarray(point.sigma_px**2 * np.eye(2) + J @ of_place @ J.T)
 
@@ -175,7 +172,7 @@ def _length_term(length: MarkedLength) -> _Term:
         return np.array([np.linalg.norm(ends[1] - ends[0])])
 
     def covariance(camera: Camera) -> Array:
-        J = _slopes(lambda pixels: measured(camera, pixels), length.pixels.ravel(), 0.25)
+        J = _finite_slopes(lambda pixels: measured(camera, pixels), length.pixels.ravel(), 0.25)
         return np.array([[length.sigma_m**2]]) + length.sigma_px**2 * J @ J.T
 
     return _Term(
@@ -194,7 +191,7 @@ def _parallel_term(group: ParallelLines) -> _Term:
     def covariance(camera: Camera) -> Array:
         rows = []
         for line in group.lines:
-            J = _slopes(lambda ends: ways(camera, ends), line.ravel(), 0.25)
+            J = _finite_slopes(lambda ends: ways(camera, ends), line.ravel(), 0.25)
             rows.append(float(group.sigma_px**2 * (J @ J.T)[0, 0]))
         return np.diag(rows)
 
@@ -280,7 +277,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
     unknown = [name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE]
     terms = _terms(evidence)
     solved = min(
-        (_solved(terms, begun, unknown, evidence.size) for begun in _starts(evidence, start, terms, unknown)),
+        (_solved(terms, begun, unknown, evidence.size) for begun in _starts(evidence, start, terms)),
         key=lambda fit: fit.cost,
         default=None,
     )
@@ -304,7 +301,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
     if chi2.sf(solved.cost, spare) < _SURPRISE:
         covariance = covariance * solved.cost / spare
     calibration = SiteCalibration(camera, tuple(unknown), covariance, _residuals(terms, camera), tuple(outliers), ())
-    return SiteCalibration(**{**vars(calibration), "warnings": (*doubts, *_warnings(evidence, calibration))})
+    return replace(calibration, warnings=(*doubts, *_warnings(evidence, calibration)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +346,7 @@ def _solved(terms: Sequence[_Term], begun: Array, unknown: Sequence[str], size: 
 _SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
 
 
-def _starts(evidence: Evidence, start: Camera | None, terms: Sequence[_Term], unknown: Sequence[str]) -> list[Array]:
+def _starts(evidence: Evidence, start: Camera | None, terms: Sequence[_Term]) -> list[Array]:
     """Values of `PARAMETERS` to begin with."""
     if start is not None:
         return [_values(start)]
@@ -462,14 +459,8 @@ def _values(camera: Camera) -> Array:
     return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
 
 
-def _unit(k: int) -> Array:
-    return np.asarray(np.eye(len(PARAMETERS))[k] * _CAMERA_STEPS[k])
-
-
-def _slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
-    """(M, N) derivatives of a function (N,) -> (M,) by central differences."""
-    steps = step * np.eye(len(at))
-    return np.asarray(np.stack([_finite((of(at + s) - of(at - s)) / (2 * step)) for s in steps], axis=-1))
+def _finite_slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
+    return _finite(slopes(of, at, step))
 
 
 def _finite(values: Array) -> Array:

@@ -5,7 +5,7 @@ Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the wor
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -134,7 +134,7 @@ class Evidence:
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()
     verticals: tuple[Vertical, ...] = ()
-    beliefs: tuple[Belief, ...] = field(default=())
+    beliefs: tuple[Belief, ...] = ()
 
 
 def _named(kind: str, name: str) -> str:

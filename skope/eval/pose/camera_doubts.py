@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, STEP, camera_of, on_road, slopes
+from skope.camera.derivatives import slopes
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, STEP, camera_of, on_road
 from skope.eval.pose.candidates import INLIER
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array

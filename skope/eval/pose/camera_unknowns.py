@@ -1,12 +1,12 @@
 """A camera over a level road as a few numbers, its pictures of points, and how these follow the numbers."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 
+from skope.camera.derivatives import slopes
 from skope.camera.model import Camera, Distortion
 from skope.eval.pose.observations import NEAREST_M, Mask
 from skope.types import Array
@@ -42,11 +42,6 @@ def on_road(camera: Camera, pixels: Array) -> Array:
     x, y, z = (rays @ camera.T_camera_world[:3, :3]).T
     away = -camera.position[2] / np.minimum(z, -_LEAST_FALL)
     return np.asarray(camera.position[:2] + np.stack([x, y], axis=-1) * away[:, None])
-
-
-def slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
-    """(..., U) derivatives of a function (...) of numbers (U,), by central differences of `step` in each."""
-    return np.stack([(of(at + one) - of(at - one)) / (2 * step) for one in step * np.eye(len(at))], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from skope.camera.derivatives import slopes
 from skope.errors import UserError
-from skope.eval.pose.camera_unknowns import STEP, camera_of, on_road, slopes
+from skope.eval.pose.camera_unknowns import STEP, camera_of, on_road
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
 
