@@ -93,10 +93,8 @@ def test_datumaro(others: Path) -> None:
         assert json.loads(done.stdout.splitlines()[-1]) == [len(NAMES), len(NAMES), pictures], path
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("exported")
-def test_ultralytics(others: Path) -> None:
-    flags = "epochs=1 imgsz=32 batch=32 workers=0 plots=False val=False device=cpu model=yolo11n-pose.yaml"
+def trained_on_yolo(others: Path, flags: str) -> tuple[subprocess.CompletedProcess[str], str]:
+    """Let Ultralytics train on the folder `yolo`; what it ended with, and what it said."""
     done = subprocess.run(
         [others / "yolo", "train", "task=pose", f"data={Path('yolo/data.yaml').resolve()}", *flags.split()],
         env={**os.environ, "YOLO_CONFIG_DIR": str(Path("settings").resolve()), "PYTHONPATH": ""},
@@ -104,6 +102,14 @@ def test_ultralytics(others: Path) -> None:
         text=True,
     )
     said = done.stdout + done.stderr
+    return done, said
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("exported")
+def test_ultralytics(others: Path) -> None:
+    flags = "epochs=1 imgsz=32 batch=32 workers=0 plots=False val=False device=cpu model=yolo11n-pose.yaml"
+    _, said = trained_on_yolo(others, flags)
     counts = {
         part: numbers for part, *numbers in re.findall(r"(train|val): .*? (\d+) images, (\d+) backgrounds, (\d+)", said)
     }
@@ -130,13 +136,7 @@ def test_ultralytics_learns_from_people_without_points(others: Path, skope: Any)
     make_dataset(Path("data"), images=14, splits=("train",), road_users=True)
     assert skope("gen", "convert", "data", "yolo", "--to", "yolo", "-q")[0] == 0
     flags = "epochs=1 imgsz=64 batch=4 workers=0 plots=False device=cpu model=yolo11n-pose.yaml"
-    done = subprocess.run(
-        [others / "yolo", "train", "task=pose", f"data={Path('yolo/data.yaml').resolve()}", *flags.split()],
-        env={**os.environ, "YOLO_CONFIG_DIR": str(Path("settings").resolve()), "PYTHONPATH": ""},
-        capture_output=True,
-        text=True,
-    )
-    said = done.stdout + done.stderr
+    done, said = trained_on_yolo(others, flags)
     assert done.returncode == 0, said[-2000:]
     assert re.search(r"train: .*? 12 images, 0 backgrounds, 0 corrupt", said), said[-2000:]
     # 1 image to validate on: two vehicles, a bicycle and a pedestrian; the ignored motorcycle is background.
