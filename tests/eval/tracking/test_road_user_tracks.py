@@ -339,6 +339,20 @@ def test_ignored_ones_are_not_followed(tmp_path: Path) -> None:
     assert not any(sights_of(scene, score=0.5, sigma_px=None))
 
 
+def test_places_go_by_the_road_of_their_image(tmp_path: Path) -> None:
+    coco.write(tmp_path / "street.json", street())
+    scene = read_scene(None, tmp_path / "street.json", None, None, 0.0)
+    first = scene.file.images[0].id
+    lower, unknown = (
+        sights_of(replace(scene, roads={first: road}), score=0.5, sigma_px=None) for road in (Ground(height=-1.0), None)
+    )
+    usual = sights_of(scene, score=0.5, sigma_px=None)
+    assert any(sight.point for sight in usual[0])
+    assert {sight.point.height for sight in lower[0] if sight.point} == {-1.0}
+    assert not any(sight.point for sight in unknown[0])
+    assert [sight.point.height for sight in lower[1] if sight.point] == [s.point.height for s in usual[1] if s.point]
+
+
 def test_pictures_with_others_in_them_differ(tmp_path: Path) -> None:
     from skope.eval.tracking import birdseye, birdseye_video
 
