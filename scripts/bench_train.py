@@ -36,8 +36,9 @@ from torchvision.transforms import functional
 from skope import keypoints
 from skope.dataset.folder import open_dataset
 from skope.detector.checkpoint import find_checkpoint, read_checkpoint
+from skope.detector.device import has_bfloat16
 from skope.terminal.console import Console
-from skope.train import configure, data, distributed, ignored_regions, init_weights, run_folder, splits, step
+from skope.train import configure, data, distributed, init_weights, losses, run_folder, splits, step
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.loading import Loader
@@ -86,7 +87,7 @@ def parse() -> argparse.Namespace:
 
 def recipe_of(options: argparse.Namespace) -> Recipe:
     """What skope does by default with bounded keypoint regions, at the reference's input size."""
-    bfloat16 = options.device != "cpu" or configure.multiplies_bfloat16()
+    bfloat16 = options.device != "cpu" or has_bfloat16(torch.device("cpu"))
     laptop = dataclasses.replace(RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
     return adjusted(laptop.with_min_size(options.min_size), options.set)
 
@@ -99,11 +100,12 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     torch.manual_seed(0)
     with distributed.process_group(torch.device(options.device)) as (processes, device):
         batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, processes)
-        seen = count_vehicle_regions(trained)
+        seen, stop_counting = count_vehicle_regions(trained)
         passed: list[float] = []
         cpu = 0.0
         for i, batch in enumerate(batches):
             if i == options.warm_up:
+                stop_counting()
                 cpu = time.process_time()
             if i >= options.warm_up:
                 synchronise(device)
@@ -206,7 +208,6 @@ def skope(
         seed=0,
     )
     model = run_folder.placed(model, recipe, device)
-    ignored_regions.prepare(model, regions=recipe.regions, keypoint_regions=recipe.keypoint_regions)
     if recipe.fold_norms:
         fold_norms(model)
     training = TrainingState(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
@@ -241,18 +242,27 @@ def order(options: argparse.Namespace, processes: ProcessGroup) -> list[list[int
 # ----------------------------------------------------------------------------------------------------------- measuring
 
 
-def count_vehicle_regions(model: KeypointRCNN) -> list[int]:
-    """A list that fills with the regions on vehicles of each image, before any bound."""
+def count_vehicle_regions(model: KeypointRCNN) -> tuple[list[int], Callable[[], None]]:
+    """A list that fills with the regions on vehicles of each image, before any bound, and what ends that: to count
+    takes time."""
     seen: list[int] = []
-    select = model.roi_heads.select_training_samples
+    select, regions = model.roi_heads.select_training_samples, losses._regions
 
-    def counted(*args: Any) -> Any:
+    def selected(*args: Any) -> Any:
         answer = select(*args)
         seen.extend(int((labels > 0).sum()) for labels in answer[2])
         return answer
 
-    model.roi_heads.select_training_samples = counted
-    return seen
+    def drawn(*args: Any) -> Any:
+        answer = regions(*args)
+        seen.extend(((answer[1] > 0) & answer[3]).sum(dim=1).tolist())
+        return answer
+
+    def stop() -> None:
+        model.roi_heads.select_training_samples, losses._regions = select, regions
+
+    model.roi_heads.select_training_samples, losses._regions = selected, drawn
+    return seen, stop
 
 
 def synchronise(device: torch.device) -> None:

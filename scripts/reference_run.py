@@ -109,13 +109,14 @@ class TimeIsUpError(Exception):
 class Clock:
     """Runs commands on some GPUs until a limit of time for all of them together."""
 
-    def __init__(self, minutes: float, gpus: Sequence[str]) -> None:
+    def __init__(self, minutes: float, gpus: Sequence[str], *, grace_s: float = GRACE_S) -> None:
         self._end = time.monotonic() + 60 * minutes
-        self._gpus = gpus
+        self._gpus, self._grace_s = gpus, grace_s
 
     def train(self, *options: str) -> None:
         """Run `skope train` in a process on each GPU."""
-        several = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(len(self._gpus)), "-m"]
+        count = len(self._gpus)
+        several = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(count), "-m"] if count > 1 else []
         self._run([[*several, "skope", "train", *options]], [",".join(self._gpus)])
 
     def run(self, *commands: Sequence[str]) -> None:
@@ -130,13 +131,13 @@ class Clock:
             running.append(subprocess.Popen([sys.executable, "-m", *module], env=environment))
         try:
             for process in running:
-                process.wait(max(0.0, self._end - GRACE_S - time.monotonic()))
+                process.wait(max(0.0, self._end - self._grace_s - time.monotonic()))
         except subprocess.TimeoutExpired:
             for process in running:
                 process.send_signal(signal.SIGTERM)
             for process in running:
                 try:
-                    process.wait(GRACE_S)
+                    process.wait(self._grace_s)
                 except subprocess.TimeoutExpired:
                     process.kill()
             raise TimeIsUpError from None

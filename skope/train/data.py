@@ -16,10 +16,10 @@ from skope import keypoints, schema
 from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 from skope.schema import Image
-from skope.train import ignored_regions
 from skope.train.augment import Augment
 from skope.train.recipe import SUPERVISE
 from skope.train.splits import SPLIT, TrainingSource
+from skope.train.target_batch import KEY
 from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
@@ -135,7 +135,7 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervis
         "boxes": torch.as_tensor(boxes, dtype=torch.float32),
         "labels": torch.as_tensor(labels, dtype=torch.int64),
         "keypoints": torch.as_tensor(points, dtype=torch.float32),
-        ignored_regions.KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
+        KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
     return TrainingSample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
 

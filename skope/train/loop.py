@@ -15,7 +15,7 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.schema import CATEGORIES
 from skope.terminal.console import Console, counted, minutes
-from skope.train import data, distributed, ignored_regions, monitor, run_card, run_folder, splits, step, validate
+from skope.train import data, distributed, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
@@ -99,12 +99,6 @@ def train(
             if processes.first:
                 run_folder.check_room(out, training, keep=saving.keep)
                 run_folder.ensure_best(out, config, training)
-            ignored_regions.prepare(
-                training.model,
-                regions=recipe.regions,
-                keypoint_regions=recipe.keypoint_regions,
-                ignore_below=recipe.ignore_below,
-            )
             if recipe.fold_norms:
                 fold_norms(training.model)
             if processes.first:

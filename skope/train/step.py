@@ -11,6 +11,7 @@ from torch import Tensor
 from skope.errors import UserError
 from skope.train.data import TrainingSample
 from skope.train.distributed import ProcessGroup
+from skope.train.losses import Rules, detection_losses
 from skope.train.recipe import Recipe
 from skope.train.run_folder import TrainingState
 
@@ -55,40 +56,44 @@ def train_on_batch(
     """
     parameters = [p for group in training.optimizer.param_groups for p in group["params"]]
     device = parameters[0].device
-    losses = torch.zeros(len(LOSSES), device=device)
     training.optimizer.zero_grad(set_to_none=True)
     at_once = recipe.images_at_once or max(1, len(batch))
+    own, last = torch.zeros(len(LOSSES), device=device), None
     for start in range(0, len(batch), at_once):
-        losses += _learn(training, batch[start : start + at_once], recipe, images, device)
-    own = losses.clone()
+        if last is not None:
+            last.backward()  # type: ignore[no-untyped-call]
+        weighted = _losses(training, batch[start : start + at_once], recipe, images, device)
+        own, last = own + weighted.detach(), weighted.sum()
+    # The numbers are asked for before the last way back: while the GPU is on it, the next step is prepared.
+    together = torch.cat([own, torch.tensor(votes, dtype=torch.float32, device=device)])
+    processes.sum_over_all([together])
+    numbers = together.tolist()
+    values, votes_of_all = numbers[: len(LOSSES)], numbers[len(LOSSES) :]
+    if not math.isfinite(sum(values)):
+        _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
+    if last is not None:
+        last.backward()  # type: ignore[no-untyped-call]
     for parameter in parameters:
         if parameter.grad is None:  # this process had no image
             parameter.grad = torch.zeros_like(parameter)
-    votes_of_all = torch.tensor(votes, dtype=torch.float32, device=device)
-    processes.sum_over_all(
-        [*(parameter.grad for parameter in parameters if parameter.grad is not None), losses, votes_of_all]
-    )
-    values, total = losses.tolist(), float(losses.sum())
-    if not math.isfinite(total):
-        _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
+    processes.sum_over_all([parameter.grad for parameter in parameters if parameter.grad is not None])
     if recipe.gradient_clip is not None:
         torch.nn.utils.clip_grad_norm_(parameters, recipe.gradient_clip)
     for group in training.optimizer.param_groups:
         group["lr"] = rate
     training.optimizer.step()
-    return {"loss": total, **dict(zip(LOSSES, values, strict=True))}, votes_of_all.tolist()
+    return {"loss": sum(values), **dict(zip(LOSSES, values, strict=True))}, votes_of_all
 
 
-def _learn(
+def _losses(
     training: TrainingState, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
 ) -> Tensor:
-    """Add the gradients of some images; (5,) their weighted losses."""
-    pixels, targets = zip(*(sample.to(device) for sample in part), strict=True)
+    """(5,) the losses of some images, weighted as their share of the batch."""
+    pixels = [sample.pixels.to(device, non_blocking=True) for sample in part]
+    rules = Rules(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
-        losses = training.model(list(pixels), list(targets))
-    weighted = torch.stack([losses[name].float() for name in LOSSES]) * (len(part) / images)
-    weighted.sum().backward()  # type: ignore[no-untyped-call]
-    return weighted.detach()
+        found = detection_losses(training.model, pixels, [sample.target for sample in part], rules)
+    return torch.stack([found[name].float() for name in LOSSES]) * (len(part) / images)
 
 
 def _refuse(batch: Sequence[TrainingSample], epoch: int, *, mine: bool) -> None:

@@ -21,17 +21,17 @@ from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import MIN_SCORE, detect
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train import ignored_regions, init_weights, input_moments, loop, splits
+from skope.train import init_weights, input_moments, loop, splits
 from skope.train.augment import STEPS, Augment
 from skope.train.data import DetectionDataset, TrainingSet
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export, torchvision_code
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
 from skope.train.run_folder import RunConfig
+from skope.train.target_batch import KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
 from tests import road_users, samples
 from tests.train.conftest import shrink
-from tests.train.test_ignored_regions import BOXES, IGNORED, VEHICLES
 from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY
 from tests.train.test_overfits import BY_HEART, pck
@@ -83,7 +83,7 @@ def test_ignored_road_users_are_ignored_regions(tmp_path: Path) -> None:
     target = TrainingSet([part], seed=0, augment=Augment(flip=0.0), supervise="visible")[0, 0, 0].target
     assert target["labels"].tolist() == [1, 1]
     x, y, w, h = road_users.PLACES["pedestrian"]
-    assert target[ignored_regions.KEY].tolist() == [[x, y, x + w, y + h]]
+    assert target[KEY].tolist() == [[x, y, x + w, y + h]]
 
 
 @pytest.mark.parametrize("step", ["flip", "crop"])
@@ -116,22 +116,6 @@ def test_what_a_crop_or_an_occluder_leaves_too_little_of_is_ignored() -> None:
             assert (len(after.others_xyxy), len(after.ignored_xyxy)) == ((1, 0) if kept else (0, 1))
             assert len(after.other_labels) == len(after.others_xyxy)
     assert len(users.cropped((40.0, 0.0), (1.0, 1.0), 100, 100).ignored_xyxy) == 0
-
-
-def test_proposals_get_the_labels_of_their_categories_or_none_on_ignored_ones() -> None:
-    model = build(FOUR)
-    ignored_regions.prepare(model, regions=64, keypoint_regions=2)
-    model.roi_heads._ignored = [IGNORED]
-    _, (labels,) = model.roi_heads.assign_targets_to_proposals([BOXES], [VEHICLES], [torch.tensor([4])])
-    assert labels.tolist() == [4, 0, -1, -1, 0, 0, -1]
-
-
-def test_the_keypoint_head_learns_from_vehicles_alone() -> None:
-    """Even where another road user has points, which no reader of files gives it."""
-    model = build(FOUR)
-    ignored_regions.prepare(model, regions=64, keypoint_regions=None)
-    labels, matched = torch.tensor([0, 1, 4, 2, 1, 3]), torch.tensor([0, 0, 1, 1, 0, 1])
-    assert model.roi_heads._choose(labels, matched, torch.tensor([True, True])).tolist() == [1, 4]
 
 
 # ------------------------------------------------------------------------------------------------------------ datasets

@@ -35,8 +35,8 @@ class Toy(torch.nn.Module):
         self.weight = torch.nn.Parameter(torch.tensor([0.5, -0.2, 0.1]))
         self.register_buffer("running_mean", torch.zeros(3))
 
-    def forward(self, images: list[torch.Tensor], targets: list[Any]) -> dict[str, torch.Tensor]:
-        colors = torch.stack([image.mean(dim=(1, 2)) for image in images])
+    def losses(self, pixels: list[torch.Tensor], targets: list[Any], rules: Any) -> dict[str, torch.Tensor]:
+        colors = torch.stack([image.float().mean(dim=(1, 2)) / 255 for image in pixels])
         self.running_mean += colors.detach().mean(dim=0)
         loss = ((colors @ self.weight - 1) ** 2).mean()
         return {name: loss * factor for factor, name in enumerate(step.LOSSES, start=1)}
@@ -44,7 +44,8 @@ class Toy(torch.nn.Module):
 
 def learn(out: str) -> None:
     """A few steps in this process, one of those that the environment names."""
-    with distributed.process_group(torch.device("cpu")) as (processes, _):
+    with distributed.process_group(torch.device("cpu")) as (processes, _), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(step, "detection_losses", Toy.losses)
         toy = Toy()
         optimizer = torch.optim.SGD(toy.parameters(), lr=RATES, momentum=0.9)
         training: Any = SimpleNamespace(model=toy, optimizer=optimizer, epochs_done=0)
@@ -93,7 +94,8 @@ def test_a_batch_shared_by_two_processes_teaches_the_same(tmp_path: Path) -> Non
     assert both[0]["mean"].min() > 0
 
 
-def test_parts_of_a_batch_teach_what_the_batch_does() -> None:
+def test_parts_of_a_batch_teach_what_the_batch_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(step, "detection_losses", Toy.losses)
     weights = []
     for at_once in (None, 2):
         toy = Toy()

@@ -330,8 +330,9 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
     import torch
     from torchvision.models.detection import keypointrcnn_resnet50_fpn
 
-    from skope.train import data, ignored_regions, splits
+    from skope.train import data, splits
     from skope.train.augment import Augment
+    from skope.train.target_batch import KEY
 
     skope("gen", "convert", str(whole), str(tmp_path / "s"), "--to", "shards")
     found = []
@@ -345,7 +346,7 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
         model = keypointrcnn_resnet50_fpn(
             weights=None, weights_backbone=None, num_classes=2, num_keypoints=33, min_size=96, max_size=192
         ).train()
-        target = {name: value for name, value in sample.target.items() if name != ignored_regions.KEY}
+        target = {name: value for name, value in sample.target.items() if name != KEY}
         torch.manual_seed(1)
         found.append(model([sample.pixels.float() / 255], [target]))
     assert found[0].keys() == found[1].keys()

@@ -1,0 +1,369 @@
+"""Train `road33` on for as long as a machine is to be had: one leg of its training, whole, within a time that is told.
+
+    python scripts/train_leg.py run 2 --state runs/legs/1 --minutes 24 --gpus 0,1 --out runs/legs/2
+    python scripts/train_leg.py join runs/legs/2 --out road33_2.safetensors
+
+A leg (legs.toml) goes on from the weights of the one before. Its places are simulated and drawn beside the training,
+which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (leg.toml), and hands the
+running mean of its weights to the next. At the end the tests are measured, and the weights are packed for the way: in
+16 bits, norms and counts as they are, in parts of at most 15 MiB with their SHA-256 in parts.json. `join` puts them
+together again where all are there and whole. leg.json has what was done and found.
+
+What is finished is not done again: after an interruption the same command goes on. --miniature tries a leg on a laptop.
+"""
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from reference_run import EXTRA, GRACE_S, TESTED, TRAIN, Clock, TimeIsUpError
+from safetensors.torch import load as deserialized
+from safetensors.torch import save as serialized
+
+from skope.dataset.folder import CARD, open_dataset
+from skope.detector.build import DetectorConfig, build
+from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint, save_weights
+from skope.errors import UserError
+from skope.files.atomic import write_bytes
+from skope.files.json_files import read_json, write_json
+from skope.train.run_folder import resumable
+
+HERE: Final = Path(__file__).parent
+PART_BYTES: Final = 15 * 2**20
+PARTS: Final = "parts.json"
+ROUND_S: Final = 240.0
+"""A round lasts so long, the last one until training has to end."""
+LEAST_ROUND_S: Final = 60.0
+MEASURING_S: Final = 150.0
+"""Of a leg's time, for measuring and packing."""
+AT_ONCE: Final = 4
+"""Datasets that are simulated side by side."""
+MINIATURE: Final = {
+    "frames": "1",
+    "size": "480x270",
+    "settings": ("min_size=120", "max_size=214", "batch_size=1", "bfloat16=false", "keypoint_regions=4"),
+    "round_s": 150.0,
+    "measuring_s": 150.0,
+}
+
+
+@dataclass(frozen=True)
+class Leg:
+    """What a leg learns from, and from where it goes on."""
+
+    name: str
+    start: str
+    """Weights that come with skope; of a leg with --state, which has those of the leg before, nothing."""
+    places: tuple[str, ...]
+    """Options of `skope gen simulate`, a dataset each."""
+    settings: tuple[str, ...] = ()
+    """Values of the recipe, as --set takes them."""
+
+
+def read_legs(path: Path = HERE / "legs.toml") -> tuple[dict[str, Leg], dict[str, dict[str, str]]]:
+    """The legs by name, and the tests: dataset -> its `places` and `splits`."""
+    values = tomllib.loads(path.read_text())
+    legs = [
+        Leg(str(row["name"]), row.get("start", ""), tuple(row["places"]), tuple(row.get("settings", ())))
+        for row in values["legs"]
+    ]
+    return {leg.name: leg for leg in legs}, values["tests"]
+
+
+# ------------------------------------------------------------------------------------------------------------- places
+
+
+class Places:
+    """Datasets that are simulated and drawn beside whatever else the machine does."""
+
+    def __init__(self, folder: Path, wanted: Mapping[str, str], workers: int) -> None:
+        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`, in their order."""
+        self._folder, self._workers = folder, workers
+        self._changed, self._drawing = threading.Condition(), threading.Lock()
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._stopped = False
+        self.drawn: list[str] = []
+        self.failed: list[str] = []
+        self._left = len(wanted)
+        self._pool = ThreadPoolExecutor(AT_ONCE)
+        for name, options in wanted.items():
+            self._pool.submit(self._make, name, options)
+
+    def _make(self, name: str, options: str) -> None:
+        out = self._folder / name
+        done = (out / CARD).is_file()
+        try:
+            if not done and not self._stopped:
+                share = str(max(1, self._workers // AT_ONCE))
+                self._skope(["gen", "simulate", "-q", *options.split(), "--no-depth", "--workers", share], out, "--out")
+                with self._drawing:
+                    self._skope(["gen", "render", "-q", "--workers", str(self._workers)], out)
+                done = True
+        finally:
+            with self._changed:
+                (self.drawn if done else self.failed).append(name)
+                self._left -= 1
+                self._changed.notify_all()
+
+    def _skope(self, command: Sequence[str], folder: Path, flag: str | None = None) -> None:
+        """Run a command on a folder, kinder to the machine than the training."""
+        if self._stopped:
+            raise RuntimeError("stopped")
+        whole = ["nice", "-n", "5", sys.executable, "-m", "skope", *command, *([flag] if flag else []), str(folder)]
+        process = subprocess.Popen(whole)
+        self._running.add(process)
+        code = process.wait()
+        self._running.discard(process)
+        if code:
+            raise subprocess.CalledProcessError(code, whole)
+
+    def wait_for(self, names: Sequence[str], until: float) -> list[str]:
+        """Those of `names` that are drawn, as soon as all are, or nothing more comes, or it is `until`, monotonic."""
+        with self._changed:
+            while not set(names) <= set(self.drawn) and self._left and time.monotonic() < until:
+                self._changed.wait(1.0)
+            return [name for name in names if name in self.drawn]
+
+    def stop(self) -> None:
+        """End what is being made."""
+        self._stopped = True
+        for process in list(self._running):
+            process.terminate()
+        self._pool.shutdown(cancel_futures=True)
+
+
+def placed(options: str, miniature: bool) -> str:
+    """Options of a dataset's places, with the sites' names, and in a miniature fewer and smaller."""
+    text = options.format(train=TRAIN, tested=TESTED, extra=EXTRA)
+    if not miniature:
+        return text
+    words = text.split()
+    for flag, value in (("--frames", MINIATURE["frames"]), ("--size", MINIATURE["size"])):
+        if flag in words:
+            words[words.index(flag) + 1] = str(value)
+        else:
+            words += [flag, str(value)]
+    return " ".join(words)
+
+
+# ----------------------------------------------------------------------------------------------------------- training
+
+
+def train_round(
+    options: argparse.Namespace, leg: Leg, number: int, start: Path | str, data: Sequence[Path], seconds: float
+) -> Path:
+    """Train on some datasets for so long; returns the mean weights."""
+    run, weights = options.out / f"round_{number}", options.out / f"round_{number}.safetensors"
+    if weights.is_file():
+        return weights
+    settings = leg.settings
+    if options.miniature:
+        settings = (*settings, *MINIATURE["settings"])
+    new = ["--recipe", str(HERE / "leg.toml"), "--init", str(start), "--seed", str(number)]
+    new += [word for setting in settings for word in ("--set", setting)]
+    if number > 1:
+        new += ["--set", "warmup_steps=50"]
+    new += [word for folder in data for word in ("--data", str(folder))]
+    begun = time.monotonic()
+    try:
+        grace_s = 60.0 if options.miniature else GRACE_S
+        clock = Clock(seconds / 60, options.gpus.split(","), grace_s=grace_s)
+        always = ["--workers", str(options.loaders), "--out", str(run)]
+        clock.train(*always, *(["--resume"] if resumable(run) else new))
+    except TimeIsUpError:
+        pass
+    if not resumable(run):
+        note(options.out, f"round {number}", "ended before anything was saved")
+        return find_checkpoint(Path(start))
+    row = write_mean(run, weights)
+    images = sum(len(open_dataset(folder).read("train").images) for folder in data)
+    note(options.out, f"round {number}", {**row, "images": images, "seconds": round(time.monotonic() - begun)})
+    return weights
+
+
+def write_mean(run: Path, out: Path) -> dict[str, Any]:
+    """Write the running mean of a run's weights as a checkpoint; returns how far the run has come."""
+    state = torch.load(run / "resume.pt", map_location="cpu", weights_only=True)
+    config = DetectorConfig.from_dict(state["detector"])
+    model = build(config, trainable_layers=5)
+    mean = {key.removeprefix("module."): value for key, value in state["mean"].items() if key.startswith("module.")}
+    model.load_state_dict(mean)
+    save_weights(out, model, config, {"origin": state["origin"]})
+    recipe = read_json(run / "recipe.json")["recipe"]
+    losses = {name: value / max(1, state["steps_done"]) for name, value in state["sums"].items()}
+    return {
+        "epochs": state["epochs_done"],
+        "steps_of_the_last": state["steps_done"],
+        "batch_size": recipe["batch_size"],
+        "epochs_losses": state["history"],
+        "losses_of_the_last": losses,
+    }
+
+
+# ----------------------------------------------------------------------------------------------------------- measuring
+
+
+def measure(options: argparse.Namespace, forms: Mapping[str, Path | str], seconds: float) -> dict[str, Any]:
+    """Figures of the tests that are there, of each form of the weights."""
+    _, tests = read_legs()
+    commands, outs = [], {}
+    for form, weights in forms.items():
+        for name, test in tests.items():
+            if not (options.data / name / CARD).is_file():
+                continue
+            out = options.out / "measured" / form / name
+            outs[form, name] = out
+            if not (out / "metrics.json").is_file():
+                what = ["--data", str(options.data / name), "--checkpoint", str(weights), "--split", test["splits"]]
+                commands.append(["eval", *what, "--out", str(out), "--batch-size", "8"])
+    gpus = options.gpus.split(",")
+    clock = Clock(seconds / 60, gpus)
+    try:
+        for first in range(0, len(commands), 2 * len(gpus)):
+            clock.run(*commands[first : first + 2 * len(gpus)])
+    except TimeIsUpError:
+        print("time is up: not all tests are measured")
+    found: dict[str, Any] = {}
+    for (form, name), out in outs.items():
+        if (out / "metrics.json").is_file():
+            found.setdefault(form, {})[name] = read_json(out / "metrics.json")["splits"]
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------- packing
+
+
+def pack(weights: Path, out: Path) -> None:
+    """Write a checkpoint in 16 bits, in parts, with what `join` checks."""
+    header, state = read_checkpoint(weights)
+    kept = {name: value.half() if halved(value) else value for name, value in state.items()}
+    whole = serialized(kept, {HEADER: json.dumps(header)})
+    out.mkdir(parents=True, exist_ok=True)
+    parts = []
+    for number, first in enumerate(range(0, len(whole), PART_BYTES), start=1):
+        part = whole[first : first + PART_BYTES]
+        name = f"part_{number:02d}"
+        write_bytes(out / name, part)
+        parts.append({"name": name, "bytes": len(part), "sha256": hashlib.sha256(part).hexdigest()})
+    write_json(out / PARTS, {"bytes": len(whole), "sha256": hashlib.sha256(whole).hexdigest(), "parts": parts})
+
+
+def halved(value: torch.Tensor) -> bool:
+    """Whether a tensor travels in 16 bits: matrices and kernels do, norms, biases and counts do not."""
+    return value.is_floating_point() and value.dim() > 1
+
+
+def join(folder: Path, out: Path) -> None:
+    """Put the parts of `pack` together as a checkpoint in float32.
+
+    Raises UserError where a part is missing or is not what was packed, with its name.
+    """
+    manifest = read_json(folder / PARTS)
+    whole = bytearray()
+    for part in manifest["parts"]:
+        path = folder / part["name"]
+        if not path.is_file():
+            raise UserError(f"{path}: missing; bring it again")
+        data = path.read_bytes()
+        if hashlib.sha256(data).hexdigest() != part["sha256"]:
+            raise UserError(f"{path}: damaged (not the SHA-256 of {PARTS}); bring it again")
+        whole += data
+    if hashlib.sha256(whole).hexdigest() != manifest["sha256"]:
+        raise UserError(f"{folder}: the parts do not make the file that was packed")
+    length = int.from_bytes(whole[:8], "little")
+    header = json.loads(whole[8 : 8 + length])["__metadata__"]
+    state = {name: value.float() if halved(value) else value for name, value in deserialized(bytes(whole)).items()}
+    write_bytes(out, serialized(state, header))
+
+
+# ---------------------------------------------------------------------------------------------------------------- leg
+
+
+def note(out: Path, what: str, values: Any) -> None:
+    """Add to leg.json."""
+    path = out / "leg.json"
+    write_json(path, {**(read_json(path) if path.is_file() else {}), what: values})
+
+
+def run(options: argparse.Namespace) -> None:
+    """A leg."""
+    end = time.monotonic() + 60 * options.minutes
+    legs, tests = read_legs()
+    leg = legs[options.leg]
+    options.out.mkdir(parents=True, exist_ok=True)
+    wanted = {f"leg_{leg.name}_{number}": text for number, text in enumerate(leg.places, start=1)}
+    learnt = list(wanted)
+    # The tests after the first places, so that training can begin, and before the last ones, so that they are there.
+    order = [*learnt[:2], *tests, *learnt[2:]]
+    wanted |= {name: test["places"] for name, test in tests.items()}
+    places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
+    try:
+        start: Path | str = options.out / "start.safetensors" if options.state else leg.start
+        if options.state and not Path(start).is_file():
+            join(options.state, Path(start))
+        note(options.out, "start", str(start))
+        measuring_s = float(MINIATURE["measuring_s"]) if options.miniature else MEASURING_S
+        round_s = float(MINIATURE["round_s"]) if options.miniature else ROUND_S
+        weights, number = start, 0
+        learning_ends = end - measuring_s
+        while (left := learning_ends - time.monotonic()) > (20 if options.miniature else LEAST_ROUND_S):
+            places.wait_for(learnt[:2], learning_ends)
+            here = places.wait_for(learnt, time.monotonic())
+            left = learning_ends - time.monotonic()
+            if not here or left <= 0:
+                break
+            number += 1
+            seconds = left if left < 2 * round_s else round_s
+            weights = train_round(options, leg, number, weights, [options.data / name for name in here], seconds)
+        places.wait_for(list(tests), time.monotonic() + 5)
+    finally:
+        places.stop()
+    note(options.out, "places", {"drawn": places.drawn, "failed": places.failed})
+    pack(find_checkpoint(Path(weights)), options.out / "state")
+    forms: dict[str, Path | str] = {"end": weights}
+    if options.measure_start:
+        forms["start"] = start
+    note(options.out, "figures", measure(options, forms, max(30.0, end - time.monotonic())))
+    print("done")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("run", help="do a leg")
+    one.add_argument("leg", choices=tuple(read_legs()[0]))
+    one.add_argument("--state", type=Path, help="folder of the packed weights of the leg before")
+    one.add_argument("--data", type=Path, default=Path("data/legs"), help="folder of the datasets' folders")
+    one.add_argument("--out", type=Path, required=True)
+    one.add_argument("--minutes", type=float, default=25.0, help="the whole leg's time")
+    one.add_argument("--gpus", default="0", help="numbers, separated by commas")
+    one.add_argument("--workers", type=int, default=2, help="processes that make places")
+    one.add_argument("--loaders", type=int, default=8, help="processes that load images, a GPU")
+    one.add_argument("--measure-start", action="store_true", help="measure the weights that the leg begins with too")
+    one.add_argument("--miniature", action="store_true", help="the same with a frame of each place, small")
+    two = commands.add_parser("join", help="put packed weights together")
+    two.add_argument("folder", type=Path)
+    two.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    try:
+        if options.command == "join":
+            join(options.folder, options.out)
+        else:
+            run(options)
+    except UserError as error:
+        sys.exit(f"{parser.prog}: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Which anchors and proposals are whose, and which of them a step learns from: torchvision's rules for all images of
+a batch at once.
+
+torchvision goes through the images one by one, and asks the GPU for numbers of boxes many times in each, for which it
+waits every time. Here every count has a bound that is known beforehand, and what is beyond it is masked.
+
+What lies on an ignored vehicle or other road user counts neither as one of a category nor as background.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from skope.train.target_batch import TargetBatch
+
+DISCARD: Final = -1
+"""Label of what is neither of a category nor background."""
+
+_BELOW, _BETWEEN = -1, -2
+_SHARE: Final = 0.5
+"""Share of a box's area inside an ignored box from which it lies on what is ignored."""
+_IOU: Final = 0.5
+"""IoU with a box of the ground truth from which a box is that one's, whatever it lies on."""
+_PAIRS: Final = 1 << 26
+"""Pairs of boxes that are compared at once: a quarter of a gigabyte in float32, several times over."""
+
+
+def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_quality: bool) -> tuple[Tensor, Tensor]:
+    """Labels of boxes and whose they are.
+
+    Args:
+        boxes: (N, 4) xyxy of anchors, the same for all images, or (B, N, 4) of each image's proposals.
+        batch: The ground truth of the B images.
+        low: IoU below which a box is background.
+        high: IoU from which it is of the vehicle or other road user that it overlaps most; between it is neither.
+        low_quality: Whether the boxes that overlap somebody most are theirs, however little that is.
+
+    Returns:
+        (B, N) int64 labels: that of the ground truth, 0 for background, `DISCARD`; and (B, N) int64 indices into the
+        ground truth, 0 where there is none.
+    """
+    count = len(batch.boxes)
+    at_once = max(1, _PAIRS // max(1, batch.boxes.shape[1] * boxes.shape[-2]))
+    labels, matched = [], []
+    for first in range(0, count, at_once):
+        part = slice(first, first + at_once)
+        own = boxes if boxes.dim() == 2 else boxes[part]
+        present, quality = batch.present[part], iou(batch.boxes[part], own)
+        best, match = _match(quality, present, low, high, low_quality=low_quality)
+        label = batch.labels[part].gather(1, match.clamp(min=0))
+        label = torch.where(match >= 0, label, torch.where(match == _BELOW, 0, DISCARD))
+        on_nobody = best < _IOU
+        labels.append(label.masked_fill_(_inside(own, batch.ignored[part]) & on_nobody, DISCARD))
+        matched.append(match.clamp_(min=0))
+    return torch.cat(labels), torch.cat(matched)
+
+
+def iou(truth: Tensor, boxes: Tensor) -> Tensor:
+    """(B, G, N) intersection over union of (B, G, 4) boxes with (N, 4) or (B, N, 4) others."""
+    shared = _shared(truth, boxes)
+    union = _area(truth)[:, :, None] + _area(boxes).unsqueeze(-2) - shared
+    return shared.div_(union)
+
+
+def _shared(one: Tensor, other: Tensor) -> Tensor:
+    """(B, G, N) area of the intersections of (B, G, 4) boxes with (N, 4) or (B, N, 4) others."""
+    x0, y0, x1, y1 = (side[:, :, None] for side in one.unbind(-1))
+    left, top, right, bottom = (side.unsqueeze(-2) for side in other.unbind(-1))
+    width = torch.minimum(x1, right).sub_(torch.maximum(x0, left)).clamp_(min=0)
+    height = torch.minimum(y1, bottom).sub_(torch.maximum(y0, top)).clamp_(min=0)
+    return width.mul_(height)
+
+
+def _area(boxes: Tensor) -> Tensor:
+    return (boxes[..., 2] - boxes[..., 0]) * (boxes[..., 3] - boxes[..., 1])
+
+
+def _match(quality: Tensor, present: Tensor, low: float, high: float, *, low_quality: bool) -> tuple[Tensor, Tensor]:
+    """(B, N) best IoU, -1 where there is nobody, and (B, N) whose it is, `_BELOW` or `_BETWEEN`, as torchvision has
+    it."""
+    quality = quality.masked_fill_(~present[:, :, None], -1.0)
+    best, whose = quality.max(dim=1)
+    match = torch.where(best < low, _BELOW, torch.where(best < high, _BETWEEN, whose))
+    if low_quality:
+        most = quality.amax(dim=2, keepdim=True)
+        closest = ((quality == most) & present[:, :, None]).any(dim=1)
+        match = torch.where(closest, whose, match)
+    return best, match
+
+
+def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
+    """(B, N) bool: lies to half of its area inside one of (B, M, 4) ignored boxes."""
+    own = _area(boxes)
+    return (_shared(ignored, boxes).amax(dim=1) >= _SHARE * own) & (own > 0)
+
+
+def sample(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:
+    """Draw what a step learns from, without preference.
+
+    Args:
+        labels: (B, N) as `assign` gives them.
+        count: How many of an image at most.
+        share: How much of that at most is not background; background takes the rest.
+
+    Returns:
+        (B, S) int64 indices, S <= `count`, and (B, S) bool which of them are drawn: the others mean nothing.
+    """
+    total = labels.shape[1]
+    keys = torch.rand(labels.shape, device=labels.device)
+    wanted = (min(int(count * share), total), min(count, total))
+    found = [keys.where(kind, -1.0).topk(n, dim=1) for kind, n in zip((labels > 0, labels == 0), wanted, strict=True)]
+    positive, negative = ((keys >= 0) for keys, _ in found)
+    rank = torch.arange(negative.shape[1], device=labels.device)
+    negative &= rank < count - positive.sum(dim=1, keepdim=True)
+    drawn = torch.cat([positive, negative], dim=1)
+    first = drawn.byte().argsort(dim=1, descending=True, stable=True)[:, :count]
+    return torch.cat([at for _, at in found], dim=1).gather(1, first), drawn.gather(1, first)

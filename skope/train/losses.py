@@ -1,0 +1,260 @@
+"""The losses of torchvision's Keypoint R-CNN, computed for all images of a batch at once.
+
+They are those that the model itself returns in training, up to rounding and to which boxes are drawn, with three rules
+besides: what lies on something ignored is neither of a category nor background, the keypoint head, which torchvision
+has learn from all categories, gets vehicles alone, and not too many. torchvision launches some thousand small
+operations and waits hundreds of times for the GPU in a step of 16 images; this takes a tenth of both, so that the GPU
+has its next work while it does the last (scripts/bench_train.py).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection._utils import encode_boxes
+from torchvision.models.detection.image_list import ImageList
+from torchvision.models.detection.roi_heads import RoIHeads, keypointrcnn_loss
+from torchvision.models.detection.rpn import RegionProposalNetwork, concat_box_prediction_layers
+from torchvision.models.detection.transform import GeneralizedRCNNTransform
+from torchvision.ops import batched_nms, nms
+
+from skope import schema
+from skope.train.assignment import DISCARD, assign, sample
+from skope.train.target_batch import Size, Target, TargetBatch, to_device
+
+_BETA = 1 / 9
+"""Error of a box's offset from which the loss grows linearly."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What a step learns from, besides what the model says."""
+
+    regions: int
+    """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road
+    users."""
+    keypoint_regions: int | None
+    """How many of an image's vehicles enter the keypoint head; None for all."""
+    ignore_below: float
+    """What has a shorter edge than this inside the network is ignored, pixels."""
+
+
+def detection_losses(
+    model: KeypointRCNN, pixels: Sequence[Tensor], targets: Sequence[Target], rules: Rules
+) -> dict[str, Tensor]:
+    """Take a batch through a model in training.
+
+    Args:
+        model: The detector.
+        pixels: Of each image (3, H, W) uint8 sRGB, on the model's device.
+        targets: Of each image boxes (N, 4) xyxy, labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU, in
+            pixels of the image; vehicles have label 1.
+        rules: What is learnt from.
+
+    Returns:
+        The losses by torchvision's names, float32 scalars.
+    """
+    images, before = network_images(model.transform, pixels)
+    batch = TargetBatch.of(
+        targets, before, images.image_sizes, ignore_below=rules.ignore_below, device=images.tensors.device
+    )
+    features = model.backbone(images.tensors)
+    proposals, found = _proposals(model.rpn, images, features, batch)
+    return {**found, **_head_losses(model.roi_heads, features, proposals, images.image_sizes, batch, rules)}
+
+
+# -------------------------------------------------------------------------------------------------------------- images
+
+
+def network_images(transform: GeneralizedRCNNTransform, pixels: Sequence[Tensor]) -> tuple[ImageList, list[Size]]:
+    """Images as they enter the backbone, as `transform` makes them, and their sizes before."""
+    device = pixels[0].device
+    mean, deviation = (to_device(each, device)[:, None, None] for each in (transform.image_mean, transform.image_std))
+    before: list[Size] = [(image.shape[1], image.shape[2]) for image in pixels]
+    inside: list[Size] = [(0, 0)] * len(pixels)
+    resized: dict[Size, Tensor] = {}
+    members = {size: [i for i, own in enumerate(before) if own == size] for size in dict.fromkeys(before)}
+    for size, group in members.items():
+        stack = (torch.stack([pixels[i] for i in group]).float() / 255 - mean) / deviation
+        short = transform.torch_choice(transform.min_size)
+        scale = min(short / min(size), transform.max_size / max(size))
+        resized[size] = functional.interpolate(
+            stack, scale_factor=scale, mode="bilinear", recompute_scale_factor=True, align_corners=False
+        )
+        for i in group:
+            inside[i] = (resized[size].shape[2], resized[size].shape[3])
+    step = transform.size_divisible
+    height, width = (step * math.ceil(max(sides) / step) for sides in zip(*inside, strict=True))
+    tensor = torch.zeros((len(pixels), 3, height, width), device=device)
+    for size, group in members.items():
+        image = resized[size]
+        where = slice(None) if len(members) == 1 else to_device(group, device)
+        tensor[where, :, : image.shape[2], : image.shape[3]] = image
+    return ImageList(tensor, inside), before
+
+
+# ----------------------------------------------------------------------------------------------------------- proposals
+
+
+def _proposals(
+    rpn: RegionProposalNetwork, images: ImageList, features: dict[str, Tensor], batch: TargetBatch
+) -> tuple[list[Tensor], dict[str, Tensor]]:
+    """Each image's proposals (P, 4), and the losses of the network that makes them.
+
+    Results of its convolutions become float32: decoded in bfloat16, boxes at 600 px would lie on a grid of 4 px.
+    """
+    logits, offsets = ([each.float() for each in part] for part in rpn.head(list(features.values())))
+    anchors = rpn.anchor_generator(images, list(features.values()))
+    per_level = [math.prod(each.shape[1:]) for each in logits]
+    objectness, deltas = concat_box_prediction_layers(logits, offsets)
+    boxes = rpn.box_coder.decode(deltas.detach(), anchors).view(len(anchors), -1, 4)
+    proposals = _best_boxes(rpn, boxes, objectness.detach().view(len(anchors), -1), images.image_sizes, per_level)
+
+    matcher, sampler = rpn.proposal_matcher, rpn.fg_bg_sampler
+    labels, matched = assign(
+        anchors[0],
+        batch,
+        low=matcher.low_threshold,
+        high=matcher.high_threshold,
+        low_quality=matcher.allow_low_quality_matches,
+    )
+    at, drawn = sample(labels, sampler.batch_size_per_image, sampler.positive_fraction)
+    label = labels.gather(1, at).clamp(min=0)
+    truth = _pick(batch.boxes, matched.gather(1, at))
+    error = _box_error(
+        _pick(deltas.view(len(anchors), -1, 4), at), truth, anchors[0][at], rpn.box_coder.weights, drawn & (label > 0)
+    )
+    sure = functional.binary_cross_entropy_with_logits(
+        objectness.view(len(anchors), -1).gather(1, at), (label > 0).float(), reduction="none"
+    )
+    number = drawn.sum()
+    return proposals, {
+        "loss_objectness": sure.where(drawn, 0.0).sum() / number,
+        "loss_rpn_box_reg": error.sum() / number,
+    }
+
+
+def _best_boxes(
+    rpn: RegionProposalNetwork, boxes: Tensor, objectness: Tensor, sizes: Sequence[Size], per_level: list[int]
+) -> list[Tensor]:
+    """The boxes (P, 4) of each image that most likely hold something, none of them much the same as another."""
+    best = rpn._get_top_n_idx(objectness, per_level)
+    scores = objectness.gather(1, best).sigmoid()
+    limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
+    boxes = torch.minimum(_pick(boxes, best).clamp(min=0), limits)
+    levels = torch.cat([torch.full((n,), i, device=boxes.device) for i, n in enumerate(per_level)])[best]
+    large = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
+    whole = large.all(dim=1).tolist()
+    kept = []
+    for i, complete in enumerate(whole):
+        mine = (boxes[i], scores[i], levels[i])
+        own, score, level = mine if complete else (each[large[i]] for each in mine)
+        keep = _unlike(own, score, level, rpn.nms_thresh)
+        kept.append(own[keep[: rpn.post_nms_top_n()]])
+    return kept
+
+
+def _unlike(boxes: Tensor, scores: Tensor, levels: Tensor, most: float) -> Tensor:
+    """torchvision's `batched_nms`, on a GPU in the form that does not wait for it twice."""
+    if not boxes.is_cuda or not len(boxes):
+        kept: Tensor = batched_nms(boxes, scores, levels, most)
+    else:
+        kept = nms(boxes + (levels * (boxes.amax() + 1))[:, None], scores, most)
+    return kept
+
+
+# --------------------------------------------------------------------------------------------------------------- heads
+
+
+def _head_losses(
+    heads: RoIHeads,
+    features: dict[str, Tensor],
+    proposals: list[Tensor],
+    sizes: list[Size],
+    batch: TargetBatch,
+    rules: Rules,
+) -> dict[str, Tensor]:
+    """The losses of the second stage: class, box and keypoints."""
+    boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
+    pooled = heads.box_roi_pool(features, list(boxes), sizes)
+    logits, deltas = (each.float() for each in heads.box_predictor(heads.box_head(pooled)))
+    label = labels.clamp(min=0).flatten()
+    wrong = functional.cross_entropy(logits, label, reduction="none").view_as(drawn)
+    own = deltas.view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label]
+    error = _box_error(
+        own.view_as(boxes), _pick(batch.boxes, matched), boxes, heads.box_coder.weights, drawn & (labels > 0)
+    )
+    number = drawn.sum()
+    return {
+        "loss_classifier": wrong.where(drawn, 0.0).sum() / number,
+        "loss_box_reg": error.sum() / number,
+        "loss_keypoint": _keypoint_loss(
+            heads, features, boxes, labels.where(drawn, DISCARD), matched, sizes, batch, rules
+        ),
+    }
+
+
+def _regions(
+    heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: Rules
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """What the second stage learns from: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
+    lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
+    padded = torch.nn.utils.rnn.pad_sequence(proposals, batch_first=True)
+    boxes = torch.cat([padded, batch.boxes], dim=1)
+    there = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
+    matcher = heads.proposal_matcher
+    labels, matched = assign(
+        boxes,
+        batch,
+        low=matcher.low_threshold,
+        high=matcher.high_threshold,
+        low_quality=matcher.allow_low_quality_matches,
+    )
+    at, drawn = sample(labels.where(there, DISCARD), rules.regions, heads.fg_bg_sampler.positive_fraction)
+    return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
+
+
+def _keypoint_loss(
+    heads: RoIHeads,
+    features: dict[str, Tensor],
+    boxes: Tensor,
+    labels: Tensor,
+    matched: Tensor,
+    sizes: list[Size],
+    batch: TargetBatch,
+    rules: Rules,
+) -> Tensor:
+    """The loss over vehicles with a labelled point, at most `keypoint_regions` of an image, drawn without preference.
+
+    The others add nothing to the loss, which is a mean over labelled points.
+    """
+    labelled = (batch.keypoints[..., 2] > 0).any(dim=2).gather(1, matched)
+    keys = torch.rand(labels.shape, device=labels.device).where((labels == schema.CATEGORY_ID) & labelled, -1.0)
+    most = keys.shape[1] if rules.keypoint_regions is None else min(rules.keypoint_regions, keys.shape[1])
+    keys, at = keys.topk(most, dim=1)
+    chosen = keys >= 0
+    counts = chosen.sum(dim=1).tolist()
+    regions = _pick(boxes, at)[chosen]
+    image = torch.arange(len(boxes), device=boxes.device)[:, None]
+    points = batch.keypoints[image, matched.gather(1, at)][chosen]
+    pooled = heads.keypoint_roi_pool(features, list(torch.split(regions, counts)), sizes)
+    maps = heads.keypoint_predictor(heads.keypoint_head(pooled)).float().contiguous()  # the loss takes no other layout
+    loss: Tensor = keypointrcnn_loss(maps, [regions], [points], [torch.arange(len(regions), device=regions.device)])
+    return loss
+
+
+def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[float], counted: Tensor) -> Tensor:
+    """(B, S) errors of offsets `found` (B, S, 4) from `boxes` to `truth`; 0 where not `counted`."""
+    wanted = encode_boxes(truth.flatten(0, 1), boxes.flatten(0, 1), to_device(weights, boxes.device)).view_as(found)
+    # Where nothing is counted the offset may be infinite, and infinity times nothing is not a number.
+    wanted = wanted.where(counted[..., None], found.detach())
+    return functional.smooth_l1_loss(found, wanted, beta=_BETA, reduction="none").sum(dim=2)
+
+
+def _pick(rows: Tensor, at: Tensor) -> Tensor:
+    """(B, S, 4) rows (B, N, 4) at indices (B, S)."""
+    return rows.gather(1, at[..., None].expand(-1, -1, rows.shape[2]))

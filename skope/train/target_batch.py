@@ -1,0 +1,95 @@
+"""The targets of a batch as tensors of one shape each, so that a GPU works on all images at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+KEY = "ignored_boxes"
+"""Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
+
+Target = dict[str, Tensor]
+Size = tuple[int, int]
+"""Height and width, pixels."""
+
+
+@dataclass(frozen=True)
+class TargetBatch:
+    """What is labelled in B images, in pixels inside the network, filled up to the image with most of it."""
+
+    boxes: Tensor
+    """(B, G, 4) float32 xyxy; 0 where there is nothing."""
+    labels: Tensor
+    """(B, G) int64, from 1."""
+    keypoints: Tensor
+    """(B, G, K, 3) float32 x, y, v."""
+    present: Tensor
+    """(B, G) bool: which of them there are."""
+    ignored: Tensor
+    """(B, M, 4) float32 xyxy of what is ignored; 0 where there is nothing."""
+
+    @classmethod
+    def of(
+        cls,
+        targets: Sequence[Target],
+        before: Sequence[Size],
+        inside: Sequence[Size],
+        *,
+        ignore_below: float,
+        device: torch.device,
+    ) -> Self:
+        """Bring targets together.
+
+        Args:
+            targets: Of each image boxes (N, 4), labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU.
+            before: Sizes of the images that the targets are of.
+            inside: Their sizes inside the network.
+            ignore_below: What has a shorter edge than this inside the network is ignored, pixels.
+            device: Where the tensors shall be.
+        """
+        rows = [_resized(*each, ignore_below) for each in zip(targets, before, inside, strict=True)]
+        counts = torch.tensor([len(row["labels"]) for row in rows])
+        # At least one place, where there may be nothing: what takes a maximum over none fails.
+        most = max(1, int(counts.max()))
+        shape = rows[0]["keypoints"].shape[1:]
+        padding = {
+            "boxes": torch.zeros(most, 4),
+            "labels": torch.zeros(most, dtype=torch.int64),
+            "keypoints": torch.zeros(most, *shape),
+            KEY: torch.zeros(1, 4),
+        }
+        filled = {
+            name: pad_sequence([*(row[name] for row in rows), longest], batch_first=True)[:-1]
+            for name, longest in padding.items()
+        }
+        present = torch.arange(most) < counts[:, None]
+        parts = (filled["boxes"], filled["labels"], filled["keypoints"], present, filled[KEY])
+        return cls(*(to_device(part, device) for part in parts))
+
+
+def _resized(target: Target, before: Size, inside: Size, ignore_below: float) -> Target:
+    """A target in pixels inside the network, what is too small there among the ignored."""
+    height, width = (
+        torch.tensor(new, dtype=torch.float32) / torch.tensor(old, dtype=torch.float32)
+        for new, old in zip(inside, before, strict=True)
+    )
+    factors = torch.stack([width, height, width, height])
+    boxes, ignored = target["boxes"] * factors, target[KEY] * factors
+    points = torch.cat([target["keypoints"][..., :2] * factors[:2], target["keypoints"][..., 2:]], dim=-1)
+    small = (boxes[:, 2:] - boxes[:, :2]).amin(dim=1) < ignore_below
+    kept = ~small
+    return {
+        "boxes": boxes[kept],
+        "labels": target["labels"][kept],
+        "keypoints": points[kept],
+        KEY: torch.cat([ignored, boxes[small]]),
+    }
+
+
+def to_device(values: Any, device: torch.device) -> Tensor:
+    """A tensor, or numbers, on a device, which does not wait until it has done what it was asked before."""
+    tensor = torch.as_tensor(values)
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)

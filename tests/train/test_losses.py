@@ -1,0 +1,72 @@
+"""The losses of a batch equal torchvision's own, of which they are another arrangement."""
+
+import pytest
+import torch
+from torchvision.models.detection import KeypointRCNN
+
+from skope import keypoints
+from skope.detector.build import DetectorConfig, build
+from skope.train.losses import Rules, detection_losses
+from skope.train.target_batch import KEY, Target
+
+ALL = 1 << 20
+"""More regions than there are: nothing is left to chance."""
+
+
+def target(boxes: list[list[float]], labels: list[int], generator: torch.Generator) -> Target:
+    """Boxes with points anywhere in them, of vehicles."""
+    corners = torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
+    share = torch.rand(len(corners), keypoints.K, 2, generator=generator)
+    places = corners[:, None, :2] + share * (corners[:, None, 2:] - corners[:, None, :2])
+    seen = torch.randint(0, 3, (len(corners), keypoints.K, 1), generator=generator).float()
+    points = torch.cat([places, seen], dim=2) * (torch.tensor(labels).reshape(-1, 1, 1) == 1)
+    return {
+        "boxes": corners,
+        "labels": torch.tensor(labels, dtype=torch.int64),
+        "keypoints": points,
+        KEY: torch.zeros(0, 4),
+    }
+
+
+@pytest.fixture(scope="module")
+def model() -> KeypointRCNN:
+    torch.manual_seed(3)
+    categories = ("vehicle", "bicycle", "motorcycle", "pedestrian")
+    model = build(
+        DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160, categories=categories),
+        trainable_layers=5,
+    )
+    # As many as there are, so that the sampling that differs draws all there is.
+    model.rpn.fg_bg_sampler.batch_size_per_image = ALL
+    model.roi_heads.fg_bg_sampler.batch_size_per_image = ALL
+    return model.train()
+
+
+@pytest.mark.parametrize("sizes", [((96, 128), (96, 128), (96, 128)), ((96, 128), (120, 90), (96, 128))])
+def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tuple[tuple[int, int], ...]) -> None:
+    generator = torch.Generator().manual_seed(5)
+    pixels = [torch.randint(0, 256, (3, *size), dtype=torch.uint8, generator=generator) for size in sizes]
+    targets = [
+        target([[10, 10, 60, 50], [30, 20, 80, 70], [5, 60, 12, 80]], [1, 1, 4], generator),
+        target([], [], generator),
+        target([[40, 30, 90, 70]], [1], generator),
+    ]
+    found = {}
+    for name in ("stock", "ours"):
+        model.zero_grad()
+        if name == "stock":
+            plain = [{key: value for key, value in one.items() if key != KEY} for one in targets]
+            losses = model([image.float() / 255 for image in pixels], plain)
+        else:
+            losses = detection_losses(model, pixels, targets, Rules(ALL, None, 0.0))
+        sum(losses.values()).backward()
+        gradients = {key: value.grad.clone() for key, value in model.named_parameters() if value.grad is not None}
+        found[name] = {key: value.detach() for key, value in losses.items()}, gradients
+    (ours, moved), (stock, meant) = found["ours"], found["stock"]
+    assert ours.keys() == stock.keys()
+    assert moved.keys() == meant.keys()
+    for key, value in stock.items():
+        torch.testing.assert_close(ours[key], value, rtol=1e-5, atol=1e-7, msg=lambda text, key=key: f"{key}: {text}")
+    for key, gradient in meant.items():
+        # A bias that moves all places of a map alike has a gradient of nothing but rounding.
+        assert (moved[key] - gradient).norm() <= 2e-4 * gradient.norm() + 1e-8, key
