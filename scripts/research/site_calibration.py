@@ -13,8 +13,9 @@ from functools import partial
 
 import numpy as np
 
-from skope.camera.calibrate import SiteCalibration, calibrate, ground_places
+from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import UNEVEN_M, Evidence, MarkedLength, MarkedPoint, ParallelLines
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 

@@ -11,21 +11,18 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
-from scipy.special import erf
 from scipy.stats import chi2
 
 from skope.camera.derivatives import slopes
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
-from skope.camera.model import Camera, Distortion
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
 from skope.camera.pose_from_points import FEWEST, fit_camera
+from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of, values_of
 from skope.errors import UserError
 from skope.types import Array
 
-PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
-"""Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
-roll and yaw (radians) of a camera."""
 _FREE: Final = ("x", "y", "yaw")
 """Where the world's origin and axes are, which points alone can say."""
 _LENS: Final = (("k1", -0.05, 0.15), ("roll", 0.0, 0.2), ("focal", None, 1.0))
@@ -34,8 +31,6 @@ _TILTS_DEG: Final = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
 _LENGTHS: Final = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
 """Focal lengths that the search begins with, in widths of the image."""
 _HEIGHT_M: Final = 6.0
-_CAMERA_STEPS: Final = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
-"""Steps of numeric derivatives by `PARAMETERS`."""
 _ROUNDS: Final = 4
 """Rounds in which the weights follow the camera."""
 CHECKED_POINTS: Final = 6
@@ -48,8 +43,6 @@ _RIVAL_COST: Final = 9.2
 """Points without which the cost is within this of the least cannot be told apart (99% of chi-squared, two degrees)."""
 _SURPRISE: Final = 0.01
 """Residuals that are less likely than this widen the covariance."""
-PLACE_SHARE: Final = 0.9
-"""Share of cases in which a place lies within its stated error."""
 
 
 @dataclass(frozen=True)
@@ -66,79 +59,14 @@ class Residual:
 
 
 @dataclass(frozen=True, eq=False)
-class SiteCalibration:
+class SiteCalibration(UncertainCamera):
     """A calibrated camera and how well it is known."""
 
-    camera: Camera
-    parameters: tuple[str, ...]
-    """Those of `PARAMETERS` that are unknown; without points the world begins under the camera, x ahead of it."""
-    covariance: Array
-    """(P, P) of `parameters`."""
     residuals: tuple[Residual, ...]
     outliers: tuple[str, ...]
     """Names of points that contradict the others and were left out."""
     warnings: tuple[str, ...]
     """What the evidence leaves open, a sentence each."""
-
-    def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
-        return ground_places(self.camera, pixels, height)
-
-    def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(..., 2, 2) covariance of x and y of `places`, with marks that are `sigma_px` off an axis."""
-        uv = np.asarray(pixels, dtype=np.float64)
-        at, columns = _values(self.camera), [PARAMETERS.index(name) for name in self.parameters]
-        steps = _CAMERA_STEPS[columns]
-
-        def moved(step: Array) -> Array:
-            values = at.copy()
-            values[columns] += step * steps
-            return ground_places(_camera(values, self._size), uv, height)[..., :2]
-
-        J = slopes(moved, np.zeros(len(columns)), 1.0) / steps
-        out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
-        if sigma_px:
-            J = slopes(lambda step: ground_places(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
-            out = out + sigma_px**2 * J @ np.swapaxes(J, -1, -2)
-        return out
-
-    def place_error(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none."""
-        return radius_of(self.place_covariance(pixels, height, sigma_px), PLACE_SHARE)
-
-    @property
-    def _size(self) -> tuple[int, int]:
-        return self.camera.width, self.camera.height
-
-
-def ground_places(camera: Camera, pixels: ArrayLike, height: float = 0.0) -> Array:
-    """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
-    rays, valid = camera.rays(pixels)
-    directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
-    down = valid & (directions[..., 2] < -1e-6)
-    reach = (height - eye[2]) / np.where(down, directions[..., 2], -1.0)
-    return np.where((down & (reach > 0))[..., None], eye + reach[..., None] * directions, np.nan)
-
-
-def radius_of(covariance: ArrayLike, share: float) -> Array:
-    """(...,) radius of the circle that holds a share of normal distributions of covariance (..., 2, 2).
-
-    Across the longer axis the share of a chord is an error function; along it, Gauss and Legendre's rule adds them up.
-    """
-    C = np.asarray(covariance, dtype=np.float64)
-    known = np.asarray(np.isfinite(C).all(axis=(-2, -1)))
-    minor, major = np.moveaxis(np.linalg.eigvalsh(np.where(known[..., None, None], C, np.eye(2))), -1, 0)
-    minor, major = np.sqrt(np.maximum(minor, 1e-24)), np.sqrt(np.maximum(major, 1e-24))
-    node, weight = np.polynomial.legendre.leggauss(48)
-    angle = node * np.pi / 2
-    low, high = np.zeros_like(major), 6 * major
-    for _ in range(40):
-        radius = (low + high) / 2
-        along, half = radius[..., None] * np.sin(angle), radius[..., None] * np.cos(angle)
-        density = np.exp(-0.5 * (along / major[..., None]) ** 2) / (math.sqrt(2 * math.pi) * major[..., None])
-        inside = (weight * density * half * erf(half / (math.sqrt(2) * minor[..., None]))).sum(axis=-1) * np.pi / 2
-        low, high = np.where(inside < share, radius, low), np.where(inside < share, high, radius)
-    return np.where(known, (low + high) / 2, np.nan)
 
 
 # --------------------------------------------------------------------------------------------------------- the evidence
@@ -236,7 +164,7 @@ def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covaria
     which = [PARAMETERS.index(parameter) for parameter in of]
 
     def residual(camera: Camera) -> Array:
-        return np.asarray(_values(camera)[which] - mean)
+        return np.asarray(values_of(camera)[which] - mean)
 
     return _Term(kind, name, residual, lambda _: covariance)
 
@@ -295,7 +223,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
                 f"{' or '.join(wrong[2])}: mark these again"
             )
         terms, solved = [term for i, term in enumerate(terms) if i != wrong[0]], wrong[1]
-    camera = _camera(solved.at, evidence.size)
+    camera = camera_of(solved.at, evidence.size)
     covariance = np.asarray(np.linalg.pinv(solved.J.T @ solved.J), dtype=np.float64)
     spare = max(1, len(solved.J) - len(unknown))
     if chi2.sf(solved.cost, spare) < _SURPRISE:
@@ -321,13 +249,13 @@ def _solved(terms: Sequence[_Term], begun: Array, unknown: Sequence[str], size: 
     columns = [PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
     for _ in range(_ROUNDS):
-        camera = _camera(at, size)
+        camera = camera_of(at, size)
         weights = [np.linalg.inv(np.linalg.cholesky(term.covariance(camera) + 1e-12)) for term in terms]
 
         def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
             moved = at.copy()
             moved[columns] = values
-            camera = _camera(moved, size)
+            camera = camera_of(moved, size)
             return np.concatenate([W @ term.residual(camera) for W, term in zip(weights, terms, strict=True)])
 
         try:
@@ -349,7 +277,7 @@ _SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
 def _starts(evidence: Evidence, start: Camera | None, terms: Sequence[_Term]) -> list[Array]:
     """Values of `PARAMETERS` to begin with."""
     if start is not None:
-        return [_values(start)]
+        return [values_of(start)]
     if len(evidence.points) >= FEWEST:
         uv = np.array([point.pixel for point in evidence.points])
         places = np.array([point.place for point in evidence.points])
@@ -360,18 +288,18 @@ def _starts(evidence: Evidence, start: Camera | None, terms: Sequence[_Term]) ->
         out = []
         for rows in keep:
             try:
-                out.append(_values(fit_camera(uv[rows], places[rows], evidence.size).camera))
+                out.append(values_of(fit_camera(uv[rows], places[rows], evidence.size).camera))
             except UserError:
                 continue
         if not out:
             raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
-        return sorted(out, key=lambda at: _capped_cost(terms, _camera(at, evidence.size)))[:2]
+        return sorted(out, key=lambda at: _capped_cost(terms, camera_of(at, evidence.size)))[:2]
     grid = [
         np.array([math.log(share * evidence.size[0]), 0, 0, 0, _HEIGHT_M, math.radians(tilt), 0, 0])
         for share in _LENGTHS
         for tilt in _TILTS_DEG
     ]
-    return sorted(grid, key=lambda at: _smooth_cost(terms, _camera(at, evidence.size)))[:6]
+    return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of(at, evidence.size)))[:6]
 
 
 def _capped_cost(terms: Sequence[_Term], camera: Camera) -> float:
@@ -441,22 +369,7 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
     return tuple(out)
 
 
-# ------------------------------------------------------------------------------------------------------- parameters
-
-
-def _camera(at: Array, size: tuple[int, int]) -> Camera:
-    """The camera of values of `PARAMETERS`."""
-    focal, k1, x, y, z, pitch, roll, yaw = at.tolist()
-    lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
-    fov = 2 * math.atan(size[0] / 2 / math.exp(focal))
-    return Camera.looking([x, y, z], yaw=yaw, pitch_down=pitch, roll=roll, size=size, fov=fov, distortion=lens)
-
-
-def _values(camera: Camera) -> Array:
-    """(8,) values of `PARAMETERS` of a camera."""
-    yaw, pitch, roll = camera.angles
-    k1 = camera.distortion.coefficients[0] if camera.distortion.model == "brown" else 0.0
-    return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
+# ------------------------------------------------------------------------------------------------------------ numbers
 
 
 def _finite_slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera.calibrate import PARAMETERS, calibrate, ground_places, radius_of
+from skope.camera.calibrate import calibrate
 from skope.camera.evidence import (
     UNEVEN_M,
     Belief,
@@ -18,7 +18,9 @@ from skope.camera.evidence import (
     Vertical,
     marked_points,
 )
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
+from skope.camera.uncertain_camera import PARAMETERS, radius_of
 from skope.errors import UserError
 from skope.types import Array
 
