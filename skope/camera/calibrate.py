@@ -33,6 +33,12 @@ _LENGTHS: Final = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
 _HEIGHT_M: Final = 6.0
 _ROUNDS: Final = 4
 """Rounds in which the weights follow the camera."""
+_STEPS: Final = 60
+"""Steps of a round at most."""
+_FINALISTS: Final = 2
+"""So many starts are followed to the end."""
+_FIRST_STEPS: Final = 12
+"""Steps after which they are chosen."""
 CHECKED_POINTS: Final = 6
 """From so many points on, one that contradicts the others is found."""
 _WRONG: Final = 1e-3
@@ -95,40 +101,41 @@ def _point_term(point: MarkedPoint) -> _Term:
 
 
 def _length_term(length: MarkedLength) -> _Term:
-    def measured(camera: Camera, pixels: Array) -> Array:
-        ends = ground_places(camera, pixels.reshape(2, 2))
-        return np.array([np.linalg.norm(ends[1] - ends[0])])
+    def residual(camera: Camera) -> Array:
+        begin, end = ground_places(camera, length.pixels)
+        return _finite(np.array([np.linalg.norm(end - begin) - length.metres]))
 
     def covariance(camera: Camera) -> Array:
-        J = _finite_slopes(lambda pixels: measured(camera, pixels), length.pixels.ravel(), 0.25)
-        return np.array([[length.sigma_m**2]]) + length.sigma_px**2 * J @ J.T
+        begin, end = ground_places(camera, length.pixels)[:, :2]
+        along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-9)
+        by_marks = _finite(along @ _by_pixels(camera, length.pixels))
+        return np.array([[length.sigma_m**2 + length.sigma_px**2 * float((by_marks**2).sum())]])
 
-    return _Term(
-        "length", length.name, lambda camera: _finite(measured(camera, length.pixels) - length.metres), covariance
-    )
+    return _Term("length", length.name, residual, covariance)
 
 
 def _parallel_term(group: ParallelLines) -> _Term:
-    def ways(camera: Camera, lines: Array) -> Array:
-        ends = ground_places(camera, lines.reshape(-1, 2, 2))
-        along = ends[:, 1, :2] - ends[:, 0, :2]
-        angles = np.arctan2(along[:, 1], along[:, 0])
-        # Lines have no direction: those that were drawn the other way round are turned.
-        return np.asarray(angles[0] + np.mod(angles - angles[0] + np.pi / 2, np.pi) - np.pi / 2)
+    def directions(camera: Camera) -> Array:
+        """(L, 2) from one end of each line to the other, metres."""
+        ends = ground_places(camera, group.lines)[..., :2]
+        return np.asarray(ends[:, 1] - ends[:, 0])
 
-    def covariance(camera: Camera) -> Array:
-        rows = []
-        for line in group.lines:
-            J = _finite_slopes(lambda ends: ways(camera, ends), line.ravel(), 0.25)
-            rows.append(float(group.sigma_px**2 * (J @ J.T)[0, 0]))
-        return np.diag(rows)
+    def variances(camera: Camera) -> Array:
+        """(L,) of the lines' angles, square radians."""
+        way = directions(camera)
+        across = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.maximum((way**2).sum(axis=-1), 1e-9)[:, None]
+        by_marks = np.einsum("li,leij->lej", across, _by_pixels(camera, group.lines))
+        return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
 
     def residual(camera: Camera) -> Array:
         """Angles from their mean: where a camera is far from right, the mean moves, not the lines."""
-        angles, weight = ways(camera, group.lines), 1 / np.diag(covariance(camera))
+        way, weight = directions(camera), 1 / np.maximum(variances(camera), 1e-12)
+        angles = np.arctan2(way[:, 1], way[:, 0])
+        # Lines have no direction: those that were drawn the other way round are turned.
+        angles = angles[0] + np.mod(angles - angles[0] + np.pi / 2, np.pi) - np.pi / 2
         return _finite(angles - (weight * angles).sum() / weight.sum())
 
-    return _Term("parallel lines", group.name, residual, covariance)
+    return _Term("parallel lines", group.name, residual, lambda camera: np.diag(variances(camera)))
 
 
 def _vertical_term(vertical: Vertical) -> _Term:
@@ -204,12 +211,8 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
         raise UserError(f"calibration: expected {FEWEST} points or more, got {len(evidence.points)}")
     unknown = [name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE]
     terms = _terms(evidence)
-    solved = min(
-        (_solved(terms, begun, unknown, evidence.size) for begun in _starts(evidence, start, terms)),
-        key=lambda fit: fit.cost,
-        default=None,
-    )
-    if solved is None or not math.isfinite(solved.cost):
+    solved = _best(terms, _starts(evidence, start, terms), unknown, evidence.size)
+    if not math.isfinite(solved.cost):
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
     outliers, doubts = list[str](), list[str]()
     while (
@@ -244,11 +247,27 @@ class _Solved:
     """The residuals of each piece of evidence."""
 
 
-def _solved(terms: Sequence[_Term], begun: Array, unknown: Sequence[str], size: tuple[int, int]) -> _Solved:
+def _best(terms: Sequence[_Term], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]) -> _Solved:
+    """The likeliest solution; of many starts those that are ahead after some steps go on."""
+    if len(starts) > _FINALISTS:
+        begun = [_solved(terms, at, unknown, size, rounds=1, steps=_FIRST_STEPS) for at in starts]
+        starts = [fit.at for fit in sorted(begun, key=lambda fit: fit.cost)[:_FINALISTS]]
+    return min((_solved(terms, at, unknown, size) for at in starts), key=lambda fit: fit.cost)
+
+
+def _solved(
+    terms: Sequence[_Term],
+    begun: Array,
+    unknown: Sequence[str],
+    size: tuple[int, int],
+    *,
+    rounds: int = _ROUNDS,
+    steps: int = _STEPS,
+) -> _Solved:
     """Solve for the unknown parameters; weights are those of the camera of the round before."""
     columns = [PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         camera = camera_of(at, size)
         weights = [np.linalg.inv(np.linalg.cholesky(term.covariance(camera) + 1e-12)) for term in terms]
 
@@ -259,7 +278,7 @@ def _solved(terms: Sequence[_Term], begun: Array, unknown: Sequence[str], size: 
             return np.concatenate([W @ term.residual(camera) for W, term in zip(weights, terms, strict=True)])
 
         try:
-            fit = least_squares(residuals, at[columns], x_scale=_SCALES[columns], method="trf", max_nfev=60)
+            fit = least_squares(residuals, at[columns], x_scale=_SCALES[columns], method="trf", max_nfev=steps)
         except (ValueError, np.linalg.LinAlgError):
             return _Solved(at, math.inf, np.zeros((1, len(columns))))
         step, at = fit.x - at[columns], at.copy()
@@ -370,6 +389,11 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
 
 
 # ------------------------------------------------------------------------------------------------------------ numbers
+
+
+def _by_pixels(camera: Camera, pixels: Array) -> Array:
+    """(..., 2, 2) derivatives of the places that pixels (..., 2) show on the road, metres a pixel."""
+    return slopes(lambda step: ground_places(camera, pixels + step)[..., :2], np.zeros(2), 0.25)
 
 
 def _finite_slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
