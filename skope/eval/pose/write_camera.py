@@ -1,6 +1,5 @@
 """`skope eval camera`: a camera file from vehicles, or from points that were marked on the ground."""
 
-import csv
 import json
 import math
 import shlex
@@ -9,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera.model import Camera
+from skope.camera.point_files import read_points
 from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
@@ -22,10 +21,9 @@ from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
-from skope.files.reading import read_bytes, read_text
+from skope.files.reading import read_bytes
 from skope.terminal.console import counted
 
-_COLUMNS: Final = ("column", "row", "x", "y", "z")
 DISTANCE_SIGMA: Final = "camera_distance_sigma"
 """Under this name `skope eval predict` hands on, in the `info` of its frames, how certain their camera is."""
 _SURE: Final = 0.02
@@ -113,9 +111,10 @@ def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
     """Fit to marked points of the world and write `out`; yields what was found, heights over the world's z = 0."""
     if size is None:
         raise UserError("--size: needed with --points")
-    pixels, world = _read_points(path)
+    points = read_points(path)
+    pixels, world = points.pixels, points.world
     try:
-        fit = fit_to_points(pixels, world, _size(size))
+        fit = fit_to_points(pixels, world, size_of(size))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     yield from _written(out, fit.camera, {"points": len(pixels), "rms_px": fit.rms_px})
@@ -180,26 +179,9 @@ def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str
     yield f"wrote {out}"
 
 
-def _size(text: str) -> tuple[int, int]:
+def size_of(text: str) -> tuple[int, int]:
+    """The width and height that `--size` gives, pixels."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise UserError(f"--size: expected WIDTHxHEIGHT, got {text!r}")
     return int(width), int(height)
-
-
-def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N, 2) pixels and (N, 3) metres."""
-    reader = csv.DictReader(read_text(path).splitlines())
-    missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-    if missing:
-        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")
-    rows = []
-    for number, row in enumerate(reader, start=2):
-        try:
-            rows.append([float(row[name]) for name in _COLUMNS])
-        except (TypeError, ValueError):
-            raise UserError(f"{path}: line {number}: expected five numbers") from None
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
-    if not np.isfinite(values).all():
-        raise UserError(f"{path}: not all numbers are finite")
-    return values[:, :2], values[:, 2:]
