@@ -81,7 +81,7 @@ SHARED = (
     {"keypoints"},
     {"boxes", "field_checks", "files"},
     {"camera", "terminal"},
-    {"schema"},
+    {"schema", "site"},
     {"dataset", "detections", "pictures"},
     {"detector", "metrics", "page"},
     {"viewer"},

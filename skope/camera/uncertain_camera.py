@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import erf
 
 from skope.camera.derivatives import slopes
+from skope.camera.evidence import Belief
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
@@ -78,6 +79,11 @@ class UncertainCamera:
     def covariance_dict(self) -> dict[str, Any]:
         """What `from_dict` reads."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
+
+    def belief(self, name: str) -> Belief:
+        """What is known of the camera, as evidence for another calibration."""
+        which = [PARAMETERS.index(parameter) for parameter in self.parameters]
+        return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
     def resized(self, size: tuple[int, int]) -> "UncertainCamera":
         """The same for images of another size (width, height), pixels."""
