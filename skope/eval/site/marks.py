@@ -87,18 +87,16 @@ def read_marks(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
 
 def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
     """What is known of the camera beforehand: `fov_deg` and `height_m`, each [value, standard deviation]."""
-    makers = {
-        "fov_deg": ("degrees", 2, 170, lambda *pair: Belief.of_fov(*pair, width)),
-        "height_m": ("metres", 0.5, 1000, Belief.of_height),
-    }
+    units = {"fov_deg": ("degrees", 2.0, 170.0), "height_m": ("metres", 0.5, 1000.0)}
     beliefs, problems = [], []
-    for name, (unit, low, high, make) in makers.items():
+    for name, (unit, low, high) in units.items():
         pair = value.get(name) if isinstance(value, dict) else None
         if pair is None or pair == [None, None]:
             continue
         found = positions([pair], 2)
         if found and low <= found[0][0] <= high and 1e-4 <= found[0][1] <= high:
-            beliefs.append(make(*found[0]))
+            known, sigma = found[0]
+            beliefs.append(Belief.of_fov(known, sigma, width) if name == "fov_deg" else Belief.of_height(known, sigma))
         else:
             text = f"expected {low:g} to {high:g} {unit}, and how exactly that is known"
             problems.append(Problem(kind="known", index=0, field=name, text=text))

@@ -10,7 +10,7 @@ from skope.eval.site.marks import KINDS, entries_of
 def joined(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
     """One document with the changes of both.
 
-    Where both have changed the same entry, mine counts. Entries are told by their names, those without by their content.
+    Where both have changed the same entry, mine counts. Entries are told by their names, or by their content.
 
     Args:
         base: What both began with.

@@ -100,6 +100,27 @@ function form(kind, index, entry, page, act) {
   return made;
 }
 
+// What is known of the camera before anything is marked: a value, and how exactly it is known.
+export function known(box, page, act) {
+  const active = document.activeElement;
+  if (box.contains(active)) return; // somebody is typing there
+  const out = [];
+  for (const [name, words] of [["fov_deg", "field of view, degrees"], ["height_m", "height over the road, m"]]) {
+    const pair = page.document.known[name] || [null, null];
+    pair.forEach((value, i) => {
+      const label = text("label", i ? "± (standard deviation)" : words, { class: i ? "" : "two" });
+      const input = text("input", "", { inputmode: "decimal", autocomplete: "off", "data-known": name });
+      input.value = value === null ? "" : String(value);
+      input.addEventListener("change", () => act.know(name, i, typed(input.value)));
+      label.append(input);
+      out.push(label);
+    });
+    const problem = page.problemsOf("known", 0).find(({ field }) => field === name);
+    if (problem) out.push(text("p", problem.text, { class: "wrong" }));
+  }
+  box.replaceChildren(...out);
+}
+
 function button(words, does) {
   const made = text("button", words, { type: "button", "data-focus": words });
   made.addEventListener("click", does);

@@ -4,7 +4,7 @@
 import { redraw, handlesOf } from "./drawing.js";
 import { History } from "./history.js";
 import { DRAWN, KINDS, MARKED, made, metres, pixel, setPosition } from "./kinds.js";
-import { figures, fill, text } from "./panel.js";
+import { figures, fill, known, text } from "./panel.js";
 import { get, newest, post } from "./server.js";
 import { CLASSES, COLORS, Viewport } from "./viewport.js";
 
@@ -75,6 +75,7 @@ viewport.shown = () => history && drawAll();
 function refresh() {
   drawAll();
   fill(byId("marks"), byId("road"), page(), act);
+  known(byId("known"), page(), act);
   byId("undo").disabled = !history.past.length;
   byId("redo").disabled = !history.future.length;
   const same = JSON.stringify(document_()) === saved;
@@ -110,7 +111,7 @@ function trouble(words) {
 
 const askLook = newest("/look", (answer) => {
   look = answer;
-  stage.dataset.looks = Number(stage.dataset.looks || 0) + 1;
+  stage.setAttribute("aria-busy", "false");
   showCamera();
   refresh();
 }, (error) => trouble(error.message));
@@ -119,6 +120,7 @@ let asking;
 function changed() {
   trouble("");
   views.above = viewName === "above" ? views.above : null; // the camera may be another one
+  stage.setAttribute("aria-busy", "true");
   clearTimeout(asking);
   asking = setTimeout(() => askLook(document_()), WAIT_MS);
   refresh();
@@ -172,6 +174,15 @@ const act = {
     group = null;
     picking = null;
     change((all) => all[kind].splice(index, 1));
+  },
+  know(name, part, value) {
+    change((all) => {
+      const pair = all.known[name] || [null, null];
+      pair[part] = value;
+      if (part === 0 && value !== null && pair[1] === null && typeof value === "number") pair[1] = Number((0.02 * value).toPrecision(2));
+      if (pair.every((one) => one === null)) delete all.known[name];
+      else all.known[name] = pair;
+    });
   },
   addLine(index) {
     setTool("parallels");

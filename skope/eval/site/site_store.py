@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.camera.evidence import MEASURED_M, Belief
+from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
@@ -136,13 +137,10 @@ def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
             f"{site.path}: camera: is of {camera.width}x{camera.height} pixels, the footage of "
             f"{size[0]}x{size[1]}: other shapes"
         )
-    known = site.camera.known
-    return camera_dict(
-        UncertainCamera(camera, known.parameters, known.covariance) if known else None, site.camera.camera
-    )
+    return camera_dict(site.camera.known, camera)
 
 
-def camera_dict(known: UncertainCamera | None, camera: Any) -> dict[str, Any]:
+def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:
     """A camera in the document, with how well it is known where that is known."""
     out = {"width": camera.width, "height": camera.height, **camera.to_dict()}
     return out | ({"covariance": known.covariance_dict()} if known else {})
@@ -152,7 +150,7 @@ def _rows(positions: Any) -> list[list[float]]:
     return [list(position) for position in positions]
 
 
-# --------------------------------------------------------------------------------------------------------- what is saved
+# -------------------------------------------------------------------------------------------------------- what is saved
 
 
 def changes_of(document: Mapping[str, Any], solved: Solved, size: tuple[int, int], when: datetime) -> dict[str, Any]:
@@ -176,7 +174,10 @@ def changes_of(document: Mapping[str, Any], solved: Solved, size: tuple[int, int
 
 def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
     entries = entries_of(document, kind)
-    keys = {"points": ("pixel", "place", "sigma_m"), "lengths": ("pixels", "metres", "sigma_m")}
+    keys: dict[str, tuple[str, ...]] = {
+        "points": ("pixel", "place", "sigma_m"),
+        "lengths": ("pixels", "metres", "sigma_m"),
+    }
     keys |= {"parallels": ("lines",), "verticals": ("pixels", "metres")}
     return [
         {"name": name} | {key: entry.get(key) for key in keys[kind]}
