@@ -55,23 +55,31 @@ export function redraw(svg, page) {
   if (focused) svg.querySelector(`[data-handle="${focused}"]`)?.focus({ preventScroll: true });
 }
 
-function ofCamera({ look, layers, unit }) {
+function ofCamera({ look, layers, unit, view }) {
   const { drawn } = look;
   if (!drawn) return [];
   const out = [];
   if (layers.grid) {
-    out.push(...rimmed(lines(drawn.grid), "grid"), ...rimmed(lines(drawn.horizon), "horizon"));
-    for (const { at, text } of drawn.labels) out.push(words([at[0] + 4 * unit, at[1] - 3 * unit], text, unit));
+    out.push(element("path", { class: "grid", d: lines(drawn.grid) }), ...rimmed(lines(drawn.horizon), "horizon"));
+    let above = Infinity; // far away, labels would lie on one another
+    for (const { at, text } of drawn.labels) {
+      if (above - at[1] < 17 * unit) continue;
+      above = at[1];
+      out.push(words([at[0] + 4 * unit, at[1] - 3 * unit], text, unit));
+    }
   }
   if (layers.posts) out.push(...rimmed(lines(drawn.posts), "posts"));
   if (layers.boxes) out.push(...rimmed(lines(drawn.boxes), "boxes"));
-  return [element("g", { class: "camera", "aria-hidden": "true" }, ...out)];
+  const [width, height] = view.size;
+  const clip = element("clipPath", { id: "inside" }, element("rect", { width, height }));
+  return [element("defs", {}, clip), element("g", { class: "camera", "aria-hidden": "true", "clip-path": "url(#inside)" }, ...out)];
 }
 
 function ofEntry(kind, index, entry, page) {
   const places = handlesOf(kind, index, entry, page);
   const group = element("g", { class: kind });
-  const shape = page.view.fromWorld ? null : shapeOf(page.look, kind, index);
+  const told = shapeOf(page.look, kind, index);
+  const shape = page.view.fromWorld ? null : told;
   const moving = page.dragged && page.dragged.kind === kind && page.dragged.index === index;
   if (kind === "parallels") for (let i = 0; i + 1 < places.length; i += 2) group.append(...rimmed(line(places.slice(i, i + 2)), "shape"));
   else if (shape && shape.lines && !moving) {
@@ -81,7 +89,10 @@ function ofEntry(kind, index, entry, page) {
     if (shape.edges) group.append(element("path", { class: "edge", d: lines(shape.edges) }));
   } else if (kind === "occluders") group.append(...rimmed(line(known(places.slice(0, -1)), true), "shape"));
   else if (kind !== "points") group.append(...rimmed(line(known(places), kind === "zones"), "shape"));
-  if (shape && shape.arrows && !moving) arrows(group, kind, entry, shape.arrows, page.unit);
+  if (told && told.arrows && !moving) {
+    const { fromWorld } = page.view;
+    arrows(group, kind, entry, fromWorld ? told.ways.map((way) => [way.map(fromWorld)]) : told.arrows, page.unit);
+  }
   if (kind === "points") residual(group, index, page);
   places.forEach((place, part) => place && group.append(...handle(kind, index, part, place, entry, page)));
   const first = known(places)[0];

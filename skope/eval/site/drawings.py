@@ -120,7 +120,11 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 def shapes(
     drawings: Sequence[Drawing], camera: Camera, place_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
-    """What the page draws of each drawing: polylines in pixels, pixels of its corners, warnings, arrows of gates."""
+    """What the page draws of each drawing: polylines in pixels, pixels of its corners, warnings, and `ways`.
+
+    The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
+    right and back; `arrows` are the same in the image.
+    """
     lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
     out = []
     for one in drawings:
@@ -131,11 +135,13 @@ def shapes(
             ends = np.concatenate([one.positions, one.positions[:1]]) if one.kind == "zones" else one.positions
             shown["lines"] = road_line(camera, ends)
             shown["corners"] = _pixels(camera, one.positions)
+        if one.kind in ("gates", "lanes"):
+            ways = _ways_across(one.positions) if one.kind == "gates" else [one.positions[-2:]]
+            shown["ways"] = [way.tolist() for way in ways]
+            shown["arrows"] = [road_line(camera, way) for way in ways]
         if one.kind == "gates":
             shown["warnings"] = gate_warnings(one.positions, camera, lanes, place_error)
-            shown["arrows"] = _arrows(one.positions, camera)
         if one.kind == "lanes":
-            shown["arrows"] = [road_line(camera, one.positions[-2:])]
             shown["edges"] = [line for side in (-1, 1) for line in road_line(camera, _beside(one, side))]
         out.append(shown)
     return out
@@ -156,16 +162,13 @@ def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:
     return [[round(float(v), 2) for v in pixel] if good else None for pixel, good in zip(pixels, valid, strict=True)]
 
 
-def _arrows(line: Array, camera: Camera) -> list[list[Polyline]]:
-    """The two ways across a gate: from its left to its right, and back."""
+def _ways_across(line: Array) -> list[Array]:
+    """(2, 2) each: the way across a gate from its left to its right, and the way back."""
     along = line[1] - line[0]
     right = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
     reach = min(_ARROW_M, float(np.linalg.norm(along)) / 2)
-    out = []
-    for share, way in ((0.4, right), (0.6, -right)):
-        start = line[0] + share * along
-        out.append(road_line(camera, np.stack([start, start + reach * way])))
-    return out
+    starts = (line[0] + 0.4 * along, line[0] + 0.6 * along)
+    return [np.stack([start, start + reach * way]) for start, way in zip(starts, (right, -right), strict=True)]
 
 
 def _beside(lane: Drawing, side: int) -> Array:

@@ -54,14 +54,14 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
         pixel, _, valid = camera.project(foot + ahead * (k * step))
         if valid and camera.inside(pixel):
             labels.append({"at": _rounded(pixel), "text": f"{k * step} m"})
-    places = _standing(camera)
+    places, beside = _standing(camera, (0.3, 0.7)), _standing(camera, (0.12, 0.88))
     way = ahead[:2] if toward is None else toward / np.linalg.norm(toward)
     return {
         "grid": grid,
         "step_m": step,
         "labels": labels,
         "horizon": horizon(camera),
-        "posts": [line for place in places for line in drawn(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
+        "posts": [line for place in beside for line in drawn(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
         "post_m": _POST_M,
         "boxes": [line for place in places for line in box(camera, place, way)],
         "box_lwh": list(CAR_LWH),
@@ -103,11 +103,11 @@ def drawn(camera: Camera, points: Array) -> list[Polyline]:
     return out
 
 
-def _standing(camera: Camera) -> list[Array]:
-    """Places (3,) in the image's middle, from near to far, where posts and boxes stand."""
+def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
+    """Places (3,) from near to far, above one another at some columns of the image, shares of its width."""
     rows = np.linspace(0.95, 0.3, 60) * camera.height
     out: list[Array] = []
-    for share in (0.3, 0.7):
+    for share in columns:
         places = ground_places(camera, np.stack([np.full(60, share * camera.width), rows], axis=-1))
         away = np.linalg.norm(places - camera.position, axis=-1)
         last = 0.0

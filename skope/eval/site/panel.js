@@ -37,7 +37,7 @@ function row(kind, index, entry, page, act) {
   const value = valueOf(kind, index, page);
   button.append(
     text("span", "", { class: "mark", "aria-hidden": "true" }),
-    text("span", `${KINDS[kind].word} ${entry.name || index + 1}`, { class: "name" }),
+    text("span", title(kind, index, entry), { class: "name" }),
     text("span", value.words, { class: value.bad ? "value bad" : "value" }),
   );
   button.addEventListener("click", () => act.choose(chosen ? null : { kind, index, part: 0 }));
@@ -50,6 +50,12 @@ function row(kind, index, entry, page, act) {
   }
   if (chosen) item.append(form(kind, index, entry, page, act));
   return item;
+}
+
+// The name, with the word for what it is unless that begins it already.
+function title(kind, index, { name }) {
+  const { word } = KINDS[kind];
+  return name && name.toLowerCase().startsWith(word.toLowerCase()) ? name : `${word} ${name || index + 1}`;
 }
 
 function valueOf(kind, index, page) {
@@ -76,7 +82,8 @@ function form(kind, index, entry, page, act) {
     input.dataset.was = input.value;
     input.addEventListener("change", () => {
       input.dataset.was = input.value;
-      act.edit(kind, index, (one) => setValue(one, field.way, field.text ? input.value : typed(input.value)), field);
+      // The list is made anew by a change: only after Tab has led on, so that it finds where to.
+      setTimeout(() => act.edit(kind, index, (one) => setValue(one, field.way, field.text ? input.value : typed(input.value))));
     });
     label.append(input);
     made.append(label);

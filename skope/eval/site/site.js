@@ -39,6 +39,7 @@ let selected = null; // { kind, index, part }
 let dragged = null; // { kind, index, part, position }
 let hover = null;
 let cursor = null; // of the keyboard, in the view
+let byTouch = false; // whether a finger has touched the picture last
 let picking = null; // index of the point whose place is clicked on the plan
 let scaling = []; // the plan's two points
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
@@ -96,7 +97,7 @@ function hintWords() {
   if (viewName === "plan" && !views.plan) return "Load a map, a plan or an aerial picture first.";
   if (viewName === "plan" && !views.plan.fromWorld) return scaling.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
   if (picking !== null && document_().points[picking]) return `Click the place of point ${document_().points[picking].name || picking + 1} on the plan (Esc: type it instead).`;
-  if (tool === "select") return "Drag a mark to mend it, drag the picture to move it; the wheel, + and − or two fingers zoom.";
+  if (tool === "select") return "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
   if (KINDS[tool].world && !(look && look.camera) && viewName === "image") return CAMERA_NEEDED;
   if (tool === "parallels" && group !== null && !pending.length) return "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
   return KINDS[tool].hint;
@@ -214,6 +215,8 @@ async function put({ kind, index, part }, position, of) {
 
 // Where pixels lie on the road; an empty list, and words to the user, where one lies nowhere.
 async function placesOf(pixels) {
+  const busy = stage.getAttribute("aria-busy");
+  stage.setAttribute("aria-busy", "true");
   try {
     const { places } = await post("/places", { document: document_(), pixels });
     if (places.every(Boolean)) return places;
@@ -221,6 +224,7 @@ async function placesOf(pixels) {
   } catch (error) {
     trouble(error.message);
   }
+  stage.setAttribute("aria-busy", busy);
   return [];
 }
 
@@ -269,6 +273,14 @@ async function finish() {
   if (kind === "parallels") group = selected.index;
   change((all) => all[kind].push(made(kind, positions, all[kind])));
   if (kind === "points" && views.plan && views.plan.fromWorld) act.placeOnPlan(selected.index);
+  else if (!byTouch) typeNext(kind, selected.index);
+}
+
+// What is marked is told at once: the field of its place or its length has the focus. A finger would get a keyboard
+// over the picture.
+function typeNext(kind, index) {
+  const way = { points: "place.0", lengths: "metres" }[kind];
+  if (way) document.querySelector(`[data-focus="${kind}:${index}:${way}"]`)?.focus({ preventScroll: true });
 }
 
 function place(position) {
@@ -315,6 +327,7 @@ async function show(name) {
   if (name !== "plan") scaling = [];
   viewName = name;
   cursor = null;
+  byId("where").textContent = "";
   for (const button of byId("views").children) button.setAttribute("aria-pressed", button.dataset.view === name);
   byId("frames").hidden = name === "plan" || begun.frames < 2;
   const shown = view() || { picture: null, size: [800, 600] };
@@ -486,6 +499,7 @@ stage.addEventListener("pointerdown", (event) => {
     return drawAll();
   }
   const touch = event.pointerType === "touch";
+  byTouch = touch;
   const free = pending.length === 0 && picking === null && !(viewName === "plan" && !view()?.fromWorld);
   const grabbed = free ? nearest(event) : null;
   if (grabbed) selected = { kind: grabbed.kind, index: grabbed.index, part: grabbed.part };
@@ -597,7 +611,7 @@ document.addEventListener("keydown", (event) => {
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   const typing = event.target.closest("input:not([type=range]):not([type=checkbox]):not([type=file]), select, textarea");
   if (event.ctrlKey || event.metaKey) {
-    if (key === "s") event.preventDefault(), event.target.blur?.(), save();
+    if (key === "s") event.preventDefault(), event.target.blur?.(), setTimeout(save); // after what is being typed
     else if (!typing && key === "z") event.preventDefault(), step(event.shiftKey ? "redo" : "undo");
     else if (!typing && key === "y") event.preventDefault(), step("redo");
     return;
@@ -665,7 +679,8 @@ svg.addEventListener("focusin", ({ target }) => {
   const [kind, index, part] = target.dataset.handle.split(":").map((word, i) => (i ? Number(word) : word));
   if (selected && selected.kind === kind && selected.index === index && selected.part === part) return;
   selected = { kind, index, part };
-  refresh();
+  // The handles are made anew: only after the browser has done with the one that it has just given the focus.
+  setTimeout(refresh);
 });
 
 // ------------------------------------------------------------------------------------------------------------- begin

@@ -4,8 +4,8 @@ const LARGEST = 40; // screen pixels a pixel of the picture
 const LOUPE = 132;
 const LOUPE_SCALE = 3;
 export const CLASSES = [0.1, 0.25, 0.5, 1, 2, 5]; // upper ends of the map's classes, metres; the last class has none
-// From blue to yellow in even steps of lightness ("cividis"): told apart with any colour vision, and in grey.
-export const COLORS = ["#00224e", "#2a3f6d", "#575d6d", "#7c7b78", "#a59c74", "#d2c060", "#fee838"];
+// Blue up to a metre, orange beyond, darker the farther from it: told apart with any colour vision.
+export const COLORS = ["#08458c", "#3182bd", "#7fb8de", "#cfe3f3", "#fdd9a8", "#fb9a3f", "#c44a00"];
 
 export const classOf = (error) => {
   const found = CLASSES.findIndex((end) => error <= end);
@@ -23,6 +23,7 @@ export class Viewport {
     const other = size[0] !== this.size[0] || size[1] !== this.size[1];
     this.picture = picture;
     this.size = size;
+    this.stage.style.setProperty("--aspect", size[1] / size[0]);
     if (!keep || other) this.fit();
     else this.paint();
   }

@@ -92,8 +92,9 @@ def serve(tmp_path: Path, image: Path) -> Iterator[Callable[..., Served]]:
         yield start
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One for each test: a page with work that is not saved asks before it is left, and nobody would answer."""
     if shutil.which("chromium") is None:
         pytest.skip("needs chromium")
     with chromium(tmp_path_factory.mktemp("profile")) as started:
@@ -185,7 +186,8 @@ class SitePage:
 
     def text(self, css: str) -> str:
         """The text of an element that is shown; empty where none is."""
-        return str(self.browser.run(f"(() => {{ const e = document.querySelector({css!r}); return e && !e.closest('[hidden]') ? e.innerText : ''; }})()"))  # fmt: skip
+        shown = f"[...document.querySelectorAll({css!r})].filter((e) => !e.closest('[hidden]'))"
+        return str(self.browser.run(f"{shown}.map((e) => e.innerText ?? e.textContent).join(' ')"))
 
     def count(self, css: str) -> int:
         return int(self.browser.run(f"document.querySelectorAll({css!r}).length"))
@@ -203,7 +205,7 @@ def open_page(browser: Browser, serve: Callable[..., Served]) -> Iterator[Callab
         return page
 
     yield start
-    browser.run("0")
+    browser.run("0")  # the events so far
     asked = [event["request"]["url"] for event in browser.told("Network.requestWillBeSent")]
     assert asked
     assert all(url.startswith((*origins, "data:", "about:", "blob:")) for url in asked), asked
