@@ -193,13 +193,14 @@ def _terms(evidence: Evidence) -> list[_Term]:
 # ------------------------------------------------------------------------------------------------------------- solver
 
 
-def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibration:
+def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = True) -> SiteCalibration:
     """The likeliest camera under all evidence, without a point that contradicts the others.
 
     Args:
         evidence: What is known. Places come out in metres only where points, lengths, a vertical's height or the
             camera's own are among it.
         start: A camera to begin with; None: one that the points show, or the best of many.
+        check: Whether points that contradict the others are looked for.
 
     Raises:
         UserError: There is nothing to tell the scale by, or no camera agrees with the evidence.
@@ -216,7 +217,8 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
     outliers, doubts = list[str](), list[str]()
     while (
-        len(outliers) < len(evidence.points) // 4
+        check
+        and len(outliers) < len(evidence.points) // 4
         and (wrong := _contradicting(terms, solved, unknown, evidence.size)) is not None
     ):
         outliers.append(terms[wrong[0]].name)
