@@ -19,11 +19,8 @@ from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
-from skope.files.reading import read_bytes
 from skope.terminal.console import counted
 
-DISTANCE_SIGMA: Final = "camera_distance_sigma"
-"""Under this name `skope eval predict` hands on, in the `info` of its frames, how certain their camera is."""
 _SURE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
 
@@ -123,20 +120,9 @@ def known_length(text: str) -> KnownLength:
     return KnownLength(np.array(ends).reshape(2, 2), metres)
 
 
-def doubt(name: Path | str, distance_sigma: float | None) -> str | None:
-    """How far off all distances may be under a camera, in words; None where nothing says how certain it is."""
-    if distance_sigma is None:
-        return None
-    return f"{name}: all distances and speeds may be off by {2 * distance_sigma:.0%}, in one direction (95%)"
-
-
-def sigma_of_distances(path: Path) -> float | None:
-    """Relative standard deviation of distances under the camera of a file; None where the file does not say it."""
-    try:
-        share = json.loads(read_bytes(path))["sigma"]["distance"]
-    except (ValueError, KeyError, TypeError, IndexError):
-        return None
-    return float(share) if isinstance(share, int | float) and 0 <= share < 1 else None
+def doubt(name: Path | str, ways_sigma: float) -> str:
+    """How far off all distances may be under a camera, in words."""
+    return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:

@@ -110,7 +110,7 @@ def test_a_wrong_point_is_named_in_what_is_said_and_written(skope: Any) -> None:
     assert document["outliers"] == ["3"]
     assert document["marked_points"][2]["outlier"] is True
     assert document["marked_points"][2]["left_out"]["error_m"] == pytest.approx(5.0, abs=0.6)
-    assert [line for line in out.splitlines() if line.endswith("wrong?")][0].startswith("point 3: ")
+    assert next(line for line in out.splitlines() if line.endswith("wrong?")).startswith("point 3: ")
 
 
 @pytest.mark.parametrize(
