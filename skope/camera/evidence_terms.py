@@ -29,18 +29,44 @@ class EvidenceTerm:
     name: str
     residual: Callable[[Camera], Array]
     covariance: Callable[[Camera], Array]
+    point: MarkedPoint | None = None
+    """The point that it is of: many of them are projected at once."""
+
+
+def residuals_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+    """The residuals of each term."""
+    points = [term.point for term in terms if term.point is not None]
+    off = iter(np.zeros((0, 2)))
+    if points:
+        seen = camera.project(np.array([point.place for point in points]))[0]
+        off = iter(_finite(seen - np.array([point.pixel for point in points])))
+    return [term.residual(camera) if term.point is None else next(off) for term in terms]
+
+
+def covariances_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+    """The covariance of each term's residuals."""
+    points = [term.point for term in terms if term.point is not None]
+    spread = iter(np.zeros((0, 2, 2)))
+    if points:
+        places = np.array([point.place for point in points])
+        J = _finite(slopes(lambda step: camera.project(places + step)[0], np.zeros(3), 0.01))
+        of_place = np.array([[point.sigma_m, point.sigma_m, point.sigma_z_m] for point in points])
+        of_mark = np.array([point.sigma_px for point in points])
+        J = J * of_place[:, None]
+        spread = iter(J @ J.swapaxes(1, 2) + of_mark[:, None, None] ** 2 * np.eye(2))
+    return [term.covariance(camera) if term.point is None else next(spread) for term in terms]
 
 
 def point_term(point: MarkedPoint) -> EvidenceTerm:
-    def residual(camera: Camera) -> Array:
-        return _finite(camera.project(point.place)[0] - point.pixel)
-
-    def covariance(camera: Camera) -> Array:
-        J = _finite_slopes(lambda place: camera.project(place)[0], point.place, 0.01)
-        of_place = np.diag([point.sigma_m, point.sigma_m, point.sigma_z_m]) ** 2
-        return np.asarray(point.sigma_px**2 * np.eye(2) + J @ of_place @ J.T)
-
-    return EvidenceTerm("point", point.name, residual, covariance)
+    """The term of a marked point: pixels from where the camera sees its place."""
+    term = EvidenceTerm(
+        "point",
+        point.name,
+        lambda camera: residuals_of([term], camera)[0],
+        lambda camera: covariances_of([term], camera)[0],
+        point,
+    )
+    return term
 
 
 def _length_term(length: MarkedLength) -> EvidenceTerm:

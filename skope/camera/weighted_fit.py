@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from skope.camera.evidence import Evidence
-from skope.camera.evidence_terms import EvidenceTerm
+from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
 from skope.camera.model import Camera
 from skope.camera.pose_from_points import FEWEST, fit_camera
 from skope.camera.uncertain_camera import PARAMETERS, camera_of, values_of
@@ -90,13 +90,13 @@ def fit_terms(
     at, fit = begun.copy(), None
     for _ in range(rounds):
         camera = camera_of(at, size)
-        weights = [np.linalg.inv(np.linalg.cholesky(term.covariance(camera) + 1e-12)) for term in terms]
+        weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
 
         def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
             moved = at.copy()
             moved[columns] = values
             camera = camera_of(moved, size)
-            return np.concatenate([W @ term.residual(camera) for W, term in zip(weights, terms, strict=True)])
+            return np.concatenate([W @ off for W, off in zip(weights, residuals_of(terms, camera), strict=True)])
 
         try:
             fit = least_squares(residuals, at[columns], x_scale=SCALES[columns], method="trf", max_nfev=steps)
@@ -142,13 +142,10 @@ def starts_of(evidence: Evidence, start: Camera | None, terms: Sequence[Evidence
 
 def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
     """Sum of the squares of the residuals in standard deviations, each piece of evidence up to 16: one may be wrong."""
-    cost = 0.0
-    for term in terms:
-        off = term.residual(camera)
-        cost += min(float(off @ np.linalg.solve(term.covariance(camera) + 1e-12, off)), 16.0)
-    return cost
+    pairs = zip(residuals_of(terms, camera), covariances_of(terms, camera), strict=True)
+    return sum(min(float(off @ np.linalg.solve(C + 1e-12, off)), 16.0) for off, C in pairs)
 
 
 def _smooth_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
     """What ranks cameras that may be far from right."""
-    return sum(float(np.linalg.norm(np.arcsinh(term.residual(camera)))) for term in terms)
+    return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))
