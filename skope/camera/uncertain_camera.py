@@ -27,6 +27,8 @@ PLACE_SHARE: Final = 0.9
 """Share of cases in which a place lies within its stated error."""
 _BESIDE_M: Final = 0.5
 """Over so many metres to either side it is seen how the camera's error stretches the road."""
+_NEAR_M: Final = 60.0
+"""Places that are farther from the camera do not count in how well distances are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +87,9 @@ class UncertainCamera:
         which = [PARAMETERS.index(parameter) for parameter in self.parameters]
         return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
-    def resized(self, size: tuple[int, int]) -> "UncertainCamera":
-        """The same for images of another size (width, height), pixels."""
-        return UncertainCamera(self.camera.resized(size), self.parameters, self.covariance)
+    def of_camera(self, camera: Camera) -> "UncertainCamera":
+        """The same uncertainty of a camera that is another one's at another size of the image."""
+        return UncertainCamera(camera, self.parameters, self.covariance)
 
     # ---------------------------------------------------------------------------------------------------------- places
 
@@ -126,14 +128,24 @@ class UncertainCamera:
         in `covariance_at`.
         """
         at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
-        rise = np.asarray(slope, dtype=np.float64)
-        V = np.zeros((*at.shape[:-1], 2, len(self.parameters)))
-        for axis in range(2):
-            step = _BESIDE_M * np.eye(2)[axis]
-            step = np.append(step, step @ rise)
-            ahead, behind = (self._by_parameters_at(at + sign * step, rise) for sign in (1, -1))
-            V = V + v[..., axis, None, None] * (ahead - behind) / (2 * _BESIDE_M)
+        steps = _BESIDE_M * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
+        beside = np.stack([at + steps[0], at - steps[0], at + steps[1], at - steps[1]])
+        ahead_x, behind_x, ahead_y, behind_y = self._by_parameters_at(beside, slope)
+        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * _BESIDE_M)
+        V = (stretched @ v[..., None, :, None])[..., 0]
         return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
+
+    def ways_sigma(self) -> float:
+        """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
+        u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
+        places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
+        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < _NEAR_M
+        shares = []
+        for way in np.eye(2):
+            C = self.covariance_of_velocities(places[near], np.tile(way, (int(near.sum()), 1)))
+            along = np.sqrt(C @ way @ way)
+            shares += along[np.isfinite(along)].tolist()
+        return float(np.percentile(shares, 90)) if shares else 1.0
 
     def _by_parameters_at(self, places: Array, slope: ArrayLike) -> Array:
         """(..., 2, P) how places (..., 3) on the road, as their pixels show them, move with the parameters."""

@@ -31,7 +31,7 @@ def site(
 
     Nothing leaves this machine, and nothing is written before you save.
     """
-    from skope.eval.pose.write_camera import size_of
+    from skope.eval.pose.camera_from_marks import image_size
     from skope.eval.site.frames import SiteFrames
     from skope.eval.site.loaded_files import POINT_FILES, loaded
     from skope.eval.site.site_server import serve_site
@@ -43,7 +43,7 @@ def site(
     if footage is not None:
         frames = SiteFrames.of_footage(footage)
     else:
-        width, height = size_of(size or "800x600")
+        width, height = image_size(size or "800x600")
         if not (16 <= width <= 8192 and 16 <= height <= 8192):
             raise UserError(f"--size: expected 16 to 8192 pixels, got {size}")
         frames = SiteFrames.canvas((width, height), points.name if points else "empty canvas")
@@ -53,5 +53,7 @@ def site(
             raise UserError(f"--points: {points}: expected {' or '.join(POINT_FILES)}")
         if site.exists():
             raise UserError(f"--points: {site} is there already; load the points on the page, or choose another --site")
-        added = {"points": loaded(points, frames.size)["points"]}
+        found = loaded(points, frames.size)
+        console.say(found.pop("said"))
+        added = found
     serve_site(frames, site, added, port, console)

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.camera.camera_json import read_uncertain_camera
-from skope.camera.point_files import PointFile, read_points
+from skope.camera.point_files import read_points
 from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
-from skope.eval.site.site_store import camera_dict
+from skope.eval.site.site_store import camera_dict, point_entry
 from skope.files.atomic import write_text
 
 POINT_FILES: Final = (".otrfpts", ".csv")
@@ -44,15 +44,11 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
 def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     """What a file of points or a camera adds to the document. Raises UserError as `read_file` does."""
     if path.suffix.lower() in POINT_FILES:
-        points = read_points(path)
-        return {"points": points_of(points), "said": f"places are in {points.frame}" if points.frame else ""}
+        file = read_points(path)
+        points = [point_entry(point) for point in file.points]
+        world = {"world": dict(file.world)} if file.world else {}
+        return {"points": points, **world, "said": "; ".join(file.said)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
     said = "" if posed else "the file tells the lens alone: mark what tells where the camera hangs"
     return {"camera": camera_dict(known, camera) | {"posed": posed, "trusted": True}, "said": said}
-
-
-def points_of(points: PointFile) -> list[dict[str, Any]]:
-    """Points as the document has them."""
-    rows = zip(points.names, points.pixels.tolist(), points.world.tolist(), strict=True)
-    return [{"name": name, "pixel": pixel, "place": place} for name, pixel, place in rows]

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from skope.camera.evidence import (
+    MARKED_PX,
     MEASURED_M,
+    UNEVEN_M,
     Belief,
     Evidence,
     MarkedLength,
@@ -23,6 +25,8 @@ from skope.errors import UserError
 
 KINDS: Final = ("points", "lengths", "parallels", "verticals")
 """Lists of evidence in the document, in the order in which the solver has their residuals."""
+SIGMAS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
+"""Standard deviations that a point may have of its own."""
 LONGEST_NAME: Final = 200
 NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
 _MOST: Final = 500
@@ -181,7 +185,7 @@ class _Entry:
             return default
         found = number(value)
         if found is None or not low <= found <= high:
-            self.wrong(field, f"expected a number from {low:g} to {high:g} {unit}, got {_short(value)}")
+            self.wrong(field, f"expected a number from {low:g} to {high:g} {unit}".rstrip() + f", got {_short(value)}")
             return None
         return found
 
@@ -218,10 +222,12 @@ def _point(entry: _Entry) -> MarkedPoint | None:
                         missing=empty)  # fmt: skip
         else:
             given.append(found)
-    sigma = entry.number("sigma_m", 0.001, 1000, "metres", MEASURED_M)
-    if pixel is None or len(given) < 3 or sigma is None:
+    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    sigmas = {key: entry.number(key, 1e-4, 1000, "", default) for key, default in usual.items()}
+    known = {key: sigma for key, sigma in sigmas.items() if sigma is not None}
+    if pixel is None or len(given) < 3 or len(known) < len(sigmas):
         return None
-    return MarkedPoint(_array(pixel[0]), _array(given), sigma_m=sigma, name=entry.name)
+    return MarkedPoint(_array(pixel[0]), _array(given), name=entry.name, **known)
 
 
 def _length(entry: _Entry) -> MarkedLength | None:

@@ -412,8 +412,11 @@ async function turnTo(number) {
 async function loadFile(file) {
   try {
     const found = await post("/read", { name: file.name, text: await file.text() });
+    const other = found.points && document_().points.length && JSON.stringify(found.world) !== JSON.stringify(document_().world);
+    if (other) return trouble(`${file.name}: its places are counted from another origin than those that are marked: take these away first`);
     change((all) => {
       if (found.points) all.points.push(...found.points);
+      if (found.world) all.world = found.world;
       if (found.camera) all.camera = found.camera;
     });
     trouble(found.said || "");
@@ -474,7 +477,8 @@ function nearest(event) {
   const [x, y] = viewport.at(event);
   let best = (NEAR_PX[event.pointerType] || NEAR_PX.mouse) / viewport.scale;
   let found = null;
-  for (const kind of [...MARKED, ...DRAWN]) {
+  // While something is drawn, only handles of its kind are in the way: a lane may begin at a marked point.
+  for (const kind of tool === "select" ? [...MARKED, ...DRAWN] : [tool]) {
     document_()[kind].forEach((entry, index) => {
       handlesOf(kind, index, entry, page()).forEach((place, part) => {
         const away = place ? Math.hypot(place[0] - x, place[1] - y) : Infinity;

@@ -7,12 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from skope.camera.evidence import MEASURED_M, Belief
+from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
-from skope.eval.site.marks import KINDS, entries_of, unique_names
+from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
 from skope.eval.site.solved_page import Solved
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
@@ -107,11 +107,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
     evidence = marks.evidence(size)
     known = {"fov_deg": marks.fov_deg, "height_m": marks.height_m}
     return {
-        "points": [
-            {"name": one.name, "pixel": one.pixel.tolist(), "place": one.place.tolist()}
-            | _unless("sigma_m", one.sigma_m, MEASURED_M)
-            for one in evidence.points
-        ],
+        "points": [point_entry(one) for one in evidence.points],
         "lengths": [
             {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
             | _unless("sigma_m", one.sigma_m, _LENGTH_SIGMA_M)
@@ -123,6 +119,17 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
         ],
         "known": {name: list(value) for name, value in known.items() if value is not None},
     }
+
+
+def point_entry(point: MarkedPoint) -> dict[str, Any]:
+    """A point in the document, with standard deviations where they are not the usual ones."""
+    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    own = {
+        key: value
+        for name, default in usual.items()
+        for key, value in _unless(name, getattr(point, name), default).items()
+    }
+    return {"name": point.name, "pixel": point.pixel.tolist(), "place": point.place.tolist()} | own
 
 
 def _unless(key: str, value: float, default: float) -> dict[str, float]:
@@ -166,6 +173,8 @@ def changes_of(document: Mapping[str, Any], solved: Solved, size: tuple[int, int
     for kind in DRAWN:
         rows_of_kind = [_saved_drawing(kind, entry) for entry in entries_of(document, kind)]
         out[kind] = rows_of_kind or None
+    if document.get("world"):
+        out["world"] = document["world"]
     camera = _saved_camera(document, solved, size, when)
     if camera:
         out["camera"] = camera
@@ -175,7 +184,7 @@ def changes_of(document: Mapping[str, Any], solved: Solved, size: tuple[int, int
 def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
     entries = entries_of(document, kind)
     keys: dict[str, tuple[str, ...]] = {
-        "points": ("pixel", "place", "sigma_m"),
+        "points": ("pixel", "place", *SIGMAS),
         "lengths": ("pixels", "metres", "sigma_m"),
     }
     keys |= {"parallels": ("lines",), "verticals": ("pixels", "metres")}

@@ -72,7 +72,7 @@ def test_by_mouse_from_the_first_point_to_a_saved_site(open_page: Open) -> None:
     site = read_site(page.served.path)
     assert site.gates[0].name == f"north {HOSTILE}"
     assert site.gates[0].directions == ("to the station", "to the bridge")
-    assert np.abs(np.array(site.gates[0].line) - [[2, 15], [9, 18]]).max() < 0.5
+    assert np.abs(np.array(site.gates[0].line) - [[2, 15], [9, 18]]).max() < 1.0
     assert len(site.lanes[0].line) == 3
     assert site.zones == ()
     assert site.camera is not None
@@ -106,8 +106,9 @@ def test_by_keyboard_alone(open_page: Open) -> None:
     # Tab leads into the picture's marks, whose arrow keys move them; typed pixels do the same.
     page.press("Tab")
     handle = run("document.activeElement.dataset.handle")
-    assert handle is not None
+    assert handle is not None, run("document.activeElement.outerHTML.slice(0, 300)")
     kind, index, _ = handle.split(":")
+    page.settle()
     before = float(run(f"document.querySelector('[data-focus=\"{kind}:{index}:pixel.0\"]').value"))
     page.press("ArrowRight", times=3)
     page.settle()
@@ -184,7 +185,6 @@ def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
 def test_wrong_input_is_said_beside_its_field_and_not_saved(open_page: Open) -> None:
     page = open_page()
     mark_all(page, 5)
-    page.fill("points:1:place.0", "seven") if page.count('[data-focus="points:1:place.0"]') else None
     page.browser.run("document.querySelectorAll('#marks .choose')[1].click()")
     page.fill("points:1:place.0", "seven")
     page.settle()
