@@ -13,6 +13,8 @@ export function element(name, attributes, ...children) {
 
 const line = (positions, closed) => positions.length > 1 ? "M" + positions.map((p) => p.join(" ")).join("L") + (closed ? "Z" : "") : "";
 const lines = (polylines) => polylines.map((positions) => line(positions)).join("");
+// A position, or null where what was typed for it is no number.
+const numbers = (position) => (position && position.every((value) => Number.isFinite(value)) ? position : null);
 const known = (positions) => positions.filter(Boolean);
 
 // A line and, below it, its dark rim.
@@ -24,14 +26,14 @@ function rimmed(d, kind) {
 export function handlesOf(kind, index, entry, page) {
   const dragged = page.dragged;
   const own = dragged && dragged.kind === kind && dragged.index === index;
-  const positions = placesOf(kind, index, entry, page);
+  const positions = placesOf(kind, index, entry, page).map(numbers);
   return own ? positions.map((position, part) => (part === dragged.part ? dragged.position : position)) : positions;
 }
 
 function placesOf(kind, index, entry, { view, look }) {
   if (view.fromWorld) {
     if (kind === "points") return [entry.place.slice(0, 2).every((v) => typeof v === "number") ? view.fromWorld(entry.place) : null];
-    return KINDS[kind].world ? positionsOf(kind, entry).map((p) => p && view.fromWorld(p)) : [];
+    return KINDS[kind].world ? positionsOf(kind, entry).map((p) => p && numbers(p) && view.fromWorld(p)) : [];
   }
   if (!KINDS[kind].world) return positionsOf(kind, entry);
   const shape = shapeOf(look, kind, index);

@@ -209,6 +209,7 @@ def open_page(browser: Browser, serve: Callable[..., Served]) -> Iterator[Callab
     asked = [event["request"]["url"] for event in browser.told("Network.requestWillBeSent")]
     assert asked
     assert all(url.startswith((*origins, "data:", "about:", "blob:")) for url in asked), asked
-    assert browser.told("Runtime.exceptionThrown") == []
+    thrown = [event["exceptionDetails"] for event in browser.told("Runtime.exceptionThrown")]
+    assert [one.get("exception", one).get("description") for one in thrown] == []
     said = [event["entry"]["text"] for event in browser.told("Log.entryAdded")]
     assert [text for text in said if "status of 4" not in text] == []  # what the server refuses, browsers log

@@ -120,6 +120,7 @@ def test_by_keyboard_alone(open_page: Open) -> None:
     assert float(run(f"document.querySelector('[data-focus=\"{kind}:{index}:pixel.0\"]').value")) == before
     page.fill(f"{kind}:{index}:pixel.0", str(before + 0.25))
     page.settle()
+    page.press("Escape")
     page.press("g")
     for right, down in ((-4, 3), (9, -1)):
         page.press("ArrowRight")
@@ -197,6 +198,12 @@ def test_wrong_input_is_said_beside_its_field_and_not_saved(open_page: Open) -> 
     assert page.text("#problem").startswith("not saved: points 2: place.x")
     assert not page.served.path.exists()
     page.fill("points:1:place.0", "1.5")
+    page.fill("points:1:pixel.0", "left")
+    page.settle()
+    assert "expected column and row" in page.text("#marks .wrong")
+    assert page.count(".points circle.handle") == 4
+    page.press("Escape")
+    page.press("z", ctrl=True)
     page.settle()
     assert page.text("#marks .wrong") == ""
     page.browser.run("document.getElementById('save').click()")
