@@ -13,7 +13,7 @@ from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
 from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
-from skope.eval.site.solved_page import Solved
+from skope.eval.site.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site
@@ -58,7 +58,7 @@ class SiteStore:
         vehicles = site.calibration.vehicles if site.calibration else None
         return Opened(document=document_of(site, self.size), revision=site.revision, vehicles=vehicles)
 
-    def save(self, document: Mapping[str, Any], solved: Solved, revision: str | None, when: datetime) -> str:
+    def save(self, document: Mapping[str, Any], solved: SolvedCamera, revision: str | None, when: datetime) -> str:
         """Write a document into the file; returns its new revision.
 
         Raises:
@@ -160,7 +160,9 @@ def _rows(positions: Any) -> list[list[float]]:
 # -------------------------------------------------------------------------------------------------------- what is saved
 
 
-def changes_of(document: Mapping[str, Any], solved: Solved, size: tuple[int, int], when: datetime) -> dict[str, Any]:
+def changes_of(
+    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
+) -> dict[str, Any]:
     """New values of the file's keys, as `save_site` takes them, of a document without problems."""
     out: dict[str, Any] = {}
     marked = {kind: _saved_marks(document, kind) for kind in KINDS}
@@ -207,7 +209,7 @@ def _saved_drawing(kind: str, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _saved_camera(
-    document: Mapping[str, Any], solved: Solved, size: tuple[int, int], when: datetime
+    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
 ) -> dict[str, Any] | None:
     """The [camera] table; None where the page has found none, so that the file's own stays."""
     loaded = (document.get("camera") or {}).get("trusted") is True

@@ -33,7 +33,7 @@ _BEGIN: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SolvedCamera:
     """The camera of a document."""
 
     camera: Camera | None
@@ -55,9 +55,9 @@ class SolvedPage:
         """`vehicles` is what vehicles say of the camera."""
         self.size, self._vehicles = size, vehicles
         self._lock = threading.Lock()
-        self._last: tuple[str, Solved] | None = None
+        self._last: tuple[str, SolvedCamera] | None = None
 
-    def solve(self, document: Mapping[str, Any]) -> tuple[Solved, Marks]:
+    def solve(self, document: Mapping[str, Any]) -> tuple[SolvedCamera, Marks]:
         """The camera of a document, and its marks."""
         marks = read_marks(document, self.size)
         key = json.dumps([document.get(kind) for kind in (*KINDS, "camera", "known")], sort_keys=True)
@@ -66,9 +66,11 @@ class SolvedPage:
                 self._last = key, self._solved(marks, given_camera(document, self.size))
             return self._last[1], marks
 
-    def _solved(self, marks: Marks, given: "GivenCamera | None") -> Solved:
+    def _solved(self, marks: Marks, given: "GivenCamera | None") -> SolvedCamera:
         evidence = marks.evidence
-        fallback = Solved(given.camera, given.known, "") if given and given.posed else Solved(None, None, "")
+        fallback = (
+            SolvedCamera(given.camera, given.known, "") if given and given.posed else SolvedCamera(None, None, "")
+        )
         if not any(getattr(evidence, kind) for kind in KINDS):
             return replace(fallback, message="" if fallback.camera else _BEGIN)
         lens = (given.lens(),) if given and given.trusted else ()
@@ -80,7 +82,7 @@ class SolvedPage:
             return replace(fallback, message=str(error).removeprefix("calibration: "))
         except (np.linalg.LinAlgError, FloatingPointError):
             return replace(fallback, message="no camera agrees with what is marked")
-        return Solved(found.camera, found, "")
+        return SolvedCamera(found.camera, found, "")
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """All that the page shows of a document."""
@@ -168,7 +170,7 @@ def _known(camera: Camera, value: Any) -> UncertainCamera | None:
     return UncertainCamera.from_dict(camera, value) if isinstance(value, dict) else None
 
 
-def _figures(solved: Solved) -> dict[str, Any]:
+def _figures(solved: SolvedCamera) -> dict[str, Any]:
     """The camera in numbers that people know, with standard deviations where they are known."""
     assert solved.camera is not None
     camera = solved.camera
