@@ -21,7 +21,6 @@ from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of
 from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, starts_of
 from skope.camera.wrong_points import with_wrong_points
 from skope.errors import UserError
-from skope.types import Array
 
 _FREE: Final = ("x", "y", "yaw")
 """Where the world's origin and axes are, which points alone can say."""
@@ -84,19 +83,25 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         fit, outliers, doubts, spread = judged.fit, judged.wrong, judged.doubts, judged.spread
         terms = [term for term in terms if term.kind != "point" or term.name not in outliers]
     camera = camera_of(fit.at, evidence.size)
-    covariance = _covariance(fit, unknown, len(evidence.parallels)) + spread
+    excess = _excess(fit, len(evidence.parallels))
+    covariance = excess**2 * fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]]) + spread
     calibration = SiteCalibration(camera, unknown, covariance, _residuals(terms, camera), outliers, ())
+    if excess > 1:
+        doubts = (
+            *doubts,
+            f"the marks contradict each other {excess:.1f} times as much as their own errors explain: stated errors "
+            "are so much wider; is the road no plane, or are marks swapped?",
+        )
     return replace(calibration, warnings=(*doubts, *_warnings(evidence, calibration)))
 
 
-def _covariance(fit: WeightedFit, unknown: Sequence[str], groups: int) -> Array:
-    """(P, P) of the unknown parameters, wider where the residuals are larger than they should be.
+def _excess(fit: WeightedFit, groups: int) -> float:
+    """How many times as large the residuals are as they should be; 1 where that may be chance.
 
     Of each of the `groups` of parallel lines one direction is free.
     """
-    covariance = fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]])
-    spare = max(1, len(fit.J) - groups - len(unknown))
-    return covariance * (fit.cost / spare if chi2.sf(fit.cost, spare) < _SURPRISE else 1.0)
+    spare = max(1, len(fit.J) - groups - fit.J.shape[1])
+    return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < _SURPRISE else 1.0
 
 
 def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual, ...]:

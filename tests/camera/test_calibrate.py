@@ -139,6 +139,17 @@ def test_points_of_which_either_may_be_wrong_are_both_named() -> None:
     assert any(f"nearly as well without {other}" in line for line in found.warnings)
 
 
+def test_marks_that_contradict_each_other_make_all_less_certain() -> None:
+    """Five points on a road that bulges by a metre: no camera agrees, and none of them is the wrong one."""
+    places = on_road(PIXELS[:5])
+    flat = calibrate(Evidence(SIZE, points=marked_points(PIXELS[:5], places)))
+    places[[0, 2, 4], 2] += [1.0, -1.0, 1.0]
+    bulging = calibrate(Evidence(SIZE, points=marked_points(PIXELS[:5], places)))
+    assert not any("contradict each other" in line for line in flat.warnings)
+    assert any("contradict each other" in line for line in bulging.warnings)
+    assert bulging.place_error([640.0, 420.0]) > 2 * flat.place_error([640.0, 420.0])
+
+
 def test_two_wrong_points_of_ten_are_left_out() -> None:
     pixels = np.concatenate([PIXELS, [[750.0, 330.0], [300.0, 380.0]]])
     rng = np.random.default_rng(8)

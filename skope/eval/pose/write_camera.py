@@ -64,6 +64,7 @@ def from_vehicles(
         "vehicles": fit.vehicles,
         "sigma": sigma,
         "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
+        "calibrated": {"from": told},
     }
     yield from write_camera(out, fit.camera, besides)
     yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
