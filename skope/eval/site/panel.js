@@ -89,6 +89,12 @@ function form(kind, index, entry, page, act) {
     made.append(label);
     for (const problem of problems.filter((one) => one.field === field.name && !one.said)) {
       problem.said = true;
+      if (problem.missing && input.value === "") {
+        input.placeholder = "?";
+        input.dataset.missing = "";
+        input.title = problem.text;
+        continue;
+      }
       if (!problem.missing) input.setAttribute("aria-invalid", "true");
       const id = `wrong-${kind}-${index}-${field.way.join("-")}`;
       input.setAttribute("aria-describedby", id);

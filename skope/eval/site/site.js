@@ -449,7 +449,7 @@ async function save() {
     if (problem) selected = { kind: problem.kind, index: problem.index, part: 0 };
     refresh();
     trouble(error.message);
-    document.querySelector(".fields [aria-describedby]")?.focus();
+    document.querySelector(".fields [aria-describedby], .fields [data-missing]")?.focus();
   }
 }
 
@@ -457,7 +457,7 @@ async function join(both) {
   try {
     const theirs = both ? await post("/merge", { base, mine: document_() }) : await (await get("/begin.json")).json();
     revision = theirs.revision;
-    base = theirs.saved || theirs.document;
+    base = theirs.saved;
     saved = JSON.stringify(base);
     selected = null;
     byId("conflict").hidden = true;
@@ -766,7 +766,7 @@ function listen() {
 async function begin() {
   begun = await (await get("/begin.json")).json();
   history = new History(begun.document);
-  [revision, base, saved] = [begun.revision, begun.document, JSON.stringify(begun.document)];
+  [revision, base, saved] = [begun.revision, begun.saved, JSON.stringify(begun.saved)];
   byId("title").textContent = `${begun.title} → ${begun.file}`;
   document.title = `${begun.title}: site`;
   views.image.size = begun.size;

@@ -79,7 +79,7 @@ class SiteServer(LocalServer):
         super().__init__(port, _Handler)
 
     def begin(self) -> dict[str, Any]:
-        """What the page is of, and the document as it is saved."""
+        """What the page is of, its document, and the document as it is saved."""
         opened = self.store.read()
         document = opened.document
         if opened.revision is None:
@@ -93,6 +93,7 @@ class SiteServer(LocalServer):
             "file": self.store.path.name,
             "exists": opened.revision is not None,
             "document": document,
+            "saved": opened.document,
             "revision": opened.revision,
         }
 

@@ -3,6 +3,7 @@
 const LARGEST = 40; // screen pixels a pixel of the picture
 const LOUPE = 132;
 const LOUPE_SCALE = 3;
+const BESIDE = 36; // so far from the finger, which would hide it
 export const CLASSES = [0.1, 0.25, 0.5, 1, 2, 5]; // upper ends of the map's classes, metres; the last class has none
 // Blue up to a metre, orange beyond, darker the farther from it: told apart with any colour vision.
 export const COLORS = ["#08458c", "#3182bd", "#7fb8de", "#cfe3f3", "#fdd9a8", "#fb9a3f", "#c44a00"];
@@ -118,15 +119,15 @@ export class Viewport {
     this.paint();
   }
 
-  // What lies under a finger, larger and above it.
+  // What lies under a finger, larger and above it; where there is no room above, beside it.
   magnify(event) {
-    const box = this.stage.getBoundingClientRect();
     const [x, y] = this.at(event);
-    const [left, top] = [event.clientX - box.left, event.clientY - box.top];
-    const above = top > LOUPE + 30;
+    const { clientX, clientY } = event;
+    const top = clientY - LOUPE - BESIDE;
+    const beside = clientX > innerWidth / 2 ? clientX - LOUPE - BESIDE : clientX + BESIDE;
     this.loupe.hidden = false;
-    this.loupe.style.left = Math.min(Math.max(left - LOUPE / 2, 0), box.width - LOUPE) + "px";
-    this.loupe.style.top = (above ? top - LOUPE - 30 : Math.min(top + 40, Math.max(box.height - LOUPE, 0))) + "px";
+    this.loupe.style.left = (top < 0 ? beside : Math.min(Math.max(clientX - LOUPE / 2, 0), innerWidth - LOUPE)) + "px";
+    this.loupe.style.top = Math.max(top, 0) + "px";
     const context = this.loupe.getContext("2d");
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, LOUPE, LOUPE);

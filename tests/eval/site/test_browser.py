@@ -16,6 +16,11 @@ from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, SitePage, mar
 
 HOSTILE = "<img src=x onerror=alert(1)>\"'&"
 
+LOUPE = (
+    "(() => { const b = document.getElementById('loupe').getBoundingClientRect();"
+    " return [b.left, b.top, b.right, b.bottom]; })()"
+)
+
 Open = Callable[..., SitePage]
 
 
@@ -146,6 +151,8 @@ def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
         x, y = page.screen(pixel + [-20, 10])
         page.browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         assert not page.browser.run("document.getElementById('loupe').hidden")
+        glass = page.browser.run(LOUPE)
+        assert not (glass[0] <= x <= glass[2] and glass[1] <= y <= glass[3])  # the finger does not hide it
         page.browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
         assert page.browser.run("document.getElementById('loupe').hidden")
         page.press("z", ctrl=True)
@@ -284,6 +291,7 @@ def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..
 def test_lanes_are_drawn_from_above(open_page: Open, serve: Callable[..., Served]) -> None:
     served = serve(points=marked_points())
     page = open_page(served)
+    assert page.text("#state") == "not saved yet"  # the points came with the command
     page.browser.run("document.querySelector('[data-view=above]').click()")
     page.browser.until("document.querySelector('[data-view=above]').getAttribute('aria-pressed') === 'true'")
     page.tool("lanes")
