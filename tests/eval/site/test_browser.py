@@ -325,3 +325,32 @@ def choose_file(page: SitePage, field: str, path: Path) -> None:
     root = page.browser.call("DOM.getDocument")["root"]["nodeId"]
     node = page.browser.call("DOM.querySelector", nodeId=root, selector=f"input#{field}")["nodeId"]
     page.browser.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
+
+
+def test_a_gate_at_the_edge_is_warned_of_in_its_row(open_page: Open, serve: Callable[..., Served]) -> None:
+    page = open_page(serve(points=marked_points()))
+    page.settle()
+    page.tool("gates")
+    page.click([120, 352])
+    page.click([520, 352])
+    page.settle()
+    assert "never on both sides" in page.text("#road .warnings")
+    assert page.text("#road .bad") == "warning"
+
+
+def test_a_length_and_parallel_lines_tell_a_camera_without_places(open_page: Open) -> None:
+    page = open_page()
+    page.tool("parallels")
+    for line in ([[4, 8], [6, 30]], [[7.5, 8], [9.5, 30]], [[11, 12], [12.6, 30]]):
+        for pixel in pixels_of(line):
+            page.click(pixel)
+    page.settle()
+    assert page.count("#marks > .parallels") == 1
+    assert "nothing tells metres" in page.text("#message")
+    page.tool("lengths")
+    for pixel in pixels_of([[4, 8], [6, 30]]):
+        page.click(pixel)
+    page.type("22.09")
+    page.settle()
+    assert page.text("#message") == ""
+    assert "m high" in page.text("#figures-summary")
