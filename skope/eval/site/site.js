@@ -1,12 +1,13 @@
 // The page on which a camera is calibrated and a road drawn. What a file says gets into it as text or as numbers of a
 // drawing; places, residuals and warnings come from the server.
 
+import { keyList, legend, switches, toolbar } from "./controls.js";
 import { redraw, handlesOf } from "./drawing.js";
 import { History } from "./history.js";
 import { DRAWN, KINDS, MARKED, made, metres, pixel, setPosition } from "./kinds.js";
 import { figures, fill, known, text } from "./panel.js";
 import { get, newest, post } from "./server.js";
-import { CLASSES, COLORS, Viewport } from "./viewport.js";
+import { Viewport } from "./viewport.js";
 
 const byId = (id) => document.getElementById(id);
 const stage = byId("stage");
@@ -16,14 +17,6 @@ const viewport = new Viewport(stage, byId("canvas"), svg, byId("loupe"));
 const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // so near to a handle it is meant
 const DRAGGED_PX = 5; // so far a press has to go to be a drag
 const WAIT_MS = 120; // before the server is asked for what changed
-const LAYERS = [
-  ["errors", "how well places are known"],
-  ["grid", "grid on the road, horizon"],
-  ["posts", "posts, 3 m"],
-  ["boxes", "boxes as large as cars"],
-  ["residuals", "residuals, ten times as long"],
-  ["names", "names"],
-];
 const CAMERA_NEEDED = "The camera is not calibrated yet: mark points with places, or a length and parallel lines, first.";
 
 let history; // of the document
@@ -146,18 +139,6 @@ function setMap() {
   byId("legend").hidden = !errors;
 }
 
-function legend() {
-  const chips = COLORS.map((color, i) => {
-    const words = i < CLASSES.length ? `to ${CLASSES[i]} m` : `over ${CLASSES[CLASSES.length - 1]} m`;
-    const chip = text("span", "", { class: "chip" });
-    chip.style.backgroundColor = color;
-    const item = text("li", "");
-    item.append(chip, words);
-    return item;
-  });
-  byId("legend").replaceChildren(text("li", "A place is known (90%)"), ...chips);
-}
-
 const act = {
   choose(what) {
     selected = what;
@@ -238,6 +219,11 @@ function setTool(name) {
   picking = null;
   trouble("");
   refresh();
+}
+
+function chooseTool(name) {
+  setTool(name);
+  if (KINDS[name] && !KINDS[name].world && viewName !== "image") show("image");
 }
 
 // A position of the view was clicked, touched, or confirmed by Enter.
@@ -596,18 +582,6 @@ function tell(position) {
 
 // -------------------------------------------------------------------------------------------------------------- keys
 
-const KEYS = [
-  ["Tab", "on to the next mark, button or field"],
-  ["← ↑ → ↓", "in the picture: move the cross-hair, or the mark that has the focus; with Shift ten times as far"],
-  ["Enter", "mark at the cross-hair; end a lane, a zone or an occluder on its last position"],
-  ["Esc", "leave what is being drawn, the tool, the choice"],
-  ["Delete", "take away what is chosen"],
-  ["Ctrl Z, Ctrl Y", "undo, redo"],
-  ["Ctrl S", "save"],
-  ["+ − 0", "larger, smaller, whole picture"],
-  ["S", "choose and move"],
-  ...Object.values(KINDS).map(({ key, word }) => [key.toUpperCase(), word]),
-];
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 document.addEventListener("keydown", (event) => {
@@ -689,45 +663,6 @@ svg.addEventListener("focusin", ({ target }) => {
 
 // ------------------------------------------------------------------------------------------------------------- begin
 
-function toolbar() {
-  const button = (name, words, key) => {
-    const made = text("button", words, { type: "button", "data-tool": name, "aria-pressed": "false", title: `${words} (${key})` });
-    made.addEventListener("click", () => {
-      setTool(name);
-      if (KINDS[name] && !KINDS[name].world && viewName !== "image") show("image");
-    });
-    return made;
-  };
-  const finishing = text("button", "Finish", { type: "button", id: "finish", class: "main" });
-  finishing.addEventListener("click", finish);
-  const cancelling = text("button", "Cancel", { type: "button", id: "cancel" });
-  cancelling.addEventListener("click", cancel);
-  byId("tools").append(
-    button("select", "Choose", "S"),
-    text("span", "Mark"),
-    ...MARKED.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
-    text("span", "Draw"),
-    ...DRAWN.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
-    finishing,
-    cancelling,
-  );
-}
-
-function switches() {
-  for (const [name, words] of LAYERS) {
-    const input = text("input", "", { type: "checkbox", "data-layer": name });
-    input.checked = layers[name];
-    input.addEventListener("change", () => {
-      layers[name] = input.checked;
-      if (name === "errors") setMap();
-      drawAll();
-    });
-    const whole = text("label", "");
-    whole.append(input, words);
-    byId("layers").append(whole);
-  }
-}
-
 function listen() {
   const on = (id, does, kind = "click") => byId(id).addEventListener(kind, does);
   on("undo", () => step("undo"));
@@ -771,15 +706,11 @@ async function begin() {
   document.title = `${begun.title}: site`;
   views.image.size = begun.size;
   byId("frame").max = Math.max(begun.frames, 1);
-  toolbar();
-  switches();
-  legend();
+  toolbar(byId("tools"), { choose: chooseTool, finish, cancel });
+  switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
+  legend(byId("legend"));
   listen();
-  byId("keys").replaceChildren(...KEYS.map(([key, words]) => {
-    const pair = document.createElement("div");
-    pair.append(text("dt", key), text("dd", words));
-    return pair;
-  }));
+  keyList(byId("keys"));
   await show("image");
   setTool(begun.document.points.length ? "select" : "points");
   askLook(document_());

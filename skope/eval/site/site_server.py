@@ -36,7 +36,7 @@ from skope.viewer.local_server import (
 
 _HERE: Final = "skope.eval.site"
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
-_SCRIPTS: Final = ("site", "server", "history", "kinds", "viewport", "drawing", "panel")
+_SCRIPTS: Final = ("site", "controls", "server", "history", "kinds", "viewport", "drawing", "panel")
 _FILES: Final = {
     "/": (_HERE, "site.html", HTML),
     "/page.css": ("skope.page", "page.css", CSS),
