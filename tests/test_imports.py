@@ -81,7 +81,7 @@ SHARED = (
     {"keypoints"},
     {"boxes", "field_checks", "files"},
     {"camera", "terminal"},
-    {"schema"},
+    {"schema", "site"},
     {"dataset", "detections", "pictures"},
     {"detector", "metrics", "page"},
     {"viewer"},
@@ -90,7 +90,15 @@ SHARED = (
     {"__init__", "__main__"},
 )
 """What lies at the top of skope/."""
-EVAL = ({"assignment"}, {"box_links"}, {"pose", "report"}, {"inference"}, {"tracking", "evaluate", "view"}, {"cli"})
+EVAL = (
+    {"assignment"},
+    {"box_links"},
+    {"pose", "report"},
+    {"inference"},
+    {"tracking", "evaluate", "view"},
+    {"site"},
+    {"cli"},
+)
 
 
 @pytest.mark.parametrize(("group", "order"), [("skope", SHARED), ("skope.gen", GEN), ("skope.eval", EVAL)])

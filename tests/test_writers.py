@@ -219,13 +219,14 @@ READERS = {
     "gen doctor",
     "gen view",
     "eval view",
+    "eval site",
     "gen vehicles list",
     "gen vehicles check",
     "gen vehicles remove",
     "eval compare",
 }
 """Commands that write nothing, or only with a flag that has a row above; what `remove` takes away is tested in
-tests/gen/vehicles/test_user_models.py."""
+tests/gen/vehicles/test_user_models.py, what the page of `site` saves in tests/eval/site."""
 
 
 def commands(command: Any, name: str = "") -> Iterator[str]:

@@ -6,50 +6,26 @@ the marks' errors are carried there; lens distortion and focal length are always
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
-from scipy.special import erf
 from scipy.stats import chi2
 
-from skope.camera.derivatives import slopes
-from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
-from skope.camera.model import Camera, Distortion
-from skope.camera.pose_from_points import FEWEST, fit_camera
+from skope.camera.evidence import Evidence
+from skope.camera.evidence_terms import EvidenceTerm, terms_of
+from skope.camera.model import Camera
+from skope.camera.pose_from_points import FEWEST
+from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of
+from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, starts_of
+from skope.camera.wrong_points import with_wrong_points
 from skope.errors import UserError
-from skope.types import Array
 
-PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
-"""Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
-roll and yaw (radians) of a camera."""
 _FREE: Final = ("x", "y", "yaw")
 """Where the world's origin and axes are, which points alone can say."""
-_LENS: Final = (("k1", -0.05, 0.15), ("roll", 0.0, 0.2), ("focal", None, 1.0))
-"""What cameras at roads are like: mean and standard deviation; None: a focal length as long as images are wide."""
-_TILTS_DEG: Final = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
-_LENGTHS: Final = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
-"""Focal lengths that the search begins with, in widths of the image."""
-_HEIGHT_M: Final = 6.0
-_CAMERA_STEPS: Final = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
-"""Steps of numeric derivatives by `PARAMETERS`."""
-_ROUNDS: Final = 4
-"""Rounds in which the weights follow the camera."""
-CHECKED_POINTS: Final = 6
-"""From so many points on, one that contradicts the others is found."""
-_WRONG: Final = 1e-3
-"""Probability that a set of right points loses one."""
-_DOUBTED: Final = 4
-"""So many points are left out by turns, those that the others contradict most."""
-_RIVAL_COST: Final = 9.2
-"""Points without which the cost is within this of the least cannot be told apart (99% of chi-squared, two degrees)."""
 _SURPRISE: Final = 0.01
 """Residuals that are less likely than this widen the covariance."""
-PLACE_SHARE: Final = 0.9
-"""Share of cases in which a place lies within its stated error."""
 
 
 @dataclass(frozen=True)
@@ -66,205 +42,27 @@ class Residual:
 
 
 @dataclass(frozen=True, eq=False)
-class SiteCalibration:
+class SiteCalibration(UncertainCamera):
     """A calibrated camera and how well it is known."""
 
-    camera: Camera
-    parameters: tuple[str, ...]
-    """Those of `PARAMETERS` that are unknown; without points the world begins under the camera, x ahead of it."""
-    covariance: Array
-    """(P, P) of `parameters`."""
     residuals: tuple[Residual, ...]
     outliers: tuple[str, ...]
     """Names of points that contradict the others and were left out."""
     warnings: tuple[str, ...]
     """What the evidence leaves open, a sentence each."""
 
-    def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
-        return ground_places(self.camera, pixels, height)
-
-    def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(..., 2, 2) covariance of x and y of `places`, with marks that are `sigma_px` off an axis."""
-        uv = np.asarray(pixels, dtype=np.float64)
-        at, columns = _values(self.camera), [PARAMETERS.index(name) for name in self.parameters]
-        steps = _CAMERA_STEPS[columns]
-
-        def moved(step: Array) -> Array:
-            values = at.copy()
-            values[columns] += step * steps
-            return ground_places(_camera(values, self._size), uv, height)[..., :2]
-
-        J = slopes(moved, np.zeros(len(columns)), 1.0) / steps
-        out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
-        if sigma_px:
-            J = slopes(lambda step: ground_places(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
-            out = out + sigma_px**2 * J @ np.swapaxes(J, -1, -2)
-        return out
-
-    def place_error(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none."""
-        return radius_of(self.place_covariance(pixels, height, sigma_px), PLACE_SHARE)
-
-    @property
-    def _size(self) -> tuple[int, int]:
-        return self.camera.width, self.camera.height
-
-
-def ground_places(camera: Camera, pixels: ArrayLike, height: float = 0.0) -> Array:
-    """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
-    rays, valid = camera.rays(pixels)
-    directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
-    down = valid & (directions[..., 2] < -1e-6)
-    reach = (height - eye[2]) / np.where(down, directions[..., 2], -1.0)
-    return np.where((down & (reach > 0))[..., None], eye + reach[..., None] * directions, np.nan)
-
-
-def radius_of(covariance: ArrayLike, share: float) -> Array:
-    """(...,) radius of the circle that holds a share of normal distributions of covariance (..., 2, 2).
-
-    Across the longer axis the share of a chord is an error function; along it, Gauss and Legendre's rule adds them up.
-    """
-    C = np.asarray(covariance, dtype=np.float64)
-    known = np.asarray(np.isfinite(C).all(axis=(-2, -1)))
-    minor, major = np.moveaxis(np.linalg.eigvalsh(np.where(known[..., None, None], C, np.eye(2))), -1, 0)
-    minor, major = np.sqrt(np.maximum(minor, 1e-24)), np.sqrt(np.maximum(major, 1e-24))
-    node, weight = np.polynomial.legendre.leggauss(48)
-    angle = node * np.pi / 2
-    low, high = np.zeros_like(major), 6 * major
-    for _ in range(40):
-        radius = (low + high) / 2
-        along, half = radius[..., None] * np.sin(angle), radius[..., None] * np.cos(angle)
-        density = np.exp(-0.5 * (along / major[..., None]) ** 2) / (math.sqrt(2 * math.pi) * major[..., None])
-        inside = (weight * density * half * erf(half / (math.sqrt(2) * minor[..., None]))).sum(axis=-1) * np.pi / 2
-        low, high = np.where(inside < share, radius, low), np.where(inside < share, high, radius)
-    return np.where(known, (low + high) / 2, np.nan)
-
-
-# --------------------------------------------------------------------------------------------------------- the evidence
-
-
-@dataclass(frozen=True, eq=False)
-class _Term:
-    """One piece of evidence: residuals (M,) of a camera, and their covariance (M, M)."""
-
-    kind: str
-    name: str
-    residual: Callable[[Camera], Array]
-    covariance: Callable[[Camera], Array]
-
-
-def _point_term(point: MarkedPoint) -> _Term:
-    def residual(camera: Camera) -> Array:
-        return _finite(camera.project(point.place)[0] - point.pixel)
-
-    def covariance(camera: Camera) -> Array:
-        J = _finite_slopes(lambda place: camera.project(place)[0], point.place, 0.01)
-        of_place = np.diag([point.sigma_m, point.sigma_m, point.sigma_z_m]) ** 2
-        return np.asarray(point.sigma_px**2 * np.eye(2) + J @ of_place @ J.T)
-
-    return _Term("point", point.name, residual, covariance)
-
-
-def _length_term(length: MarkedLength) -> _Term:
-    def measured(camera: Camera, pixels: Array) -> Array:
-        ends = ground_places(camera, pixels.reshape(2, 2))
-        return np.array([np.linalg.norm(ends[1] - ends[0])])
-
-    def covariance(camera: Camera) -> Array:
-        J = _finite_slopes(lambda pixels: measured(camera, pixels), length.pixels.ravel(), 0.25)
-        return np.array([[length.sigma_m**2]]) + length.sigma_px**2 * J @ J.T
-
-    return _Term(
-        "length", length.name, lambda camera: _finite(measured(camera, length.pixels) - length.metres), covariance
-    )
-
-
-def _parallel_term(group: ParallelLines) -> _Term:
-    def ways(camera: Camera, lines: Array) -> Array:
-        ends = ground_places(camera, lines.reshape(-1, 2, 2))
-        along = ends[:, 1, :2] - ends[:, 0, :2]
-        angles = np.arctan2(along[:, 1], along[:, 0])
-        # Lines have no direction: those that were drawn the other way round are turned.
-        return np.asarray(angles[0] + np.mod(angles - angles[0] + np.pi / 2, np.pi) - np.pi / 2)
-
-    def covariance(camera: Camera) -> Array:
-        rows = []
-        for line in group.lines:
-            J = _finite_slopes(lambda ends: ways(camera, ends), line.ravel(), 0.25)
-            rows.append(float(group.sigma_px**2 * (J @ J.T)[0, 0]))
-        return np.diag(rows)
-
-    def residual(camera: Camera) -> Array:
-        """Angles from their mean: where a camera is far from right, the mean moves, not the lines."""
-        angles, weight = ways(camera, group.lines), 1 / np.diag(covariance(camera))
-        return _finite(angles - (weight * angles).sum() / weight.sum())
-
-    return _Term("parallel lines", group.name, residual, covariance)
-
-
-def _vertical_term(vertical: Vertical) -> _Term:
-    foot, top = vertical.pixels
-
-    def line(camera: Camera) -> tuple[Array, Array]:
-        """Unit vector of the vertical in the image near its top, and pixels that a metre of it is long there."""
-        place = ground_places(camera, foot)
-        ray = camera.rays(top)[0] @ camera.T_camera_world[:3, :3]
-        flat = float(np.linalg.norm((place - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
-        height = vertical.metres or max(float(camera.position[2] + flat * ray[2]), 0.1)
-        ends, _, _ = camera.project(place + np.array([[0, 0, height - 0.05], [0, 0, height + 0.05], [0, 0, height]]))
-        return (ends[1] - ends[0]) / 0.1, ends[2]
-
-    def residual(camera: Camera) -> Array:
-        a_metre, end = line(camera)
-        along = a_metre / max(float(np.linalg.norm(a_metre)), 1e-9)
-        off = top - end
-        across = off @ np.array([-along[1], along[0]])
-        return _finite(np.array([across] if vertical.metres is None else [across, off @ along]))
-
-    def covariance(camera: Camera) -> Array:
-        a_metre, _ = line(camera)
-        both = 2 * vertical.sigma_px**2
-        if vertical.metres is None:
-            return np.array([[both]])
-        return np.diag([both, both + float(a_metre @ a_metre) * vertical.sigma_m**2])
-
-    return _Term("vertical", vertical.name, residual, covariance)
-
-
-def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covariance: Array) -> _Term:
-    which = [PARAMETERS.index(parameter) for parameter in of]
-
-    def residual(camera: Camera) -> Array:
-        return np.asarray(_values(camera)[which] - mean)
-
-    return _Term(kind, name, residual, lambda _: covariance)
-
-
-def _terms(evidence: Evidence) -> list[_Term]:
-    out = [_point_term(point) for point in evidence.points]
-    out += [_length_term(length) for length in evidence.lengths]
-    out += [_parallel_term(group) for group in evidence.parallels]
-    out += [_vertical_term(vertical) for vertical in evidence.verticals]
-    out += [
-        _gaussian_term("belief", belief.name, belief.of, belief.mean, belief.covariance) for belief in evidence.beliefs
-    ]
-    for name, mean, sigma in _LENS:
-        center = math.log(evidence.size[0]) if mean is None else mean
-        out.append(_gaussian_term("lens", name, (name,), np.array([center]), np.array([[sigma**2]])))
-    return out
-
 
 # ------------------------------------------------------------------------------------------------------------- solver
 
 
-def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibration:
+def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = True) -> SiteCalibration:
     """The likeliest camera under all evidence, without a point that contradicts the others.
 
     Args:
         evidence: What is known. Places come out in metres only where points, lengths, a vertical's height or the
             camera's own are among it.
         start: A camera to begin with; None: one that the points show, or the best of many.
+        check: Whether points that contradict the others are looked for.
 
     Raises:
         UserError: There is nothing to tell the scale by, or no camera agrees with the evidence.
@@ -274,147 +72,39 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None) -> SiteCalibra
         raise UserError("calibration: nothing tells metres: mark points with places or a known length")
     if 0 < len(evidence.points) < FEWEST and not (evidence.lengths or evidence.parallels or evidence.beliefs):
         raise UserError(f"calibration: expected {FEWEST} points or more, got {len(evidence.points)}")
-    unknown = [name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE]
-    terms = _terms(evidence)
-    solved = min(
-        (_solved(terms, begun, unknown, evidence.size) for begun in _starts(evidence, start, terms)),
-        key=lambda fit: fit.cost,
-        default=None,
-    )
-    if solved is None or not math.isfinite(solved.cost):
+    unknown = tuple(name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE)
+    terms = terms_of(evidence)
+    fit = best_fit(terms, starts_of(evidence, start, terms), unknown, evidence.size)
+    if not math.isfinite(fit.cost):
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
-    outliers, doubts = list[str](), list[str]()
-    while (
-        len(outliers) < len(evidence.points) // 4
-        and (wrong := _contradicting(terms, solved, unknown, evidence.size)) is not None
-    ):
-        outliers.append(terms[wrong[0]].name)
-        if wrong[2]:
-            doubts.append(
-                f"point {outliers[-1]} contradicts the others and is left out, but they agree nearly as well without "
-                f"{' or '.join(wrong[2])}: mark these again"
-            )
-        terms, solved = [term for i, term in enumerate(terms) if i != wrong[0]], wrong[1]
-    camera = _camera(solved.at, evidence.size)
-    covariance = np.asarray(np.linalg.pinv(solved.J.T @ solved.J), dtype=np.float64)
-    spare = max(1, len(solved.J) - len(unknown))
-    if chi2.sf(solved.cost, spare) < _SURPRISE:
-        covariance = covariance * solved.cost / spare
-    calibration = SiteCalibration(camera, tuple(unknown), covariance, _residuals(terms, camera), tuple(outliers), ())
+    outliers, doubts, spread = tuple[str, ...](), tuple[str, ...](), np.zeros((len(unknown), len(unknown)))
+    if check and len(evidence.points) >= CHECKED_POINTS:
+        judged = with_wrong_points(evidence, terms, fit, unknown)
+        fit, outliers, doubts, spread = judged.fit, judged.wrong, judged.doubts, judged.spread
+        terms = [term for term in terms if term.kind != "point" or term.name not in outliers]
+    camera = camera_of(fit.at, evidence.size)
+    excess = _excess(fit, len(evidence.parallels))
+    covariance = excess**2 * fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]]) + spread
+    calibration = SiteCalibration(camera, unknown, covariance, _residuals(terms, camera), outliers, ())
+    if excess > 1:
+        doubts = (
+            *doubts,
+            f"the marks contradict each other {excess:.1f} times as much as their own errors explain: stated errors "
+            "are so much wider; is the road no plane, or are marks swapped?",
+        )
     return replace(calibration, warnings=(*doubts, *_warnings(evidence, calibration)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    at: Array
-    """(8,) values of `PARAMETERS`."""
-    cost: float
-    """Sum of the squares of the residuals, in standard deviations."""
-    J: Array
-    """(R, P) derivatives of these residuals by the unknown parameters."""
-    blocks: tuple[Array, ...] = ()
-    """The residuals of each piece of evidence."""
+def _excess(fit: WeightedFit, groups: int) -> float:
+    """How many times as large the residuals are as they should be; 1 where that may be chance.
+
+    Of each of the `groups` of parallel lines one direction is free.
+    """
+    spare = max(1, len(fit.J) - groups - fit.J.shape[1])
+    return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < _SURPRISE else 1.0
 
 
-def _solved(terms: Sequence[_Term], begun: Array, unknown: Sequence[str], size: tuple[int, int]) -> _Solved:
-    """Solve for the unknown parameters; weights are those of the camera of the round before."""
-    columns = [PARAMETERS.index(name) for name in unknown]
-    at, fit = begun.copy(), None
-    for _ in range(_ROUNDS):
-        camera = _camera(at, size)
-        weights = [np.linalg.inv(np.linalg.cholesky(term.covariance(camera) + 1e-12)) for term in terms]
-
-        def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
-            moved = at.copy()
-            moved[columns] = values
-            camera = _camera(moved, size)
-            return np.concatenate([W @ term.residual(camera) for W, term in zip(weights, terms, strict=True)])
-
-        try:
-            fit = least_squares(residuals, at[columns], x_scale=_SCALES[columns], method="trf", max_nfev=60)
-        except (ValueError, np.linalg.LinAlgError):
-            return _Solved(at, math.inf, np.zeros((1, len(columns))))
-        step, at = fit.x - at[columns], at.copy()
-        at[columns] = fit.x
-        if (np.abs(step) < 1e-6 * _SCALES[columns]).all():
-            break
-    assert fit is not None
-    ends = np.cumsum([len(W) for W in weights])[:-1]
-    return _Solved(at, float(2 * fit.cost), np.asarray(fit.jac), tuple(np.split(fit.fun, ends)))
-
-
-_SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
-
-
-def _starts(evidence: Evidence, start: Camera | None, terms: Sequence[_Term]) -> list[Array]:
-    """Values of `PARAMETERS` to begin with."""
-    if start is not None:
-        return [_values(start)]
-    if len(evidence.points) >= FEWEST:
-        uv = np.array([point.pixel for point in evidence.points])
-        places = np.array([point.place for point in evidence.points])
-        # With one wrong point all may be led astray: each is left out once.
-        keep = [np.arange(len(uv))]
-        if len(uv) >= CHECKED_POINTS:
-            keep += [np.delete(np.arange(len(uv)), i) for i in range(len(uv))]
-        out = []
-        for rows in keep:
-            try:
-                out.append(_values(fit_camera(uv[rows], places[rows], evidence.size).camera))
-            except UserError:
-                continue
-        if not out:
-            raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
-        return sorted(out, key=lambda at: _capped_cost(terms, _camera(at, evidence.size)))[:2]
-    grid = [
-        np.array([math.log(share * evidence.size[0]), 0, 0, 0, _HEIGHT_M, math.radians(tilt), 0, 0])
-        for share in _LENGTHS
-        for tilt in _TILTS_DEG
-    ]
-    return sorted(grid, key=lambda at: _smooth_cost(terms, _camera(at, evidence.size)))[:6]
-
-
-def _capped_cost(terms: Sequence[_Term], camera: Camera) -> float:
-    """Sum of the squares of the residuals in standard deviations, each piece of evidence up to 16: one may be wrong."""
-    cost = 0.0
-    for term in terms:
-        off = term.residual(camera)
-        cost += min(float(off @ np.linalg.solve(term.covariance(camera) + 1e-12, off)), 16.0)
-    return cost
-
-
-def _smooth_cost(terms: Sequence[_Term], camera: Camera) -> float:
-    """What ranks cameras that may be far from right."""
-    return sum(float(np.linalg.norm(np.arcsinh(term.residual(camera)))) for term in terms)
-
-
-def _contradicting(
-    terms: Sequence[_Term], solved: _Solved, unknown: Sequence[str], size: tuple[int, int]
-) -> tuple[int, _Solved, list[str]] | None:
-    """The point without which the others agree so much better that it must be wrong, the camera without it, and the
-    names of points of which the same may be said."""
-    points = [i for i, term in enumerate(terms) if term.kind == "point"]
-    if len(points) < CHECKED_POINTS:
-        return None
-    # How much the cost falls without each, for a linear model: r (1 - H)^-1 r, H the projection onto the model.
-    first = np.cumsum([0, *(len(block) for block in solved.blocks)])
-    hat = solved.J @ np.linalg.pinv(solved.J)
-    gains = []
-    for i in points:
-        rows = slice(first[i], first[i + 1])
-        free = np.eye(len(solved.blocks[i])) - hat[rows, rows] + 1e-9 * np.eye(len(solved.blocks[i]))
-        gains.append(float(solved.blocks[i] @ np.linalg.solve(free, solved.blocks[i])))
-    doubted = [points[k] for k in np.argsort(gains)[::-1][:_DOUBTED]]
-    without = {i: _solved([term for k, term in enumerate(terms) if k != i], solved.at, unknown, size) for i in doubted}
-    worst = min(doubted, key=lambda i: without[i].cost)
-    unlikely = chi2.sf(solved.cost - without[worst].cost, 2) < _WRONG / len(points)
-    if not unlikely:
-        return None
-    rivals = [terms[i].name for i in doubted if i != worst and without[i].cost - without[worst].cost < _RIVAL_COST]
-    return worst, without[worst], rivals
-
-
-def _residuals(terms: Sequence[_Term], camera: Camera) -> tuple[Residual, ...]:
+def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual, ...]:
     out = []
     for term in terms:
         if term.kind == "lens":
@@ -439,30 +129,3 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
         away = np.linalg.norm(places - calibration.camera.position, axis=1)
         out.append(f"the points lie {away.min():.0f} to {away.max():.0f} m away: places farther off are extrapolated")
     return tuple(out)
-
-
-# ------------------------------------------------------------------------------------------------------- parameters
-
-
-def _camera(at: Array, size: tuple[int, int]) -> Camera:
-    """The camera of values of `PARAMETERS`."""
-    focal, k1, x, y, z, pitch, roll, yaw = at.tolist()
-    lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
-    fov = 2 * math.atan(size[0] / 2 / math.exp(focal))
-    return Camera.looking([x, y, z], yaw=yaw, pitch_down=pitch, roll=roll, size=size, fov=fov, distortion=lens)
-
-
-def _values(camera: Camera) -> Array:
-    """(8,) values of `PARAMETERS` of a camera."""
-    yaw, pitch, roll = camera.angles
-    k1 = camera.distortion.coefficients[0] if camera.distortion.model == "brown" else 0.0
-    return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
-
-
-def _finite_slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
-    return _finite(slopes(of, at, step))
-
-
-def _finite(values: Array) -> Array:
-    """Residuals of cameras that do not see what is marked are large, not NaN."""
-    return np.asarray(np.where(np.isfinite(values), values, 1e3))

@@ -96,7 +96,7 @@ class Belief:
     """A Gaussian that something else says of a camera: its vehicles, its maker, somebody with a ladder."""
 
     of: tuple[str, ...]
-    """Names in `skope.camera.calibrate.PARAMETERS`."""
+    """Names in `skope.camera.uncertain_camera.PARAMETERS`."""
     mean: Array
     """(M,) in their units."""
     covariance: Array

@@ -67,6 +67,8 @@ class Distortion:
             k1, k2, k3, k4 = self.coefficients
             return math.sqrt(_first_positive_root([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))
         k1, k2, _, _, k3, k4, k5, k6, *_ = self._brown()
+        if not (k2 or k3 or k4 or k5 or k6):  # as where cameras are searched for, thousands of times
+            return math.sqrt(-1 / (3 * k1)) if k1 < 0 else math.inf
         # r * N(q) / D(q) with q = r^2 grows while N D + 2 q (N' D - N D') > 0; it also ends at a pole of D.
         poly = np.polynomial.Polynomial
         n, d, q = poly([1.0, k1, k2, k3]), poly([1.0, k4, k5, k6]), poly([0.0, 1.0])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from skope.camera.calibration_files import read_calibration
+from skope.camera.camera_json import camera_of_json
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
@@ -28,12 +29,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera
             assert images[0].camera is not None
             return images[0].camera, True
         if isinstance(document, dict) and "T_camera_world" in document:
-            try:
-                return Camera.from_dict(document, int(document["width"]), int(document["height"])), True
-            except (KeyError, TypeError):
-                raise UserError(f"{path}: width, height: expected whole numbers") from None
-            except UserError as error:
-                raise UserError(f"{path}: {error}") from None
+            return camera_of_json(path, document), True
     calibration = read_calibration(path)
     width_height = calibration.size or size
     if width_height is None:

@@ -26,6 +26,7 @@ PREDICTED: Final = Path("runs/predict")
 POSES: Final = Path("runs/pose")
 TRACKS: Final = Path("runs/tracks")
 CAMERA_FILE: Final = Path("runs/camera.json")
+SITE_FILE: Final = Path("site.toml")
 
 DIR: Final = "DIR"
 FILE: Final = "FILE"

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera.calibrate import PARAMETERS, calibrate, ground_places, radius_of
+from skope.camera.calibrate import calibrate
 from skope.camera.evidence import (
     UNEVEN_M,
     Belief,
@@ -18,7 +18,10 @@ from skope.camera.evidence import (
     Vertical,
     marked_points,
 )
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
+from skope.camera.uncertain_camera import PARAMETERS, radius_of
+from skope.camera.weighted_fit import WeightedFit
 from skope.errors import UserError
 from skope.types import Array
 
@@ -136,13 +139,64 @@ def test_points_of_which_either_may_be_wrong_are_both_named() -> None:
     assert any(f"nearly as well without {other}" in line for line in found.warnings)
 
 
+def test_marks_that_contradict_each_other_make_all_less_certain() -> None:
+    """Five points on a road that bulges by a metre: no camera agrees, and none of them is the wrong one."""
+    places = on_road(PIXELS[:5])
+    flat = calibrate(Evidence(SIZE, points=marked_points(PIXELS[:5], places)))
+    places[[0, 2, 4], 2] += [1.0, -1.0, 1.0]
+    bulging = calibrate(Evidence(SIZE, points=marked_points(PIXELS[:5], places)))
+    assert not any("contradict each other" in line for line in flat.warnings)
+    assert any("contradict each other" in line for line in bulging.warnings)
+    assert bulging.place_error([640.0, 420.0]) > 2 * flat.place_error([640.0, 420.0])
+
+
+def test_two_wrong_points_of_ten_are_left_out() -> None:
+    pixels = np.concatenate([PIXELS, [[750.0, 330.0], [300.0, 380.0]]])
+    rng = np.random.default_rng(8)
+    places = on_road(pixels) + rng.normal(0, 0.05, (10, 3)) * [1, 1, 0]
+    places[1] += [2.0, -3.0, 0.0]
+    places[7] += [-2.5, 1.0, 0.0]
+    found = calibrate(Evidence(SIZE, points=marked_points(pixels, places, "abcdefghij")))
+    assert found.outliers == ("b", "h")
+    assert np.linalg.norm(found.camera.position - CAMERA.position) < 0.5
+
+
+def test_where_another_point_may_be_the_wrong_one_places_are_less_known() -> None:
+    """The camera without the other one counts too, by how likely it is."""
+    pixels = np.concatenate([PIXELS[:4], PIXELS[:1] + 2, PIXELS[5:6]])
+    places = on_road(pixels)
+    places[4] += [0.8, 0.6, 0.0]
+    points = marked_points(pixels, places, "abcdef")
+    found = calibrate(Evidence(SIZE, points=points))
+    (wrong,) = found.outliers
+    sure = calibrate(Evidence(SIZE, points=tuple(point for point in points if point.name != wrong)), check=False)
+    other = ({"a", "e"} - {wrong}).pop()
+    rival = calibrate(Evidence(SIZE, points=tuple(point for point in points if point.name != other)), check=False)
+    at = np.array([[250.0, 330.0]])
+    apart = (rival.places(at) - sure.places(at))[0, :2]
+    assert np.linalg.norm(apart) > 0.5
+    assert found.places(at) == pytest.approx(sure.places(at), abs=0.02)
+    # Told are points from a probability of 5% on: a mixture of two that are d apart has the variance p d^2 more.
+    added = apart @ (found.place_covariance(at) - sure.place_covariance(at))[0] @ apart / np.linalg.norm(apart) ** 2
+    assert any(f"without {other}" in line for line in found.warnings)
+    assert 0.05 * np.linalg.norm(apart) ** 2 < added < np.linalg.norm(apart) ** 2
+
+
+def test_what_nothing_tells_is_known_badly_not_exactly() -> None:
+    J = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    fit = WeightedFit(np.zeros(8), 0.0, J)
+    C = fit.covariance(np.ones(3))
+    assert np.diag(C)[:2] == pytest.approx([1.0, 0.25])
+    assert C[2, 2] >= 1e6
+
+
 def test_stated_errors_are_those_of_repeated_calibrations() -> None:
     rng, at = np.random.default_rng(5), np.array([[700.0, 300.0], [300.0, 600.0]])
     found, stated = [], []
     for _ in range(40):
         off = rng.normal(0, [0.1, 0.1, UNEVEN_M], (8, 3))
         points = marked_points(PIXELS + rng.normal(0, 1.5, (8, 2)), on_road(PIXELS) + off)
-        one = calibrate(Evidence(SIZE, points=points), start=CAMERA)
+        one = calibrate(Evidence(SIZE, points=points), start=CAMERA, check=False)
         found.append(one.places(at))
         stated.append(one.place_error(at))
     within = np.linalg.norm(np.array(found)[..., :2] - on_road(at)[:, :2], axis=-1) <= np.array(stated)

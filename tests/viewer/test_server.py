@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.viewer import server
+from skope.viewer import local_server
 from skope.viewer.collection import Collection
 from skope.viewer.documents import Documents
 from skope.viewer.pictures import read_picture
@@ -218,7 +218,7 @@ def test_another_port_is_found_where_the_usual_one_is_taken(
 ) -> None:
     documents = Documents(labelled)
     with bound(documents, 0) as first:
-        monkeypatch.setattr(server, "PORT", first.server_port)
+        monkeypatch.setattr(local_server, "PORT", first.server_port)
         with bound(documents, None) as second:
             assert second.server_port not in (0, first.server_port)
 

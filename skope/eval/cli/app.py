@@ -6,6 +6,7 @@ from skope.eval.cli.compare import compare_runs
 from skope.eval.cli.evaluate import evaluate_or_score
 from skope.eval.cli.pose import pose
 from skope.eval.cli.predict import predict
+from skope.eval.cli.site import site
 from skope.eval.cli.track import track
 from skope.eval.cli.view import view
 from skope.terminal.command_options import Commands
@@ -19,3 +20,4 @@ app.command(name="pose")(pose)
 app.command(name="track")(track)
 app.command(name="camera")(camera)
 app.command(name="view")(view)
+app.command(name="site")(site)

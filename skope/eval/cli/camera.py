@@ -18,11 +18,13 @@ def camera(
         Path | None,
         data_option(
             metavar=FILE,
-            help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres.",
+            help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres (or longitude, "
+            "latitude), OTVision's .otrfpts, or a site.toml with all that [calibration] can hold.",
         ),
     ] = None,
     size: Annotated[
-        str | None, data_option(metavar=SIZE, help="Size of the image that --points were marked in.")
+        str | None,
+        data_option(metavar=SIZE, help="Size of the image that --points were marked in; a site.toml may say it."),
     ] = None,
     max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles."), Formerly("--vehicles")] = 40,
     height: Annotated[
@@ -45,7 +47,8 @@ def camera(
 
     (`skope eval calibrate` is about a detector's keypoint scores.)
     """
-    from skope.eval.pose.write_camera import from_points, from_vehicles, known_length
+    from skope.eval.pose.camera_from_marks import camera_from_marks
+    from skope.eval.pose.write_camera import from_vehicles, known_length
 
     check_probability("--score", score)
     check_pixels("--noise", noise)
@@ -55,10 +58,12 @@ def camera(
             raise UserError(f"{name}: expected a number from 0.5 to {most:g}, got {value:g}")
     if points is not None:
         if height is not None or fov is not None or length:
-            raise UserError("--height, --fov and --length: help vehicles; with --points the points tell all")
+            raise UserError(
+                "--height, --fov and --length: help vehicles; beside points [calibration] of a site.toml says them"
+            )
         if keypoints.folder or keypoints.annotations or keypoints.predictions:
             raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
-        lines = from_points(points, size, out)
+        lines = camera_from_marks(points, size, out)
     else:
         lines = from_vehicles(
             keypoints.read(console),

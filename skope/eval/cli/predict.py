@@ -73,7 +73,7 @@ def predict(
     fixed = read_camera(camera)[0] if camera else None
 
     from skope.eval.inference.predict_footage import PredictJob, predict
-    from skope.eval.pose.write_camera import DISTANCE_SIGMA, sigma_of_distances
+    from skope.eval.pose.camera_error import camera_info
 
     job = PredictJob(
         footage=footage,
@@ -82,7 +82,7 @@ def predict(
         settings=settings,
         score=score,
         camera=fixed,
-        camera_info={DISTANCE_SIGMA: share} if camera and (share := sigma_of_distances(camera)) is not None else {},
+        camera_info=camera_info(camera) if camera else {},
         overlay=overlay,
         blur=blur,
         unconfirmed=unconfirmed,

@@ -114,22 +114,13 @@ class SceneOptions(KeypointOptions):
         scene = self.read(console, self.camera, _ground(self.ground))
         if scene.left_out:
             console.result(scene.left_out)
-        if words := doubt(self.camera or scene.file.name, self.distance_sigma(scene)):
-            console.result(words)
+        if scene.known:
+            console.result(doubt(self.camera or scene.file.name, scene.known.ways_sigma()))
         if self.ground in _FITTED:
             scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:
                 console.result(words)
         return scene
-
-    def distance_sigma(self, scene: "Scene") -> float | None:
-        """Relative standard deviation of distances under the camera, by its file or the frames'; None: nobody says."""
-        from skope.eval.pose.write_camera import DISTANCE_SIGMA, sigma_of_distances
-
-        if self.camera:
-            return sigma_of_distances(self.camera)
-        share = scene.file.info.get(DISTANCE_SIGMA)
-        return float(share) if isinstance(share, int | float) else None
 
     @property
     def place(self) -> Path:

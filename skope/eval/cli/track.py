@@ -36,7 +36,6 @@ def track(
         noise=noise,
         score=options.score,
         sigma_px=options.sigma,
-        distance_sigma=options.distance_sigma(scene),
         video=video,
         overlay=overlay,
         out=out,

@@ -7,6 +7,7 @@ from typing import Final, Self
 import numpy as np
 
 from skope.camera.derivatives import slopes
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.eval.pose.observations import NEAREST_M, Mask
 from skope.types import Array
@@ -38,10 +39,7 @@ def camera_of(unknowns: Array, size: tuple[int, int]) -> Camera:
 
 def on_road(camera: Camera, pixels: Array) -> Array:
     """(P, 2) places on the road z = 0, metres, that pixels (P, 2) show; those above the horizon are very far away."""
-    rays, _ = camera.rays(pixels)
-    x, y, z = (rays @ camera.T_camera_world[:3, :3]).T
-    away = -camera.position[2] / np.minimum(z, -_LEAST_FALL)
-    return np.asarray(camera.position[:2] + np.stack([x, y], axis=-1) * away[:, None])
+    return ground_places(camera, pixels, least_fall=_LEAST_FALL)[..., :2]
 
 
 @dataclass(frozen=True, eq=False)

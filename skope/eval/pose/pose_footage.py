@@ -3,12 +3,13 @@
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.pose_errors import measure, summary, table
-from skope.eval.pose.records import INTERPOLATED, locate_view, records, write_poses
+from skope.eval.pose.records import INTERPOLATED, Located, locate_view, records, write_poses
 from skope.eval.pose.views import Scene
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
@@ -42,7 +43,7 @@ def run(job: PoseJob, console: Console) -> Iterator[str]:
         bar.update(progress.count)
         views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise[0])
         for view in itertools.islice(views, progress.count, None):
-            progress.add({"rows": list(records(locate_view(view, scene)))})
+            progress.add({"rows": list(records(_with_camera_error(locate_view(view, scene), scene)))})
             bar.update()
     reasons = Counter[str | None]()
 
@@ -59,6 +60,11 @@ def run(job: PoseJob, console: Console) -> Iterator[str]:
     if scene.has_truth:
         yield from _errors(job)
     progress.end()
+
+
+def _with_camera_error(located: Located, scene: Scene) -> Located:
+    image = located.view.image
+    return replace(located, poses=with_camera_error(located.poses, scene.known_in(image), scene.road_in(image)))
 
 
 def _errors(job: PoseJob) -> Iterator[str]:

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
+from skope.camera.camera_json import read_uncertain_camera
 from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
+from skope.eval.pose.camera_error import camera_of_info
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
@@ -82,6 +85,8 @@ class Scene:
     """The other road users that were found, in any order; may be of other images too. None: the annotations' own."""
     roads: Mapping[int, Ground | None] = field(default_factory=dict)
     """Where the road is in single images, by their ids, of a file of several cameras."""
+    known: UncertainCamera | None = None
+    """How well the camera of all images is known; None: nothing says that."""
 
     @property
     def shapes(self) -> Shapes:
@@ -102,6 +107,10 @@ class Scene:
                 "(`skope eval camera` finds one from vehicles or marked points)"
             )
         return sized(camera, (image.width, image.height), image.file_name)
+
+    def known_in(self, image: Image) -> UncertainCamera | None:
+        """The camera of an image, as far as it is known how well; None: it is not."""
+        return self.known.of_camera(self.camera_of(image)) if self.known else None
 
     def road_in(self, image: Image) -> Ground | None:
         """Where the road is in an image; None: unknown."""
@@ -239,10 +248,12 @@ def read_scene(
     users = read_inputs.RoadUsersFile(predictions, file) if predictions else None
     file, left_out = _of_one_view(file)
     if camera is None:
-        return Scene(file, results, None, None if ground is None else Ground(height=ground), left_out, users)
+        road = None if ground is None else Ground(height=ground)
+        known = camera_of_info(file.name, file.info, file.images[0].camera if file.images else None)
+        return Scene(file, results, None, road, left_out, users, known=known)
     read, posed = read_camera(camera, _size(file))
     road = Ground(height=ground) if posed and ground is not None else None
-    return Scene(file, results, read, road, left_out, users)
+    return Scene(file, results, read, road, left_out, users, known=read_uncertain_camera(camera))
 
 
 def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:

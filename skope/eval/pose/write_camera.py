@@ -1,18 +1,15 @@
-"""`skope eval camera`: a camera file from vehicles, or from points that were marked on the ground."""
+"""`skope eval camera`: a camera file from vehicles, and its figures in words."""
 
-import csv
 import json
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.camera.pose_from_points import fit_camera as fit_to_points
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.bundle_adjustment import Known
@@ -22,18 +19,10 @@ from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
-from skope.files.reading import read_bytes, read_text
 from skope.terminal.console import counted
 
-_COLUMNS: Final = ("column", "row", "x", "y", "z")
-DISTANCE_SIGMA: Final = "camera_distance_sigma"
-"""Under this name `skope eval predict` hands on, in the `info` of its frames, how certain their camera is."""
 _SURE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
-_FEW: Final = 6
-"""Points under which few of the errors that a point can have show."""
-_WRONG_PX: Final = 3.0
-"""Distance of a marked point from where the camera sees it, from which it is to be looked at again."""
 
 
 def from_vehicles(
@@ -75,10 +64,11 @@ def from_vehicles(
         "vehicles": fit.vehicles,
         "sigma": sigma,
         "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
+        "calibrated": {"from": told},
     }
-    yield from _written(out, fit.camera, besides)
+    yield from write_camera(out, fit.camera, besides)
     yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
-    yield from _figures(
+    yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
         pitch=(pitch, fit.sigma_pitch),
         roll=(fit.camera.angles[2], fit.sigma_roll),
@@ -89,7 +79,7 @@ def from_vehicles(
         yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
 
 
-def _figures(**values: tuple[float, float]) -> Iterator[str]:
+def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
     """Lines with the camera's figures and their 95% intervals; angles are radians, each with its standard deviation."""
     (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
     yield f"focal length {focal:.0f} px (95%: {_logarithmic(focal, focal_sigma, 0)})"
@@ -107,33 +97,6 @@ def _logarithmic(value: float, sigma: float, digits: int) -> str:
     """The 95% interval of a value whose logarithm is uncertain."""
     factor = math.exp(2 * sigma / value)
     return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
-
-
-def from_points(path: Path, size: str | None, out: Path) -> Iterator[str]:
-    """Fit to marked points of the world and write `out`; yields what was found, heights over the world's z = 0."""
-    if size is None:
-        raise UserError("--size: needed with --points")
-    pixels, world = _read_points(path)
-    try:
-        fit = fit_to_points(pixels, world, _size(size))
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
-    yield from _written(out, fit.camera, {"points": len(pixels), "rms_px": fit.rms_px})
-    yield f"{len(pixels)} points {fit.rms_px:.2f} px off (root mean square)"
-    sigma = fit.sigma()
-    _, pitch, roll = fit.camera.angles
-    yield from _figures(
-        focal=(fit.camera.K[0, 0], sigma.focal),
-        pitch=(pitch, sigma.pitch),
-        roll=(roll, sigma.roll),
-        height=(fit.camera.position[2], sigma.height),
-    )
-    if len(pixels) < _FEW:
-        yield f"{len(pixels)} points check little: one that is wrong by metres may show in none of these figures"
-    off = np.linalg.norm(fit.camera.project(world)[0] - pixels, axis=1)
-    for number, (pixel, place, distance) in enumerate(zip(pixels, world, off, strict=True), start=1):
-        where = f"point {number}: pixel ({pixel[0]:g}, {pixel[1]:g}), world ({', '.join(map(str, place.tolist()))})"
-        yield f"{where}: {distance:.2f} px off{'; wrong?' if distance > _WRONG_PX else ''}"
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
@@ -158,48 +121,13 @@ def known_length(text: str) -> KnownLength:
     return KnownLength(np.array(ends).reshape(2, 2), metres)
 
 
-def doubt(name: Path | str, distance_sigma: float | None) -> str | None:
-    """How far off all distances may be under a camera, in words; None where nothing says how certain it is."""
-    if distance_sigma is None:
-        return None
-    return f"{name}: all distances and speeds may be off by {2 * distance_sigma:.0%}, in one direction (95%)"
+def doubt(name: Path | str, ways_sigma: float) -> str:
+    """How far off all distances may be under a camera, in words."""
+    return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
 
 
-def sigma_of_distances(path: Path) -> float | None:
-    """Relative standard deviation of distances under the camera of a file; None where the file does not say it."""
-    try:
-        share = json.loads(read_bytes(path))["sigma"]["distance"]
-    except (ValueError, KeyError, TypeError, IndexError):
-        return None
-    return float(share) if isinstance(share, int | float) and 0 <= share < 1 else None
-
-
-def _written(out: Path, camera: Camera, besides: dict[str, Any]) -> Iterator[str]:
+def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
+    """Write a camera file, unless the same one is there; yields that."""
     document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
     write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     yield f"wrote {out}"
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise UserError(f"--size: expected WIDTHxHEIGHT, got {text!r}")
-    return int(width), int(height)
-
-
-def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N, 2) pixels and (N, 3) metres."""
-    reader = csv.DictReader(read_text(path).splitlines())
-    missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-    if missing:
-        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")
-    rows = []
-    for number, row in enumerate(reader, start=2):
-        try:
-            rows.append([float(row[name]) for name in _COLUMNS])
-        except (TypeError, ValueError):
-            raise UserError(f"{path}: line {number}: expected five numbers") from None
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
-    if not np.isfinite(values).all():
-        raise UserError(f"{path}: not all numbers are finite")
-    return values[:, :2], values[:, 2:]

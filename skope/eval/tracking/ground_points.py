@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.views import Scene
@@ -125,12 +126,7 @@ def _on_plane(camera: Camera, ground: Ground, pixels: Array) -> tuple[Array, Arr
 
     NaN where they do not.
     """
-    origin, slope = camera.position, np.array(ground.slope)
-    ahead, valid = camera.unproject(pixels, np.ones(pixels.shape[:-1]))
-    rays = ahead - origin
-    falls = rays[..., 2] - rays[..., :2] @ slope
-    below = ground.height + (origin[:2] - ground.about) @ slope - origin[2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way = np.where(valid & (below / falls > 0), below / falls, np.nan)
-        per_metre = np.where(np.isfinite(way)[..., None], rays[..., :2] / falls[..., None], np.nan)
-    return origin[:2] + rays[..., :2] * way[..., None], per_metre
+    eye, slope = camera.position, np.array(ground.slope)
+    places = ground_places(camera, pixels, ground.height, slope=slope, about=ground.about)[..., :2]
+    below = ground.height + float((eye[:2] - ground.about) @ slope) - eye[2]
+    return places, (places - eye[:2]) / (below if below else np.nan)

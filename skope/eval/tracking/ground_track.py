@@ -2,12 +2,17 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.eval.pose.camera_error import camera_errors
 from skope.types import Array
+
+_MOMENTS: Final = 48
+"""So many moments of a track tell how the camera's error changes along it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,13 +38,21 @@ class GroundTrack:
     scores: Array
     """(M,) scores of the detections; NaN where the road user was missed."""
 
-    def under(self, distance_sigma: float, foot: Array) -> Self:
-        """The track where the camera, over `foot` (2,), makes distances wrong by a share of that standard deviation."""
-        away = np.linalg.norm(self.position[:, :2] - foot, axis=1)
+    def under(self, known: UncertainCamera, slope: tuple[float, float] = (0.0, 0.0)) -> Self:
+        """The track where what is known of the camera counts too, on a road that rises by `slope` along x and y."""
+        # The camera's error changes slowly along a track: some of its moments tell the others.
+        some = np.unique(np.linspace(0, len(self.times_s) - 1, _MOMENTS).astype(int))
+        of_place, of_velocity = camera_errors(known, self.position[some], self.velocity[some], slope)
+        speed = np.maximum(self.speed[some], 1e-9)
+        along = self.velocity[some] / speed[:, None]
+        worst = np.sqrt(np.linalg.eigvalsh(of_place)[:, -1])
+        # Per metre that is driven: a share, which a standstill has none of.
+        share = np.sqrt(np.einsum("ni,nij,nj->n", along, of_velocity, along)) / speed
+        index = np.arange(len(self.times_s))
         return replace(
             self,
-            position_sigma=np.hypot(self.position_sigma, distance_sigma * away),
-            speed_sigma=np.hypot(self.speed_sigma, distance_sigma * self.speed),
+            position_sigma=np.hypot(self.position_sigma, np.interp(index, some, worst)),
+            speed_sigma=np.hypot(self.speed_sigma, np.interp(index, some, share) * self.speed),
         )
 
     @cached_property

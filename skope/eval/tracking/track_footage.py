@@ -48,8 +48,6 @@ class TrackJob:
     """Detections above this are followed."""
     sigma_px: float | None
     """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
-    distance_sigma: float | None
-    """Relative standard deviation of distances under the camera; None where nothing says how certain it is."""
     video: bool
     """Whether a bird's-eye video is written too."""
     overlay: bool
@@ -68,9 +66,11 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     tracks = flagged(tracks)
     camera = scene.camera_of(scene.file.images[0])
     road_users = _road_users(job, times, 1 + len(tracks))
-    if job.distance_sigma is not None:
-        tracks = [track.under(job.distance_sigma, camera.position[:2]) for track in tracks]
-        road_users = [track.under(job.distance_sigma, camera.position[:2]) for track in road_users]
+    if known := scene.known_in(scene.file.images[0]):
+        ground = scene.road_in(scene.file.images[0])
+        slope = ground.slope if ground else (0.0, 0.0)
+        tracks = [track.under(known, slope) for track in tracks]
+        road_users = [track.under(known, slope) for track in road_users]
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)

@@ -1,1 +1,1 @@
-"""A user's own road: the site file, its camera, and what is wrong with them in one line."""
+"""A user's own road: what generating needs of a site file, and what is wrong with it in one line."""

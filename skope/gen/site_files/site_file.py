@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from shapely import Polygon
 
 from skope.camera.model import Camera
 from skope.errors import UserError
@@ -20,8 +19,6 @@ from skope.files.reading import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
-from skope.gen.site_files.site_camera import read_camera
-from skope.gen.site_files.toml_table import TomlTable
 from skope.gen.towns.netconvert import from_map
 from skope.gen.towns.road_graph import REACH, RoadGraph
 from skope.gen.towns.sites import Site, site_of, sites
@@ -30,6 +27,10 @@ from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import Occluder, Outline, OwnRoad
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
+from skope.site.marks import read_occluder, read_outline
+from skope.site.site_camera import read_camera
+from skope.site.site_file import read_parts
+from skope.site.toml_table import TomlTable
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
@@ -120,6 +121,7 @@ def read_site(path: Path) -> OwnSite:
     conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
     vehicles, text = _traffic(table, road, graph)
     splits = _splits(table)
+    parts = read_parts(table)
     table.done()
     site = site_of(
         road,
@@ -132,7 +134,10 @@ def read_site(path: Path) -> OwnSite:
     )
     files = {"site": path, **table.files}
     digests = {key: hashlib.sha256(read_bytes(file)).hexdigest()[:24] for key, file in files.items()}
-    said = (f"{path.name}: camera: {own.said}",) if own.said else ()
+    said = (
+        *([f"{path.name}: camera: {own.said}"] if own.said else []),
+        *(f"{path.name}: {key}: unknown; not used" for key in parts.unknown),
+    )
     return OwnSite(path=path, site=site, splits=splits, digests=digests, said=said)
 
 
@@ -188,37 +193,27 @@ def _origin(table: TomlTable, path: Path) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _occluder(table: TomlTable, camera: Camera, level: float) -> Occluder:
-    polygon = _outline(table)
-    if "distance" in table:
-        distance = table.number("distance", low=0.5, high=2000)
-    else:
-        rays, valid = camera.rays(table.numbers("foot", 2))
-        down = float(rays @ camera.T_camera_world[:3, 2])
-        distance = (level - camera.position[2]) / down if valid and down < 0 else math.inf
-        if not distance < 2000:
-            raise table.wrong("foot", "is no pixel of the ground")
-    table.done()
-    return Occluder(polygon, round(distance, 3))
+def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
+    mark = read_occluder(row)
+    row.done()
+    if mark.foot is None:
+        assert mark.distance is not None
+        return Occluder(mark.polygon, round(mark.distance, 3))
+    rays, valid = camera.rays(mark.foot)
+    down = float(rays @ camera.T_camera_world[:3, 2])
+    distance = (level - camera.position[2]) / down if valid and down < 0 else math.inf
+    if not distance < 2000:
+        raise row.wrong("foot", "is no pixel of the ground")
+    return Occluder(mark.polygon, round(distance, 3))
 
 
 def _shade(table: TomlTable, camera: Camera) -> Outline:
     """The outline of a shadow, all of it on the ground."""
-    outline = _outline(table)
+    outline = read_outline(table)
     table.done()
     rays, valid = camera.rays(outline)
     if not (valid & (rays @ camera.T_camera_world[:3, 2] < -1e-3)).all():
         raise table.wrong("polygon", "reaches over the horizon")
-    return outline
-
-
-def _outline(table: TomlTable) -> Outline:
-    points = table.value("polygon")
-    if not isinstance(points, list) or len(points) < 3:
-        raise table.wrong("polygon", "expected three or more [column, row]")
-    outline = tuple((x, y) for x, y in table.matrix("polygon", len(points), 2))
-    if not Polygon(outline).is_valid:
-        raise table.wrong("polygon", "its sides cross each other")
     return outline
 
 

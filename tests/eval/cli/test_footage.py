@@ -18,9 +18,11 @@ import pytest
 import sumolib
 
 from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera
 from skope.dataset.folder import CHANGES
+from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
@@ -28,7 +30,7 @@ from skope.eval.pose import fit_camera, pose_errors, pose_footage
 from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import fleet_shapes
-from skope.eval.pose.views import Scene
+from skope.eval.pose.views import Scene, read_scene
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
@@ -559,8 +561,9 @@ def test_a_camera_is_found_from_vehicles() -> None:
 def test_a_camera_from_marked_points_is_written_and_read(skope: Any) -> None:
     ground = np.array([[10, -3, 0], [12, 5, 0], [20, -6, 0], [25, 8, 0], [35, 0, 0], [15, 1, 1.0]]) + [3, -2, 0]
     pixels, _, _ = CAMERA.project(ground)
-    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz)) for uv, xyz in zip(pixels, ground, strict=True)]
-    Path("p.csv").write_text("column,row,x,y,z\n" + "\n".join(lines) + "\n")
+    # As exactly as six digits are: what cameras at roads are like then says nothing.
+    lines = [",".join(f"{v:.6f}" for v in (*uv, *xyz, *[1e-4] * 3)) for uv, xyz in zip(pixels, ground, strict=True)]
+    Path("p.csv").write_text("column,row,x,y,z,sigma_px,sigma_m,sigma_z_m\n" + "\n".join(lines) + "\n")
     code, _, _ = skope("eval", "camera", "--points", "p.csv", "--size", "1920x1080", "--out", "c.json")
     assert code == 0
     camera, posed = read_camera(Path("c.json"))
@@ -587,7 +590,8 @@ def test_marked_points_that_are_off_are_named(skope: Any) -> None:
     off = [float(line.rsplit(": ", 1)[1].split(" px")[0]) for line in told]
     assert len(told) == 12
     assert int(np.argmax(off)) == 4
-    assert told[4].endswith("px off; wrong?")
+    assert [line.endswith("; wrong?") for line in told].index(True) == 4
+    assert sum(line.endswith("; wrong?") for line in told) == 1
     fitted, _ = read_camera(Path("c.json"))
     assert off == pytest.approx(np.linalg.norm(fitted.project(ground)[0] - pixels, axis=1), abs=0.006)
 
@@ -720,6 +724,42 @@ def test_the_cameras_uncertainty_goes_on_to_tracks(skope: Any) -> None:
         wider = math.hypot(float(one["sigma_speed"]), 0.05 * float(one["speed"]))
         assert float(other["sigma_speed"]) == pytest.approx(wider, abs=2e-3)
         assert float(other["sigma_position"]) > float(one["sigma_position"])
+
+
+def test_the_cameras_covariance_goes_on_to_poses_and_frames(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    """Places are as uncertain as the camera makes them: what the file says, by its own way of placing pixels."""
+    coco.write(Path("road.json"), drive(0.4, 5))
+    camera = {"width": CAMERA.width, "height": CAMERA.height, **CAMERA.to_dict()}
+    covariance = {"of": ["pitch", "yaw"], "matrix": [[1e-4, 0.0], [0.0, 4e-4]]}
+    told = {}
+    for name, besides in (("sure", {}), ("unsure", {"covariance": covariance})):
+        Path(f"{name}.json").write_text(json.dumps({**camera, **besides}))
+        call = ("--annotations", "road.json", "--noise", 1, "--camera", f"{name}.json", "--ground", 0, "--out", name)
+        code, out, error = skope("eval", "pose", *call)
+        assert code == 0, error
+        assert ("all distances and speeds may be off by" in out) == (name == "unsure")
+        told[name] = [json.loads(line) for line in Path(f"{name}/poses.jsonl").read_text().splitlines()]
+    known = UncertainCamera.from_dict(CAMERA, covariance)
+    for one, other in zip(told["sure"], told["unsure"], strict=True):
+        added = np.array(other["covariance"]) - np.array(one["covariance"])
+        assert added[:2, :2] == pytest.approx(known.covariance_at(one["position"]), rel=0.02, abs=1e-4)
+        assert added[2].tolist() == pytest.approx([0] * 4, abs=1e-9)
+        # A turned camera turns all headings: 0.02 rad, and a little by the pitch.
+        assert 4e-4 * 0.99 <= added[3, 3] < 8e-4
+    video = numbered_video(tmp_path / "site.mp4", 2)
+    small = Camera.looking([0, 0, 6], yaw=0, pitch_down=0.4, size=(96, 64))
+    Path("k.json").write_text(json.dumps({"width": 96, "height": 64, **small.to_dict(), "covariance": covariance}))
+    arguments = ("--checkpoint", random_run, "--camera", "k.json", "--out", "seen")
+    code, _, error = skope("eval", "predict", video, *arguments)
+    assert code == 0, error
+    read = read_scene(Path("seen"), None, None, None, 0.0)
+    assert read.known is not None
+    assert read.known.covariance == pytest.approx(np.array(covariance["matrix"]))
+    document = json.loads(Path("seen/frames.json").read_text())
+    document["info"]["camera_covariance"] = {"of": ["depth"], "matrix": [[1]]}
+    Path("seen/frames.json").write_text(json.dumps(document))
+    with pytest.raises(UserError, match=r"frames: info.camera_covariance: "):
+        read_scene(Path("seen"), None, None, None, 0.0)
 
 
 def test_tracks_are_drawn_into_their_footage(skope: Any, random_run: Path, tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracks import Track
 from skope.eval.tracking.vehicle_classes import CLASSES, vehicle_class
@@ -102,8 +104,10 @@ def test_where_others_drive_along_too_nobody_is_against_traffic() -> None:
 
 
 def test_the_cameras_error_widens_what_a_track_says() -> None:
+    """All distances from the camera's foot off by 5%, as where its height is."""
     one = track(1, along(0, 12))
-    wide = one.under(0.05, np.array([-10.0, 0.0]))
+    camera = Camera.looking([-10.0, 0.0, 8.0], yaw=0.0, pitch_down=0.3)
+    wide = one.under(UncertainCamera.of_distances(camera, 0.05))
     assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))
     away = np.linalg.norm(one.position[:, :2] - [-10, 0], axis=1)
     assert wide.position_sigma == pytest.approx(np.hypot(0.1, 0.05 * away))

@@ -410,6 +410,19 @@ def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
         assert bool(read.said) == ("points" in way)
 
 
+def test_what_evaluating_needs_of_a_site_file_does_generating_no_harm(tmp_path: Path) -> None:
+    shutil.copy(EXAMPLE / "junction.net.xml", tmp_path)
+    camera = {**BASE["camera"], "covariance": {"of": ["z"], "matrix": [[0.01]]}, "calibrated": {"from": "6 points"}}
+    gate = {"name": "north", "line": [[0, 0], [8, 0]], "colour": "red"}
+    shared = {"gates": [gate], "calibration": {"points": [{"pixel": [1, 2], "place": [3, 4]}]}, "time_zone": "UTC"}
+    (tmp_path / "site.toml").write_text(toml({**BASE, **shared, "camera": camera}))
+    read = read_site(tmp_path / "site.toml")
+    assert read.said == ("site.toml: gates[1].colour: unknown; not used",)
+    (tmp_path / "site.toml").write_text(toml({**BASE, "gates": [{**gate, "line": [[0, 0]]}]}))
+    with pytest.raises(UserError, match=r"site.toml: gates\[1\].line: expected two or more"):
+        read_site(tmp_path / "site.toml")
+
+
 def calibrated(folder: Path, size: list[int] | None) -> Camera:
     """The example's camera from its calibration file, at a [camera] size of its own."""
     for name in ("junction.net.xml", "camera.yml"):

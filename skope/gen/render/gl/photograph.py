@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.gl.context import Device, linear, put
@@ -117,14 +118,10 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     step = max(1, camera.width // 320)
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
-    rays, valid = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-    directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
-    level = graph.road_level(eye[:2])
-    down = valid & (directions[:, 2] < -1e-3)
-    reach = (level - eye[2]) / np.where(down, directions[:, 2], -1.0)
-    places = eye[:2] + reach[:, None] * directions[:, :2]
-    near = down & (np.linalg.norm(places - eye[:2], axis=1) < _NEAR)
-    on_road = near & shapely.contains_xy(graph.ground_road, graph.world(places))
+    eye = camera.position
+    places = ground_places(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
+    near = np.linalg.norm(places - eye[:2], axis=1) < _NEAR
+    on_road = near & shapely.contains_xy(graph.ground_road, graph.world(np.nan_to_num(places)))
     outlines = [*(one.polygon for one in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
     sunny = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)

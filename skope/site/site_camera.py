@@ -3,20 +3,26 @@
 Intrinsics are one of `K`, `fov_deg` and `file`; those of a file are scaled from its image size to the camera's. The
 pose is one of `T_camera_world`, `R` and `t` (x_camera = R x_world + t), `position` with `look_at` or `yaw_deg` and
 `pitch_deg`, `points` (known in image and world), `ground` (the road as a plane in the camera frame, in a file) with
-`position` and `yaw_deg`, and the file's own.
+`position` and `yaw_deg`, and the file's own. `covariance` says how well all this is known, `calibrated` when and by
+what it was found.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from skope.camera.calibration_files import CameraCalibration, over_plane, read_calibration, read_plane
+from skope.camera.camera_json import camera_of_json, is_camera_json, read_uncertain_camera
 from skope.camera.model import Camera, Distortion
 from skope.camera.pose_from_points import fit_camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.gen.site_files.toml_table import TomlTable
+from skope.files.json_files import read_json
+from skope.site.toml_table import TomlTable
 from skope.types import Array
 
 Size = tuple[int, int]
@@ -31,21 +37,47 @@ class OwnCamera:
     camera: Camera
     said: str
     """A sentence on how well the camera fits its control points; empty without any."""
+    known: UncertainCamera | None = None
+    """How well it is known; None: nothing says that."""
 
 
 def read_camera(table: TomlTable, picture: Size | None) -> OwnCamera:
     """The camera of a table; `picture` is the photograph's size, which is the camera's where nothing else says it."""
     try:
         made = _camera(table, picture)
+        made = replace(made, known=_known(table, made.camera))
     except UserError as error:
         raise error if str(error).startswith(str(table.path)) else table.wrong("", str(error)) from None
+    _calibrated(table.table("calibrated"))
     table.done()
     return made
 
 
+def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
+    """How well the camera is known: what the table says, or the file that all of it comes from."""
+    if "covariance" in table:
+        own = table.table("covariance")
+        told = {key: own.value(key) for key in ("of", "matrix")}
+        own.done()
+        return UncertainCamera.from_dict(camera, told)
+    file = table.file("file")
+    if file is None or any(key in table for key in ("T_camera_world", "R", "points", "ground", "position", "look_at")):
+        return None
+    known = read_uncertain_camera(file)
+    return UncertainCamera(camera, known.parameters, known.covariance) if known else None
+
+
+def _calibrated(table: TomlTable) -> None:
+    """When and by what the camera was calibrated: for people to read."""
+    when = table.value("when")
+    if when is not None and not isinstance(when, datetime | str):
+        raise table.wrong("when", "expected a time")
+    table.text("from")
+
+
 def _camera(table: TomlTable, picture: Size | None) -> OwnCamera:
     file, raw = table.file("file"), table.flag("raw")
-    read = read_calibration(file, raw=raw) if file else None
+    read = _calibration(file, raw=raw) if file else None
     size = _size(table, read, picture)
     if sum(key in table for key in ("K", "fov_deg", "file")) > 1:
         raise table.wrong("", "expected one of K, fov_deg and file")
@@ -61,6 +93,14 @@ def _camera(table: TomlTable, picture: Size | None) -> OwnCamera:
     if K is None:
         raise table.wrong("", "expected one of K, fov_deg and file")
     return OwnCamera(Camera(*size, K, _pose(table, read, fixed), lens), "")
+
+
+def _calibration(path: Path, *, raw: bool) -> CameraCalibration:
+    """A camera file of skope's own, or of another program."""
+    if not is_camera_json(path):
+        return read_calibration(path, raw=raw)
+    camera = camera_of_json(path, read_json(path))
+    return CameraCalibration(camera.K, camera.distortion, (camera.width, camera.height), camera.T_camera_world)
 
 
 def _size(table: TomlTable, read: CameraCalibration | None, picture: Size | None) -> Size:

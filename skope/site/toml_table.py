@@ -4,10 +4,14 @@ import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from skope.errors import UserError
 from skope.files.reading import read_text
+
+_LARGEST: Final = 1e300
+_MOST_SHOWN: Final = 60
+"""Letters of a wrong value that a message shows."""
 
 
 class TomlTable:
@@ -21,10 +25,17 @@ class TomlTable:
 
     @classmethod
     def read(cls, path: Path) -> Self:
+        return cls.parse(path, read_text(path))
+
+    @classmethod
+    def parse(cls, path: Path, text: str) -> Self:
+        """The table of a file's text; `path` is what messages name and what paths in it are relative to."""
         try:
-            return cls(path, "", tomllib.loads(read_text(path)))
-        except tomllib.TOMLDecodeError as error:
+            return cls(path, "", tomllib.loads(text))
+        except ValueError as error:  # also of numbers with more digits than Python takes
             raise UserError(f"{path}: not valid TOML: {error}") from None
+        except RecursionError:
+            raise UserError(f"{path}: not valid TOML: nested too deeply") from None
 
     def wrong(self, key: str, text: str) -> UserError:
         where = ".".join(part for part in (self._name, key) if part)
@@ -41,13 +52,13 @@ class TomlTable:
     def text(self, key: str, default: str = "") -> str:
         value = self.value(key) if key in self else default
         if not isinstance(value, str):
-            raise self.wrong(key, f"expected a text, got {value!r}")
+            raise self.wrong(key, f"expected a text, got {_shown(value)}")
         return value
 
     def flag(self, key: str) -> bool:
         value = self.value(key) if key in self else False
         if not isinstance(value, bool):
-            raise self.wrong(key, f"expected true or false, got {value!r}")
+            raise self.wrong(key, f"expected true or false, got {_shown(value)}")
         return value
 
     def number(
@@ -59,15 +70,16 @@ class TomlTable:
 
     def _checked(self, key: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
         plain = isinstance(value, int | float) and not isinstance(value, bool)
-        if not plain or not math.isfinite(value) or not low <= value <= high:
+        # Whole numbers have any length in TOML: those that no float holds are no numbers here.
+        if not plain or abs(value) >= _LARGEST or not low <= value <= high:
             limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
-            raise self.wrong(key, f"expected a number{limits}, got {value!r}" if key in self else "missing")
+            raise self.wrong(key, f"expected a number{limits}, got {_shown(value)}" if key in self else "missing")
         return float(value)
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
         value = self.value(key)
         if not isinstance(value, list) or len(value) != count:
-            raise self.wrong(key, f"expected {count} numbers, got {value!r}" if key in self else "missing")
+            raise self.wrong(key, f"expected {count} numbers, got {_shown(value)}" if key in self else "missing")
         return tuple(self._checked(key, item) for item in value)
 
     def matrix(self, key: str, rows: int, columns: int) -> list[tuple[float, ...]]:
@@ -101,7 +113,26 @@ class TomlTable:
             raise self.wrong(key, "expected a list of tables")
         return [TomlTable(self.path, f"{self._name}.{key}".lstrip("."), value, self.files) for value in values]
 
+    def rows(self, key: str) -> list["TomlTable"]:
+        """A list of tables whose names in messages are numbered from 1, as in `gates[2]`."""
+        numbered = enumerate(self.tables(key), start=1)
+        return [TomlTable(row.path, f"{row._name}[{i}]", row._values, row.files) for i, row in numbered]
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Names of the keys that nobody asked for, with the names of the tables that they are in."""
+        return tuple(f"{self._name}.{key}".lstrip(".") for key in self._values if key not in self._asked)
+
     def done(self) -> None:
         unknown = [key for key in self._values if key not in self._asked]
         if unknown:
             raise self.wrong(unknown[0], f"unknown; known are {', '.join(sorted(self._asked))}")
+
+
+def _shown(value: Any) -> str:
+    """A value in a message of one line."""
+    try:
+        text = repr(value)
+    except ValueError:  # a whole number with more digits than Python writes
+        return "a very long number"
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

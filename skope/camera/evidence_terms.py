@@ -1,0 +1,173 @@
+"""Pieces of evidence as residuals of a camera, each with the covariance that its marks' errors give it.
+
+Residuals of lines on the road are taken on the road, since the marks' errors are carried there.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from skope.camera.derivatives import slopes
+from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import PARAMETERS, values_of
+from skope.types import Array
+
+_LENS: Final = (("k1", -0.05, 0.15), ("roll", 0.0, 0.2), ("focal", None, 1.0))
+"""What cameras at roads are like: mean and standard deviation; None: a focal length as long as images are wide."""
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceTerm:
+    """One piece of evidence: residuals (M,) of a camera, and their covariance (M, M)."""
+
+    kind: str
+    name: str
+    residual: Callable[[Camera], Array]
+    covariance: Callable[[Camera], Array]
+    point: MarkedPoint | None = None
+    """The point that it is of: many of them are projected at once."""
+
+
+def residuals_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+    """The residuals of each term."""
+    points = [term.point for term in terms if term.point is not None]
+    off = iter(np.zeros((0, 2)))
+    if points:
+        seen = camera.project(np.array([point.place for point in points]))[0]
+        off = iter(_finite(seen - np.array([point.pixel for point in points])))
+    return [term.residual(camera) if term.point is None else next(off) for term in terms]
+
+
+def covariances_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+    """The covariance of each term's residuals."""
+    points = [term.point for term in terms if term.point is not None]
+    spread = iter(np.zeros((0, 2, 2)))
+    if points:
+        places = np.array([point.place for point in points])
+        J = _finite(slopes(lambda step: camera.project(places + step)[0], np.zeros(3), 0.01))
+        of_place = np.array([[point.sigma_m, point.sigma_m, point.sigma_z_m] for point in points])
+        of_mark = np.array([point.sigma_px for point in points])
+        J = J * of_place[:, None]
+        spread = iter(J @ J.swapaxes(1, 2) + of_mark[:, None, None] ** 2 * np.eye(2))
+    return [term.covariance(camera) if term.point is None else next(spread) for term in terms]
+
+
+def point_term(point: MarkedPoint) -> EvidenceTerm:
+    """The term of a marked point: pixels from where the camera sees its place."""
+    term = EvidenceTerm(
+        "point",
+        point.name,
+        lambda camera: residuals_of([term], camera)[0],
+        lambda camera: covariances_of([term], camera)[0],
+        point,
+    )
+    return term
+
+
+def _length_term(length: MarkedLength) -> EvidenceTerm:
+    def residual(camera: Camera) -> Array:
+        begin, end = ground_places(camera, length.pixels)
+        return _finite(np.array([np.linalg.norm(end - begin) - length.metres]))
+
+    def covariance(camera: Camera) -> Array:
+        begin, end = ground_places(camera, length.pixels)[:, :2]
+        along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-9)
+        by_marks = _finite(along @ _by_pixels(camera, length.pixels))
+        return np.array([[length.sigma_m**2 + length.sigma_px**2 * float((by_marks**2).sum())]])
+
+    return EvidenceTerm("length", length.name, residual, covariance)
+
+
+def _parallel_term(group: ParallelLines) -> EvidenceTerm:
+    def directions(camera: Camera) -> Array:
+        """(L, 2) from one end of each line to the other, metres."""
+        ends = ground_places(camera, group.lines)[..., :2]
+        return np.asarray(ends[:, 1] - ends[:, 0])
+
+    def variances(camera: Camera) -> Array:
+        """(L,) of the lines' angles, square radians."""
+        way = directions(camera)
+        across = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.maximum((way**2).sum(axis=-1), 1e-9)[:, None]
+        by_marks = np.einsum("li,leij->lej", across, _by_pixels(camera, group.lines))
+        return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
+
+    def residual(camera: Camera) -> Array:
+        """Angles from their mean: where a camera is far from right, the mean moves, not the lines."""
+        way, weight = directions(camera), 1 / np.maximum(variances(camera), 1e-12)
+        angles = np.arctan2(way[:, 1], way[:, 0])
+        # Lines have no direction: those that were drawn the other way round are turned.
+        angles = angles[0] + np.mod(angles - angles[0] + np.pi / 2, np.pi) - np.pi / 2
+        return _finite(angles - (weight * angles).sum() / weight.sum())
+
+    return EvidenceTerm("parallel lines", group.name, residual, lambda camera: np.diag(variances(camera)))
+
+
+def _vertical_term(vertical: Vertical) -> EvidenceTerm:
+    foot, top = vertical.pixels
+
+    def line(camera: Camera) -> tuple[Array, Array]:
+        """Unit vector of the vertical in the image near its top, and pixels that a metre of it is long there."""
+        place = ground_places(camera, foot)
+        ray = camera.rays(top)[0] @ camera.T_camera_world[:3, :3]
+        flat = float(np.linalg.norm((place - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
+        height = vertical.metres or max(float(camera.position[2] + flat * ray[2]), 0.1)
+        ends, _, _ = camera.project(place + np.array([[0, 0, height - 0.05], [0, 0, height + 0.05], [0, 0, height]]))
+        return (ends[1] - ends[0]) / 0.1, ends[2]
+
+    def residual(camera: Camera) -> Array:
+        a_metre, end = line(camera)
+        along = a_metre / max(float(np.linalg.norm(a_metre)), 1e-9)
+        off = top - end
+        across = off @ np.array([-along[1], along[0]])
+        return _finite(np.array([across] if vertical.metres is None else [across, off @ along]))
+
+    def covariance(camera: Camera) -> Array:
+        a_metre, _ = line(camera)
+        both = 2 * vertical.sigma_px**2
+        if vertical.metres is None:
+            return np.array([[both]])
+        return np.diag([both, both + float(a_metre @ a_metre) * vertical.sigma_m**2])
+
+    return EvidenceTerm("vertical", vertical.name, residual, covariance)
+
+
+def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covariance: Array) -> EvidenceTerm:
+    which = [PARAMETERS.index(parameter) for parameter in of]
+
+    def residual(camera: Camera) -> Array:
+        return np.asarray(values_of(camera)[which] - mean)
+
+    return EvidenceTerm(kind, name, residual, lambda _: covariance)
+
+
+def terms_of(evidence: Evidence) -> list[EvidenceTerm]:
+    out = [point_term(point) for point in evidence.points]
+    out += [_length_term(length) for length in evidence.lengths]
+    out += [_parallel_term(group) for group in evidence.parallels]
+    out += [_vertical_term(vertical) for vertical in evidence.verticals]
+    out += [
+        _gaussian_term("belief", belief.name, belief.of, belief.mean, belief.covariance) for belief in evidence.beliefs
+    ]
+    for name, mean, sigma in _LENS:
+        center = math.log(evidence.size[0]) if mean is None else mean
+        out.append(_gaussian_term("lens", name, (name,), np.array([center]), np.array([[sigma**2]])))
+    return out
+
+
+def _by_pixels(camera: Camera, pixels: Array) -> Array:
+    """(..., 2, 2) derivatives of the places that pixels (..., 2) show on the road, metres a pixel."""
+    return slopes(lambda step: ground_places(camera, pixels + step)[..., :2], np.zeros(2), 0.25)
+
+
+def _finite_slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
+    return _finite(slopes(of, at, step))
+
+
+def _finite(values: Array) -> Array:
+    """Residuals of cameras that do not see what is marked are large, not NaN."""
+    return np.asarray(np.where(np.isfinite(values), values, 1e3))

@@ -1,0 +1,45 @@
+"""From pixels to the road: where a camera's rays meet a plane."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skope.camera.model import Camera
+from skope.types import Array
+
+_GRAZING: Final = 1e-6
+"""A ray that falls by less of its length along the axis runs along the plane and meets it nowhere."""
+
+
+def ground_places(
+    camera: Camera,
+    pixels: ArrayLike,
+    height: ArrayLike = 0.0,
+    *,
+    slope: ArrayLike = (0.0, 0.0),
+    about: ArrayLike = (0.0, 0.0),
+    least_fall: float | None = None,
+) -> Array:
+    """(..., 3) where pixels (..., 2) lie on a plane of the world, metres; NaN at and above its horizon.
+
+    Args:
+        camera: What took the image.
+        pixels: (..., 2)
+        height: z of the plane at `about`, metres; or (...) of a plane for each pixel.
+        slope: (2,) metres that the plane rises per metre along x and y.
+        about: (2,) world x and y, metres; or (..., 2).
+        least_fall: Rays fall by at least so much per metre along the camera's axis, so that pixels above the horizon
+            have places too, far away: what searches for a camera needs numbers everywhere.
+    """
+    rays, valid = camera.rays(pixels)
+    directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
+    rise = np.asarray(slope, dtype=np.float64)
+    falls = directions[..., 2] - directions[..., :2] @ rise
+    below = np.asarray(height, dtype=np.float64) + (eye[:2] - np.asarray(about, dtype=np.float64)) @ rise - eye[2]
+    if least_fall is None:
+        meets = valid & (falls < -_GRAZING)
+        reach = np.where(meets, below / np.where(meets, falls, -1.0), -1.0)
+    else:
+        reach = below / np.minimum(falls, -least_fall)
+    return np.where((reach > 0)[..., None], eye + reach[..., None] * directions, np.nan)

@@ -1,0 +1,187 @@
+"""Files of marked points: CSV in the world's metres or WGS84, and OTVision's reference points (`.otrfpts`).
+
+Maps count metres from far away: such places are taken from a local origin, which is handed on.
+"""
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, MarkedPoint
+from skope.camera.geographic import local_metres, utm_scale
+from skope.errors import UserError
+from skope.files.json_files import read_json
+from skope.files.reading import read_text
+from skope.types import Array
+
+_COLUMNS: Final = ("column", "row", "x", "y", "z")
+_GEOGRAPHIC: Final = ("column", "row", "longitude", "latitude")
+_SIGMAS: Final = {"sigma_px": MARKED_PX, "sigma_m": MEASURED_M, "sigma_z_m": UNEVEN_M}
+_OTVISION: Final = ("x_px", "y_px", "hemisphere", "zone_utm", "lon_utm", "lat_utm")
+_WIDEST_PX: Final = 1e5
+_FARTHEST_M: Final = 1e8
+_APART_M: Final = 20_000.0
+"""Points that are farther from one another are not of one camera."""
+_STRETCHED: Final = 5e-4
+"""UTM's scale is told where it differs from 1 by more than inside a zone."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointFile:
+    """Points that a file holds, in metres of a world near them."""
+
+    points: tuple[MarkedPoint, ...]
+    world: Mapping[str, Any] | None = None
+    """Where the world's (0, 0) is on the map, for the camera's file; None: the file's own coordinates are the
+    world's."""
+    said: tuple[str, ...] = ()
+    """What the user should know of these coordinates, a sentence each."""
+
+
+def read_points(path: Path) -> PointFile:
+    """Read a file of marked points.
+
+    Args:
+        path: `.otrfpts` or `.json` of OTVision; else CSV with the columns column, row, x, y, z, or column, row,
+            longitude, latitude and perhaps z; perhaps name, sigma_px, sigma_m, sigma_z_m.
+
+    Raises:
+        UserError: The file cannot be read, or a value is missing or none; the message names file and field.
+    """
+    return _otvision(path) if path.suffix.lower() in (".otrfpts", ".json") else _table(path)
+
+
+# ----------------------------------------------------------------------------------------------------------------- CSV
+
+
+def _table(path: Path) -> PointFile:
+    try:
+        reader = csv.DictReader(read_text(path).splitlines())
+        names, rows = list(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
+        raise UserError(f"{path}: not CSV: {error}") from None
+    geographic = "longitude" in names and "x" not in names
+    needed = _GEOGRAPHIC if geographic else _COLUMNS
+    if missing := [name for name in needed if name not in names]:
+        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(needed)}")
+    numbers = [name for name in (*needed, "z", *_SIGMAS) if name in names]
+    values = {name: np.zeros(len(rows)) for name in numbers}
+    for k, row in enumerate(rows):
+        for name in numbers:
+            values[name][k] = _number(path, f"line {k + 2}: {name}", row[name])
+    labels = [(row.get("name") or "").strip() or str(k) for k, row in enumerate(rows, start=1)]
+    z = values["z"] if "z" in values else np.zeros(len(rows))
+    world, said = None, tuple[str, ...]()
+    if geographic:
+        xy, world = _from_wgs84(path, values["longitude"], values["latitude"])
+        said = ("places are metres east and north of the points' middle, whose longitude and latitude the file says",)
+    else:
+        xy = np.column_stack([values["x"], values["y"]])
+    pixels = np.column_stack([values["column"], values["row"]])
+    sigmas = {name: values.get(name, np.full(len(rows), default)) for name, default in _SIGMAS.items()}
+    return _made(path, labels, pixels, np.column_stack([xy, z]), sigmas, world, said)
+
+
+def _from_wgs84(path: Path, longitude: Array, latitude: Array) -> tuple[Array, Mapping[str, Any]]:
+    for name, values, most in (("longitude", longitude, 180.0), ("latitude", latitude, 90.0)):
+        if (np.abs(values) > most).any():
+            raise UserError(f"{path}: {name}: expected -{most:g} to {most:g} degrees")
+    if not len(longitude):
+        return np.zeros((0, 2)), {}
+    origin = (round(float(np.median(longitude)), 6), round(float(np.median(latitude)), 6))
+    world = {"origin": {"longitude": origin[0], "latitude": origin[1]}, "axes": "east, north"}
+    return local_metres(longitude, latitude, origin), world
+
+
+# ------------------------------------------------------------------------------------------------------------ OTVision
+
+
+def _otvision(path: Path) -> PointFile:
+    document = read_json(path)
+    if not isinstance(document, dict) or not all(isinstance(row, dict) for row in document.values()):
+        raise UserError(f"{path}: expected a JSON object of points")
+    rows: list[tuple[float, ...]] = []
+    zones = set[str]()
+    for name, row in document.items():
+        if missing := [key for key in _OTVISION if key not in row]:
+            raise UserError(f"{path}: {name}.{missing[0]}: missing")
+        zone, half = row["zone_utm"], row["hemisphere"]
+        if isinstance(zone, bool) or not isinstance(zone, int) or not 1 <= zone <= 60:
+            raise UserError(f"{path}: {name}.zone_utm: expected 1 to 60")
+        if half not in ("N", "S"):
+            raise UserError(f'{path}: {name}.hemisphere: expected "N" or "S"')
+        zones.add(f"{zone}{half}")
+        rows.append(tuple(_number(path, f"{name}.{key}", row[key]) for key in ("x_px", "y_px", "lon_utm", "lat_utm")))
+    if len(zones) > 1:
+        raise UserError(f"{path}: zone_utm: points of {', '.join(sorted(zones))}: expected one zone")
+    values = np.array(rows).reshape(-1, 4)
+    if not len(values):
+        raise UserError(f"{path}: expected a JSON object of points")
+    zone_half = zones.pop()
+    origin = np.round(np.median(values[:, 2:], axis=0))
+    south = zone_half.endswith("S")
+    scale = utm_scale(float(origin[0]), float(origin[1]), south=south)
+    world = {
+        "origin": {"easting": float(origin[0]), "northing": float(origin[1])},
+        "utm_zone": zone_half,
+        "epsg": (32700 if south else 32600) + int(zone_half[:-1]),
+        "scale": round(scale, 7),
+    }
+    said = [
+        f"UTM zone {zone_half}: the world's (0, 0) is at easting {origin[0]:.0f}, northing {origin[1]:.0f}; the points "
+        "have no heights: the road is taken to be a plane"
+    ]
+    if abs(scale - 1) > _STRETCHED:
+        said.append(
+            f"so far from the middle of zone {zone_half} a metre on the road is {scale:.5f} m of the map's: distances "
+            f"and speeds are too {'large' if scale > 1 else 'small'} by {abs(scale - 1):.2%}"
+        )
+    places = np.column_stack([values[:, 2:] - origin, np.zeros(len(values))])
+    sigmas = {name: np.full(len(values), default) for name, default in _SIGMAS.items()}
+    return _made(path, list(document), values[:, :2], places, sigmas, world, tuple(said))
+
+
+# --------------------------------------------------------------------------------------------------------------- both
+
+
+def _made(
+    path: Path,
+    names: list[str],
+    pixels: Array,
+    places: Array,
+    sigmas: Mapping[str, Array],
+    world: Mapping[str, Any] | None,
+    said: tuple[str, ...],
+) -> PointFile:
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise UserError(f"{path}: name: {name!r} is the name of two points")
+        if not name.isprintable() or len(name) > 200:
+            raise UserError(f"{path}: name: expected one line and up to 200 letters")
+    if (np.abs(pixels) > _WIDEST_PX).any():
+        raise UserError(f"{path}: expected pixels within {_WIDEST_PX:g}")
+    if (np.abs(places) > _FARTHEST_M).any() or (len(places) and np.ptp(places, axis=0).max() > _APART_M):
+        raise UserError(f"{path}: points lie more than {_APART_M / 1000:g} km apart")
+    points = []
+    for k, name in enumerate(names):
+        try:
+            own = {key: float(values[k]) for key, values in sigmas.items()}
+            points.append(MarkedPoint(pixels[k], places[k], name=name, **own))
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
+    return PointFile(points=tuple(points), world=world, said=said)
+
+
+def _number(path: Path, field: str, value: Any) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise UserError(f"{path}: {field}: expected a finite number")
+    return number

@@ -1,0 +1,217 @@
+"""A camera, how well it is known, and so how well each place is that it shows."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import erf
+
+from skope.camera.derivatives import slopes
+from skope.camera.evidence import Belief
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera, Distortion
+from skope.errors import UserError
+from skope.types import Array
+
+PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
+"""Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
+roll and yaw (radians) of a camera."""
+_OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
+"""What files call parameters that are worked out from vehicles; a height's logarithm is a share of it."""
+_STEPS: Final = dict(zip(PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
+"""Steps of numeric derivatives."""
+PLACE_SHARE: Final = 0.9
+"""Share of cases in which a place lies within its stated error."""
+_BESIDE_M: Final = 0.5
+"""Over so many metres to either side it is seen how the camera's error stretches the road."""
+_NEAR_M: Final = 60.0
+"""Places that are farther from the camera do not count in how well distances are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainCamera:
+    """A camera whose parameters are off by a Gaussian.
+
+    Raises UserError where the covariance is none, or is of what is no parameter.
+    """
+
+    camera: Camera
+    parameters: tuple[str, ...]
+    """Those of `PARAMETERS` that are uncertain; without points the world begins under the camera, x ahead of it."""
+    covariance: Array
+    """(P, P) of `parameters`, in their units."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.parameters if name not in PARAMETERS]
+        if unknown or len(set(self.parameters)) < len(self.parameters):
+            raise UserError(f"covariance: of: expected names among {', '.join(PARAMETERS)}, each once")
+        matrix, count = np.asarray(self.covariance, dtype=np.float64), len(self.parameters)
+        if matrix.shape != (count, count) or not np.isfinite(matrix).all():
+            raise UserError(f"covariance: matrix: expected {count} rows of {count} finite numbers")
+        scale = np.sqrt(np.abs(np.diag(matrix))) + 1e-12
+        if np.abs((matrix - matrix.T) / np.outer(scale, scale)).max(initial=0) > 1e-6 or (
+            np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min(initial=0) < -1e-6
+        ):
+            raise UserError("covariance: matrix: expected a symmetric one without negative variances")
+        object.__setattr__(self, "covariance", (matrix + matrix.T) / 2)
+
+    @classmethod
+    def from_dict(cls, camera: Camera, value: Mapping[str, Any]) -> "UncertainCamera":
+        """The camera with the covariance {of, matrix} of a file."""
+        names, rows = value.get("of"), value.get("matrix")
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise UserError("covariance: of: expected a list of names")
+        try:
+            matrix = np.array(rows, dtype=np.float64).reshape(len(names), len(names))
+        except (TypeError, ValueError, OverflowError):
+            raise UserError(f"covariance: matrix: expected {len(names)} rows of {len(names)} finite numbers") from None
+        units = np.array([camera.position[2] if name == "log_height" else 1.0 for name in names])
+        return UncertainCamera(
+            camera, tuple(str(_OTHER_NAMES.get(name, name)) for name in names), matrix * np.outer(units, units)
+        )
+
+    @classmethod
+    def of_distances(cls, camera: Camera, share: float) -> "UncertainCamera":
+        """A camera under which all distances are off by one share, of that standard deviation: its height's."""
+        return UncertainCamera(camera, ("z",), np.array([[(share * camera.position[2]) ** 2]]))
+
+    def covariance_dict(self) -> dict[str, Any]:
+        """What `from_dict` reads."""
+        return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
+
+    def belief(self, name: str) -> Belief:
+        """What is known of the camera, as evidence for another calibration."""
+        which = [PARAMETERS.index(parameter) for parameter in self.parameters]
+        return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
+
+    def of_camera(self, camera: Camera) -> "UncertainCamera":
+        """The same uncertainty of a camera that is another one's at another size of the image."""
+        return UncertainCamera(camera, self.parameters, self.covariance)
+
+    # ---------------------------------------------------------------------------------------------------------- places
+
+    def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:
+        """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
+        return ground_places(self.camera, pixels, height)
+
+    def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
+        """(..., 2, 2) covariance of x and y of `places`, with marks that are `sigma_px` off an axis."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        J = self._by_parameters(uv, height=height)
+        out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
+        if sigma_px:
+            J = slopes(lambda step: ground_places(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
+            out = out + sigma_px**2 * J @ np.swapaxes(J, -1, -2)
+        return out
+
+    def place_error(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
+        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none."""
+        return radius_of(self.place_covariance(pixels, height, sigma_px), PLACE_SHARE)
+
+    def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
+        """(..., 2, 2) covariance that the camera's error gives x and y of places (..., 3) on the road, square metres.
+
+        `slope` is what the road rises per metre along x and y. NaN where the camera does not see a place.
+        """
+        J = self._by_parameters_at(np.asarray(places, dtype=np.float64), slope)
+        return np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
+
+    def covariance_of_velocities(
+        self, places: ArrayLike, velocities: ArrayLike, slope: ArrayLike = (0.0, 0.0)
+    ) -> Array:
+        """(..., 2, 2) covariance that the camera's error gives velocities (..., 2) on the road at places (..., 3).
+
+        The camera's error stretches and turns the road around a place, and a velocity with it. Units, slope and NaN as
+        in `covariance_at`.
+        """
+        at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
+        steps = _BESIDE_M * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
+        beside = np.stack([at + steps[0], at - steps[0], at + steps[1], at - steps[1]])
+        ahead_x, behind_x, ahead_y, behind_y = self._by_parameters_at(beside, slope)
+        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * _BESIDE_M)
+        V = (stretched @ v[..., None, :, None])[..., 0]
+        return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
+
+    def ways_sigma(self) -> float:
+        """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
+        u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
+        places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
+        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < _NEAR_M
+        shares = []
+        for way in np.eye(2):
+            C = self.covariance_of_velocities(places[near], np.tile(way, (int(near.sum()), 1)))
+            along = np.sqrt(C @ way @ way)
+            shares += along[np.isfinite(along)].tolist()
+        return float(np.percentile(shares, 90)) if shares else 1.0
+
+    def _by_parameters_at(self, places: Array, slope: ArrayLike) -> Array:
+        """(..., 2, P) how places (..., 3) on the road, as their pixels show them, move with the parameters."""
+        pixels, _, valid = self.camera.project(places)
+        seen = np.where(valid[..., None], pixels, 0.0)
+        J = self._by_parameters(seen, height=places[..., 2], about=places[..., :2], slope=slope)
+        return np.where(valid[..., None, None], J, np.nan)
+
+    def _by_parameters(self, pixels: Array, **plane: ArrayLike) -> Array:
+        """(..., 2, P) derivatives of the places that pixels (..., 2) show on a plane, as `ground_places` takes it."""
+        steps = np.array([_STEPS[name] for name in self.parameters])
+
+        def moved(step: Array) -> Array:
+            camera = moved_camera(self.camera, dict(zip(self.parameters, (step * steps).tolist(), strict=True)))
+            return ground_places(camera, pixels, **plane)[..., :2]  # type: ignore[arg-type]
+
+        return np.asarray(slopes(moved, np.zeros(len(steps)), 1.0) / steps)
+
+
+def camera_of(values: Array, size: tuple[int, int]) -> Camera:
+    """The camera of values (8,) of `PARAMETERS`, with the principal point in the image's middle."""
+    focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
+    lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
+    fov = 2 * math.atan(size[0] / 2 / math.exp(focal))
+    return Camera.looking([x, y, z], yaw=yaw, pitch_down=pitch, roll=roll, size=size, fov=fov, distortion=lens)
+
+
+def values_of(camera: Camera) -> Array:
+    """(8,) values of `PARAMETERS` of a camera."""
+    yaw, pitch, roll = camera.angles
+    k1 = camera.distortion.coefficients[0] if camera.distortion.model != "none" else 0.0
+    return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
+
+
+def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
+    """A camera whose `PARAMETERS` are larger by `steps`; what they do not say of it stays."""
+    values = values_of(camera)
+    for name, step in steps.items():
+        values[PARAMETERS.index(name)] += step
+    focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
+    lens = camera.distortion
+    if k1 and "k1" in steps:
+        others = (0.0, 0.0, 0.0) if lens.model == "none" else lens.coefficients[1:]
+        lens = Distortion("brown" if lens.model == "none" else lens.model, (k1, *others))
+    K = camera.K.copy()
+    K[:2, :2] *= math.exp(focal) / K[0, 0]
+    pose = Camera.looking([x, y, z], yaw=yaw, pitch_down=pitch, roll=roll).T_camera_world
+    return replace(camera, K=K, T_camera_world=pose, distortion=lens)
+
+
+def radius_of(covariance: ArrayLike, share: float) -> Array:
+    """(...,) radius of the circle that holds a share of normal distributions of covariance (..., 2, 2).
+
+    Across the longer axis the share of a chord is an error function; along it, Gauss and Legendre's rule adds them up.
+    """
+    C = np.asarray(covariance, dtype=np.float64)
+    known = np.asarray(np.isfinite(C).all(axis=(-2, -1)))
+    minor, major = np.moveaxis(np.linalg.eigvalsh(np.where(known[..., None, None], C, np.eye(2))), -1, 0)
+    minor, major = np.sqrt(np.maximum(minor, 1e-24)), np.sqrt(np.maximum(major, 1e-24))
+    node, weight = np.polynomial.legendre.leggauss(48)
+    angle = node * np.pi / 2
+    low, high = np.zeros_like(major), 6 * major
+    for _ in range(40):
+        radius = (low + high) / 2
+        along, half = radius[..., None] * np.sin(angle), radius[..., None] * np.cos(angle)
+        density = np.exp(-0.5 * (along / major[..., None]) ** 2) / (math.sqrt(2 * math.pi) * major[..., None])
+        inside = (weight * density * half * erf(half / (math.sqrt(2) * minor[..., None]))).sum(axis=-1) * np.pi / 2
+        low, high = np.where(inside < share, radius, low), np.where(inside < share, high, radius)
+    return np.where(known, (low + high) / 2, np.nan)

@@ -1,0 +1,151 @@
+"""The likeliest camera under terms of evidence: Levenberg and Marquardt's method, weights following the camera."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from skope.camera.evidence import Evidence
+from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
+from skope.camera.model import Camera
+from skope.camera.pose_from_points import FEWEST, fit_camera
+from skope.camera.uncertain_camera import PARAMETERS, camera_of, values_of
+from skope.errors import UserError
+from skope.types import Array
+
+_TILTS_DEG: Final = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
+_LENGTHS: Final = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
+"""Focal lengths that the search begins with, in widths of the image."""
+_HEIGHT_M: Final = 6.0
+_ROUNDS: Final = 4
+"""Rounds in which the weights follow the camera."""
+_STEPS: Final = 60
+"""Steps of a round at most."""
+_FINALISTS: Final = 2
+"""So many starts are followed to the end."""
+_FIRST_STEPS: Final = 12
+"""Steps after which they are chosen."""
+SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
+"""What `PARAMETERS` change by, in steps of the search."""
+_LEAST_TOLD: Final = 1e-8
+"""Information on a parameter that stands for none, in squares of `SCALES`."""
+CHECKED_POINTS: Final = 6
+"""From so many points on, one that contradicts the others is found."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedFit:
+    """The likeliest values of a camera's unknown parameters."""
+
+    at: Array
+    """(8,) values of `PARAMETERS`."""
+    cost: float
+    """Sum of the squares of the residuals, in standard deviations."""
+    J: Array
+    """(R, P) derivatives of these residuals by the unknown parameters."""
+    blocks: tuple[Array, ...] = ()
+    """The residuals of each piece of evidence."""
+    log_weights: float = 0.0
+    """Logarithm of the product of all weights: half that of the determinant of the evidence's inverse covariance."""
+
+    def covariance(self, scales: Array) -> Array:
+        """(P, P) of the unknown parameters, for a linear model; what nothing tells is known badly, not exactly.
+
+        `scales` (P,) are what the parameters change by.
+        """
+        told, axes = np.linalg.eigh((self.J * scales).T @ (self.J * scales))
+        axes = axes * scales[:, None]
+        return np.asarray((axes / np.maximum(told, _LEAST_TOLD)) @ axes.T)
+
+    def log_evidence(self, scales: Array) -> float:
+        """Logarithm of how likely the evidence is whatever the camera, but for a constant (Laplace's approximation)."""
+        told = np.linalg.eigvalsh((self.J * scales).T @ (self.J * scales))
+        return float(-self.cost / 2 + self.log_weights - np.log(np.maximum(told, _LEAST_TOLD)).sum() / 2)
+
+
+def best_fit(
+    terms: Sequence[EvidenceTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
+) -> WeightedFit:
+    """The likeliest solution; of many starts those that are ahead after some steps go on."""
+    if len(starts) > _FINALISTS:
+        begun = [fit_terms(terms, at, unknown, size, rounds=1, steps=_FIRST_STEPS) for at in starts]
+        starts = [fit.at for fit in sorted(begun, key=lambda fit: fit.cost)[:_FINALISTS]]
+    return min((fit_terms(terms, at, unknown, size) for at in starts), key=lambda fit: fit.cost)
+
+
+def fit_terms(
+    terms: Sequence[EvidenceTerm],
+    begun: Array,
+    unknown: Sequence[str],
+    size: tuple[int, int],
+    *,
+    rounds: int = _ROUNDS,
+    steps: int = _STEPS,
+) -> WeightedFit:
+    """Solve for the unknown parameters; weights are those of the camera of the round before."""
+    columns = [PARAMETERS.index(name) for name in unknown]
+    at, fit = begun.copy(), None
+    for _ in range(rounds):
+        camera = camera_of(at, size)
+        weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
+
+        def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
+            moved = at.copy()
+            moved[columns] = values
+            camera = camera_of(moved, size)
+            return np.concatenate([W @ off for W, off in zip(weights, residuals_of(terms, camera), strict=True)])
+
+        try:
+            fit = least_squares(residuals, at[columns], x_scale=SCALES[columns], method="trf", max_nfev=steps)
+        except (ValueError, np.linalg.LinAlgError):
+            return WeightedFit(at, math.inf, np.zeros((1, len(columns))))
+        step, at = fit.x - at[columns], at.copy()
+        at[columns] = fit.x
+        if (np.abs(step) < 1e-6 * SCALES[columns]).all():
+            break
+    assert fit is not None
+    ends = np.cumsum([len(W) for W in weights])[:-1]
+    log_weights = float(sum(np.log(np.diag(W)).sum() for W in weights))
+    return WeightedFit(at, float(2 * fit.cost), np.asarray(fit.jac), tuple(np.split(fit.fun, ends)), log_weights)
+
+
+def starts_of(evidence: Evidence, start: Camera | None, terms: Sequence[EvidenceTerm]) -> list[Array]:
+    """Values of `PARAMETERS` to begin with."""
+    if start is not None:
+        return [values_of(start)]
+    if len(evidence.points) >= FEWEST:
+        uv = np.array([point.pixel for point in evidence.points])
+        places = np.array([point.place for point in evidence.points])
+        # With one wrong point all may be led astray: each is left out once.
+        keep = [np.arange(len(uv))]
+        if len(uv) >= CHECKED_POINTS:
+            keep += [np.delete(np.arange(len(uv)), i) for i in range(len(uv))]
+        out = []
+        for rows in keep:
+            try:
+                out.append(values_of(fit_camera(uv[rows], places[rows], evidence.size).camera))
+            except UserError:
+                continue
+        if not out:
+            raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
+        return sorted(out, key=lambda at: _capped_cost(terms, camera_of(at, evidence.size)))[:2]
+    grid = [
+        np.array([math.log(share * evidence.size[0]), 0, 0, 0, _HEIGHT_M, math.radians(tilt), 0, 0])
+        for share in _LENGTHS
+        for tilt in _TILTS_DEG
+    ]
+    return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of(at, evidence.size)))[:6]
+
+
+def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
+    """Sum of the squares of the residuals in standard deviations, each piece of evidence up to 16: one may be wrong."""
+    pairs = zip(residuals_of(terms, camera), covariances_of(terms, camera), strict=True)
+    return sum(min(float(off @ np.linalg.solve(C + 1e-12, off)), 16.0) for off, C in pairs)
+
+
+def _smooth_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
+    """What ranks cameras that may be far from right."""
+    return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))

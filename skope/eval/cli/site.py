@@ -1,0 +1,59 @@
+"""`skope eval site`: a camera calibrated and a road drawn on the screen."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skope.errors import UserError
+from skope.terminal.command_options import FILE, SITE_FILE, SIZE, PortOption, option
+from skope.terminal.console import Console
+
+
+def site(
+    console: Console,
+    footage: Annotated[
+        str | None,
+        typer.Argument(metavar="FOOTAGE", help="Image, folder of images or video of the camera. Default: none."),
+    ] = None,
+    site: Annotated[Path, option(metavar=FILE, help="Site file to open and save; it need not be there.")] = SITE_FILE,
+    points: Annotated[
+        Path | None,
+        option(metavar=FILE, help="Begin with these points: OTVision's .otrfpts, or a CSV file with column,row,x,y,z."),
+    ] = None,
+    size: Annotated[
+        str | None,
+        option(metavar=SIZE, help="Size of the empty canvas where there is no footage.", show_default="800x600"),
+    ] = None,
+    port: PortOption = None,
+) -> None:
+    """Calibrate a camera and draw gates, zones and lanes in the browser; Ctrl-C ends it.
+
+    Nothing leaves this machine, and nothing is written before you save.
+    """
+    from skope.eval.pose.camera_from_marks import image_size
+    from skope.eval.site.frames import SiteFrames
+    from skope.eval.site.loaded_files import POINT_FILES, loaded
+    from skope.eval.site.site_server import serve_site
+
+    if footage is not None and size is not None:
+        raise UserError("--size: is for an empty canvas; the footage has its own")
+    if footage is None and size is None and points is None and not site.exists():
+        raise UserError("FOOTAGE: needed; without any, --points and --size begin on an empty canvas")
+    if footage is not None:
+        frames = SiteFrames.of_footage(footage)
+    else:
+        width, height = image_size(size or "800x600")
+        if not (16 <= width <= 8192 and 16 <= height <= 8192):
+            raise UserError(f"--size: expected 16 to 8192 pixels, got {size}")
+        frames = SiteFrames.canvas((width, height), points.name if points else "empty canvas")
+    added: dict[str, Any] = {}
+    if points is not None:
+        if points.suffix.lower() not in POINT_FILES:
+            raise UserError(f"--points: {points}: expected {' or '.join(POINT_FILES)}")
+        if site.exists():
+            raise UserError(f"--points: {site} is there already; load the points on the page, or choose another --site")
+        found = loaded(points, frames.size)
+        console.say(found.pop("said"))
+        added = found
+    serve_site(frames, site, added, port, console)

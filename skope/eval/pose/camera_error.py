@@ -1,0 +1,83 @@
+"""What the uncertainty of a camera adds to that of places, headings and speeds: one way for poses and tracks.
+
+All vehicles are off together, so that it is no part of what tells vehicles apart from frame to frame: it is added to
+what is written.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.errors import UserError
+from skope.eval.pose.ground import Ground
+from skope.eval.pose.solver import Poses
+from skope.types import Array
+
+COVARIANCE: Final = "camera_covariance"
+"""Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
+DISTANCE_SIGMA: Final = "camera_distance_sigma"
+"""Under this name it handed on, before, the relative standard deviation of distances."""
+
+
+def camera_info(path: Path) -> dict[str, Any]:
+    """What frames say of how well the camera of a file is known, for their `info`."""
+    known = read_uncertain_camera(path)
+    return {COVARIANCE: known.covariance_dict()} if known else {}
+
+
+def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:
+    """The camera of frames as well as their `info` says that it is known; None where it says nothing.
+
+    Raises UserError where what it says is none; `name` is the file's.
+    """
+    if camera is None:
+        return None
+    told, share = info.get(COVARIANCE), info.get(DISTANCE_SIGMA)
+    try:
+        if isinstance(told, Mapping):
+            return UncertainCamera.from_dict(camera, told)
+        if isinstance(share, int | float) and not isinstance(share, bool) and 0 <= share < 1:
+            return UncertainCamera.of_distances(camera, float(share))
+    except UserError as error:
+        raise UserError(f"{name}: info.{COVARIANCE}: {error}") from None
+    return None
+
+
+def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:
+    """Poses whose covariances hold the camera's error too; unchanged where nothing says it, or there is no road."""
+    if known is None or ground is None or not len(poses.covariance):
+        return poses
+    places = poses.T_world_vehicle[:, :3, 3]
+    ahead = np.column_stack([np.cos(poses.yaw), np.sin(poses.yaw)])
+    of_place, of_heading = camera_errors(known, places, ahead, ground.slope)
+    covariance = poses.covariance.copy()
+    covariance[:, :2, :2] += of_place
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    covariance[:, 3, 3] += np.einsum("ni,nij,nj->n", aside, of_heading, aside)
+    return replace(poses, covariance=covariance)
+
+
+def camera_errors(
+    known: UncertainCamera, places: Array, velocities: Array, slope: tuple[float, float]
+) -> tuple[Array, Array]:
+    """(N, 2, 2) each: what the camera's error adds to places (N, 3) and velocities (N, 2) on a road of that slope.
+
+    Where the camera does not see a place, all ways are off by the share that those it sees are.
+    """
+    of_place, of_velocity = (
+        known.covariance_at(places, slope),
+        known.covariance_of_velocities(places, velocities, slope),
+    )
+    blind = ~(np.isfinite(of_place) & np.isfinite(of_velocity)).all(axis=(1, 2))
+    if blind.any():
+        share = known.ways_sigma()
+        away = np.linalg.norm(places[blind, :2] - known.camera.position[:2], axis=1)
+        of_place[blind] = (share * away)[:, None, None] ** 2 * np.eye(2)
+        of_velocity[blind] = (share * np.linalg.norm(velocities[blind], axis=1))[:, None, None] ** 2 * np.eye(2)
+    return of_place, of_velocity

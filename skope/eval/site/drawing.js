@@ -1,0 +1,163 @@
+// What lies over the picture, as SVG: marks with their handles, what the camera says of the road, gates, zones and lanes.
+
+import { DRAWN, KINDS, MARKED, positionsOf } from "./kinds.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+
+export function element(name, attributes, ...children) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+const line = (positions, closed) => positions.length > 1 ? "M" + positions.map((p) => p.join(" ")).join("L") + (closed ? "Z" : "") : "";
+const lines = (polylines) => polylines.map((positions) => line(positions)).join("");
+// A position, or null where what was typed for it is no number.
+const numbers = (position) => (position && position.every((value) => Number.isFinite(value)) ? position : null);
+const known = (positions) => positions.filter(Boolean);
+
+// A line and, below it, its dark rim.
+function rimmed(d, kind) {
+  return d ? [element("path", { class: "rim", d }), element("path", { class: kind, d })] : [];
+}
+
+// Where each handle of an entry is in the view that is shown, null where that is not known or not in this view.
+export function handlesOf(kind, index, entry, page) {
+  const dragged = page.dragged;
+  const own = dragged && dragged.kind === kind && dragged.index === index;
+  const positions = placesOf(kind, index, entry, page).map(numbers);
+  return own ? positions.map((position, part) => (part === dragged.part ? dragged.position : position)) : positions;
+}
+
+function placesOf(kind, index, entry, { view, look }) {
+  if (view.fromWorld) {
+    if (kind === "points") return [entry.place.slice(0, 2).every((v) => typeof v === "number") ? view.fromWorld(entry.place) : null];
+    return KINDS[kind].world ? positionsOf(kind, entry).map((p) => p && numbers(p) && view.fromWorld(p)) : [];
+  }
+  if (!KINDS[kind].world) return positionsOf(kind, entry);
+  const shape = shapeOf(look, kind, index);
+  const corners = shape ? shape.corners : [];
+  return positionsOf(kind, entry).map((_, part) => corners[part] || null);
+}
+
+const shapeOf = (look, kind, index) => look && look.shapes.find((one) => one.kind === kind && one.index === index);
+
+// Draws everything anew; the handle that had the focus has it again.
+export function redraw(svg, page) {
+  const active = document.activeElement;
+  const focused = svg.contains(active) ? active.dataset.handle : null;
+  const parts = [];
+  if (!page.view.fromWorld && page.look) parts.push(...ofCamera(page));
+  for (const kind of [...DRAWN, ...MARKED]) {
+    page.document[kind].forEach((entry, index) => parts.push(ofEntry(kind, index, entry, page)));
+  }
+  parts.push(...ofPending(page));
+  svg.replaceChildren(...parts);
+  if (focused) svg.querySelector(`[data-handle="${focused}"]`)?.focus({ preventScroll: true });
+}
+
+function ofCamera({ look, layers, unit, view }) {
+  const { drawn } = look;
+  if (!drawn) return [];
+  const out = [];
+  if (layers.grid) {
+    out.push(element("path", { class: "grid", d: lines(drawn.grid) }), ...rimmed(lines(drawn.horizon), "horizon"));
+    let above = Infinity; // far away, labels would lie on one another
+    for (const { at, text } of drawn.labels) {
+      if (above - at[1] < 17 * unit) continue;
+      above = at[1];
+      out.push(words([at[0] + 4 * unit, at[1] - 3 * unit], text, unit));
+    }
+  }
+  if (layers.posts) out.push(...rimmed(lines(drawn.posts), "posts"));
+  if (layers.boxes) out.push(...rimmed(lines(drawn.boxes), "boxes"));
+  const [width, height] = view.size;
+  const clip = element("clipPath", { id: "inside" }, element("rect", { width, height }));
+  return [element("defs", {}, clip), element("g", { class: "camera", "aria-hidden": "true", "clip-path": "url(#inside)" }, ...out)];
+}
+
+function ofEntry(kind, index, entry, page) {
+  const places = handlesOf(kind, index, entry, page);
+  const group = element("g", { class: kind });
+  const told = shapeOf(page.look, kind, index);
+  const shape = page.view.fromWorld ? null : told;
+  const moving = page.dragged && page.dragged.kind === kind && page.dragged.index === index;
+  if (kind === "parallels") for (let i = 0; i + 1 < places.length; i += 2) group.append(...rimmed(line(places.slice(i, i + 2)), "shape"));
+  else if (shape && shape.lines && !moving) {
+    const open = kind !== "zones";
+    group.append(...rimmed(lines(shape.lines), "shape"));
+    if (!open) group.append(element("path", { class: "shape", d: line(known(shape.corners), true), "stroke-opacity": 0 }));
+    if (shape.edges) group.append(element("path", { class: "edge", d: lines(shape.edges) }));
+  } else if (kind === "occluders") group.append(...rimmed(line(known(places.slice(0, -1)), true), "shape"));
+  else if (kind !== "points") group.append(...rimmed(line(known(places), kind === "zones"), "shape"));
+  if (told && told.arrows && !moving) {
+    const { fromWorld } = page.view;
+    arrows(group, kind, entry, fromWorld ? told.ways.map((way) => [way.map(fromWorld)]) : told.arrows, page.unit);
+  }
+  if (kind === "points") residual(group, index, page);
+  places.forEach((place, part) => place && group.append(...handle(kind, index, part, place, entry, page)));
+  const first = known(places)[0];
+  if (first && page.layers.names && entry.name) group.append(words([first[0] + 9 * page.unit, first[1] - 7 * page.unit], entry.name, page.unit));
+  return group;
+}
+
+function handle(kind, index, part, [x, y], entry, page) {
+  const chosen = page.selected && page.selected.kind === kind && page.selected.index === index;
+  const result = page.residualOf(kind, index);
+  const names = ["handle", chosen && (page.selected.part ?? 0) === part ? "chosen" : "", result && result.left_out ? "left-out" : ""];
+  const label = `${KINDS[kind].word} ${entry.name || index + 1}, position ${part + 1}: ${x.toFixed(1)}, ${y.toFixed(1)}`;
+  const r = (chosen ? 7 : 5.5) * page.unit;
+  return [
+    element("circle", { class: "rim", cx: x, cy: y, r }),
+    element("circle", { class: names.join(" ").trim(), cx: x, cy: y, r, tabindex: 0, role: "button", "aria-label": label, "data-handle": `${kind}:${index}:${part}` }),
+  ];
+}
+
+// From where a point was marked to where the camera sees its place, ten times as long as it is.
+function residual(group, index, page) {
+  const result = page.residualOf("points", index);
+  const entry = page.document.points[index];
+  if (!result || !result.at || page.view.fromWorld || !page.layers.residuals || page.dragged) return;
+  const [x, y] = entry.pixel;
+  if (typeof x !== "number" || typeof y !== "number") return;
+  const factor = result.left_out ? 1 : 10;
+  group.append(...rimmed(`M${x} ${y}L${x + factor * (result.at[0] - x)} ${y + factor * (result.at[1] - y)}`, "residual"));
+}
+
+function arrows(group, kind, entry, polylines, unit) {
+  polylines.forEach((polyline, i) => {
+    const points = polyline[polyline.length - 1];
+    if (!points || points.length < 2) return;
+    const [end, before] = [points[points.length - 1], points[points.length - 2]];
+    const angle = Math.atan2(end[1] - before[1], end[0] - before[0]);
+    const wing = (turn) => [end[0] - 11 * unit * Math.cos(angle + turn), end[1] - 11 * unit * Math.sin(angle + turn)].join(" ");
+    const shaft = kind === "gates" ? line(points) : "";
+    group.append(...rimmed(`${shaft}M${wing(0.5)}L${end.join(" ")}L${wing(-0.5)}`, "arrow"));
+    const name = kind === "gates" ? `${i + 1}${entry.directions[i] ? ": " + entry.directions[i] : ""}` : "";
+    if (name) group.append(words([end[0] + 5 * unit, end[1] + 5 * unit], name, unit));
+  });
+}
+
+function ofPending({ pending, tool, unit, cursor, hover }) {
+  const out = [];
+  if (pending.length) {
+    const next = hover ? [...pending, hover] : pending;
+    out.push(element("g", { class: tool }, ...rimmed(line(next), "pending"), ...pending.map(([cx, cy]) => element("circle", { cx, cy, r: 4 * unit }))));
+  }
+  if (cursor) {
+    const [x, y] = cursor;
+    const [gap, arm] = [4 * unit, 16 * unit];
+    const d = `M${x - arm} ${y}H${x - gap}M${x + gap} ${y}H${x + arm}M${x} ${y - arm}V${y - gap}M${x} ${y + gap}V${y + arm}`;
+    out.push(element("path", { class: "crosshair-rim", d }), element("path", { class: "crosshair", d }));
+  }
+  return out;
+}
+
+function words([x, y], text, unit) {
+  const made = element("text", { x, y });
+  made.style.fontSize = 13 * unit + "px";
+  made.style.strokeWidth = 3 * unit + "px";
+  made.textContent = text;
+  return made;
+}

@@ -1,0 +1,86 @@
+"""The frames of the footage that a site is of, and the one that shows its road most clearly."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.dataset.folder import read_image
+from skope.errors import UserError
+from skope.eval.inference.footage import open_footage
+from skope.eval.view.video_frames import VideoFrames
+from skope.schema import Image
+from skope.viewer.pictures import Picture, read_picture
+
+Pixels = NDArray[np.uint8]
+
+_LOOKED_AT: Final = 7
+"""So many frames are compared for the clearest one."""
+
+
+class SiteFrames:
+    """Pictures of footage by number, all of one size."""
+
+    def __init__(self, title: str, count: int, size: tuple[int, int], picture: Callable[[int], Picture]) -> None:
+        self.title, self.count, self.size, self.picture = title, count, size, picture
+
+    @classmethod
+    def of_footage(cls, source: str) -> "SiteFrames":
+        """Frames of an image, a folder of images or a video file.
+
+        Raises:
+            UserError: It is none of these, or cannot be read.
+        """
+        footage = open_footage(source)
+        if footage.live or footage.place is None:
+            raise UserError(f"{source}: a stream has no frames to go back to; record some seconds of it")
+        if footage.images:
+            paths = footage.images
+            return cls(
+                Path(source).name or source, len(paths), _size(read_image(paths[0])), lambda i: read_picture(paths[i])
+            )
+        frames, count = VideoFrames(Path(source)), max(1, len(footage))
+
+        def picture(number: int) -> Picture:
+            return frames.picture(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
+
+        return cls(Path(source).name, count, _size(decoded(picture(0))), picture)
+
+    @classmethod
+    def canvas(cls, size: tuple[int, int], title: str) -> "SiteFrames":
+        """No footage: an empty canvas of a size, for points that were marked elsewhere."""
+
+        def picture(number: int) -> Picture:
+            raise UserError("an empty canvas has no pictures")
+
+        return cls(title, 0, size, picture)
+
+    def clearest(self) -> int:
+        """Number of the sharpest of some frames from all of the footage: not the one in fog or headlights."""
+        numbers = sorted({round(i) for i in np.linspace(0, self.count - 1, _LOOKED_AT).tolist()}) if self.count else []
+        best, most = 0, -1.0
+        for number in numbers:
+            try:
+                pixels = decoded(self.picture(number))
+            except UserError:
+                continue
+            grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+            sharp = float(cv2.Laplacian(grey, cv2.CV_64F).var())
+            if _size(pixels) == self.size and sharp > most:
+                best, most = number, sharp
+        return best
+
+
+def decoded(picture: Picture) -> Pixels:
+    """(H, W, 3) RGB of a picture."""
+    pixels = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    if pixels is None:
+        raise UserError("a frame cannot be decoded")
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def _size(pixels: Pixels) -> tuple[int, int]:
+    return pixels.shape[1], pixels.shape[0]

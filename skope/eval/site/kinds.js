@@ -1,0 +1,98 @@
+// What can be marked and drawn: words, keys, positions, and the fields in which everything can be typed.
+
+// Which positions an entry has are pairs of numbers; kinds of the world have them in metres, the others in pixels.
+export const KINDS = {
+  points: { word: "Point", key: "p", count: 1, hint: "Click a point whose place you know: the corner of a marking, a kerb, a manhole." },
+  lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of something on the road whose length you know." },
+  parallels: { word: "Parallel lines", key: "r", count: 2, hint: "Click both ends of a line on the road, then of another one that is parallel to it." },
+  verticals: { word: "Vertical", key: "v", count: 2, hint: "Click the foot, then the top of something upright: a post, the corner of a house." },
+  gates: { word: "Gate", key: "g", count: 2, world: true, hint: "Click both ends of a line across the road that traffic is counted on." },
+  zones: { word: "Zone", key: "z", count: 3, open: true, world: true, hint: "Click the corners of an area of the road; Enter or Finish closes it." },
+  lanes: { word: "Lane", key: "n", count: 2, open: true, world: true, hint: "Click along the middle of a lane in its driving direction; Enter or Finish ends it." },
+  occluders: { word: "Occluder", key: "o", count: 3, open: true, hint: "Click around what hides traffic: a tree, a sign; Enter or Finish closes it." },
+};
+export const MARKED = ["points", "lengths", "parallels", "verticals"];
+export const DRAWN = ["gates", "zones", "lanes", "occluders"];
+
+const round = (value, digits) => Number(value.toFixed(digits));
+export const pixel = ([x, y]) => [round(x, 1), round(y, 1)];
+export const metres = ([x, y]) => [round(x, 3), round(y, 3)];
+
+// The positions of an entry, in the order of its handles; null where one is not known.
+export function positionsOf(kind, entry) {
+  if (kind === "points") return [entry.pixel];
+  if (kind === "parallels") return entry.lines.flat();
+  if (kind === "lengths" || kind === "verticals") return entry.pixels;
+  if (kind === "occluders") return [...entry.polygon, entry.foot];
+  return entry.line || entry.polygon;
+}
+
+export function setPosition(kind, entry, part, position) {
+  if (kind === "points") entry.pixel = position;
+  else if (kind === "parallels") entry.lines[Math.floor(part / 2)][part % 2] = position;
+  else if (kind === "lengths" || kind === "verticals") entry.pixels[part] = position;
+  else if (kind === "occluders" && part === entry.polygon.length) entry.foot = position;
+  else (entry.line || entry.polygon)[part] = position;
+}
+
+// A new entry of positions that were clicked, with a name that no other one has.
+export function made(kind, positions, entries) {
+  if (kind === "points") return { name: freeName("", entries), pixel: positions[0], place: [null, null, 0] };
+  if (kind === "lengths") return { name: freeName("length ", entries), pixels: positions, metres: null };
+  if (kind === "parallels") return { name: freeName("lines ", entries), lines: [positions] };
+  if (kind === "verticals") return { name: freeName("vertical ", entries), pixels: positions, metres: null };
+  if (kind === "gates") return { name: freeName("gate ", entries), line: positions, directions: ["", ""] };
+  if (kind === "zones") return { name: freeName("zone ", entries), polygon: positions };
+  if (kind === "lanes") return { name: freeName("lane ", entries), line: positions, width: 3.5 };
+  const lowest = positions.reduce((a, b) => (b[1] > a[1] ? b : a));
+  return { polygon: positions, foot: [...lowest] };
+}
+
+function freeName(begin, entries) {
+  const taken = new Set(entries.map(({ name }) => name));
+  let number = entries.length + 1;
+  while (taken.has(begin + number)) number++;
+  return begin + number;
+}
+
+// The fields of an entry: the way to the value in the document, the name under which the server finds fault with it, words.
+export function fieldsOf(kind, entry) {
+  const at = (way, name, words) => [0, 1].map((axis) => ({ way: [...way, axis], name, words: `${words} ${"xy"[axis]}` }));
+  const name = { way: ["name"], name: "name", words: "Name", text: true, wide: true };
+  const corners = (list, words, first = 1) => entry[list].flatMap((_, i) => at([list, i], list, `${words} ${i + first}, m`));
+  const corner = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words[i] || i + 1}, px`));
+  if (kind === "points") {
+    const place = ["x", "y", "z"].map((axis, i) => ({ way: ["place", i], name: "place." + axis, words: `${axis}, metres` }));
+    return [name, ...place, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "known to, m", usual: "0.1" }];
+  }
+  if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "known to, m", usual: "0.05" }, ...corner("pixels", ["one end", "other end"])];
+  if (kind === "verticals") return [name, { way: ["metres"], name: "metres", words: "height, metres (if known)", wide: true }, ...corner("pixels", ["foot", "top"])];
+  if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, ${"ab"[j]}`)))];
+  if (kind === "gates") {
+    const ways = ["1: from its left to its right", "2: from its right to its left"];
+    const directions = ways.map((words, i) => ({ way: ["directions", i], name: "directions." + i, words: "Direction " + words, text: true, wide: true }));
+    return [name, ...directions, ...corners("line", "end")];
+  }
+  if (kind === "zones") return [name, ...corners("polygon", "corner")];
+  if (kind === "lanes") return [name, { way: ["width"], name: "width", words: "width, metres", usual: "3.5", wide: true }, ...corners("line", "point")];
+  return [...corner("polygon", []), ...at(["foot"], "foot", "foot, px")];
+}
+
+export function valueAt(entry, way) {
+  return way.reduce((value, step) => (value === null || value === undefined ? value : value[step]), entry);
+}
+
+export function setValue(entry, way, value) {
+  const last = way[way.length - 1];
+  const holder = way.slice(0, -1).reduce((within, step) => (within[step] ??= []), entry);
+  if (value === null && typeof last === "string") delete holder[last];
+  else holder[last] = value;
+}
+
+// What was typed as a number, nothing as null, and anything else as the text that it is: the server says what is wrong.
+export function typed(text) {
+  const plain = text.trim().replace(/^([-+]?[0-9]*),([0-9]+)$/, "$1.$2");
+  if (plain === "") return null;
+  const value = Number(plain);
+  return Number.isFinite(value) ? value : text.slice(0, 100);
+}

@@ -1,0 +1,274 @@
+"""What the page has marked, as evidence for the solver, and what is wrong or missing in it, field by field.
+
+The page's document has lists `points`, `lengths`, `parallels`, `verticals` (pixels of the footage's own size, metres)
+and `gates`, `zones`, `lanes` (the world's metres) and `occluders` (pixels). A value that is not given yet is None; what
+a user typed that is no number is a text, and stays in the page until it is mended.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from skope.camera.evidence import (
+    MARKED_PX,
+    MEASURED_M,
+    UNEVEN_M,
+    Belief,
+    Evidence,
+    MarkedLength,
+    MarkedPoint,
+    ParallelLines,
+    Vertical,
+)
+from skope.errors import UserError
+
+KINDS: Final = ("points", "lengths", "parallels", "verticals")
+"""Lists of evidence in the document, in the order in which the solver has their residuals."""
+SIGMAS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
+"""Standard deviations that a point may have of its own."""
+LONGEST_NAME: Final = 200
+NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
+_MOST: Final = 500
+"""Entries of a list that are taken: a person marks some dozens."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is wrong with one field of one entry of the document."""
+
+    kind: str
+    """Name of the list."""
+    index: int
+    field: str
+    text: str
+    missing: bool = False
+    """Whether the field is only not filled in yet."""
+
+
+@dataclass(kw_only=True)
+class Marks:
+    """The evidence of a document, and which entry each piece of it is."""
+
+    evidence: Evidence
+    entries: dict[str, dict[str, int]]
+    """Index in the document by kind and by the name that the solver has for it, in order."""
+    problems: list[Problem] = field(default_factory=list)
+
+
+def read_marks(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
+    """The evidence in a document; entries with problems are left out of it."""
+    makers: dict[str, Callable[[_Entry], Any]] = {
+        "points": _point,
+        "lengths": _length,
+        "parallels": _parallels,
+        "verticals": _vertical,
+    }
+    found: dict[str, list[Any]] = {}
+    entries: dict[str, dict[str, int]] = {}
+    problems: list[Problem] = []
+    for kind in KINDS:
+        names = unique_names(entries_of(document, kind))
+        found[kind], entries[kind] = [], {}
+        for index, (name, value) in enumerate(zip(names, entries_of(document, kind), strict=True)):
+            entry = _Entry(kind, index, name, value)
+            entry.check_name()
+            made = None
+            try:
+                made = makers[kind](entry)
+            except UserError as error:
+                if not entry.problems:
+                    entry.wrong("", str(error))
+            problems += entry.problems
+            if made is not None and not entry.problems:
+                found[kind].append(made)
+                entries[kind][name] = index
+    beliefs, wrong = _known(document.get("known"), size[0])
+    problems += wrong
+    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in KINDS}, beliefs=beliefs)
+    return Marks(evidence=evidence, entries=entries, problems=problems)
+
+
+def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
+    """What is known of the camera beforehand: `fov_deg` and `height_m`, each [value, standard deviation]."""
+    units = {"fov_deg": ("degrees", 2.0, 170.0), "height_m": ("metres", 0.5, 1000.0)}
+    beliefs, problems = [], []
+    for name, (unit, low, high) in units.items():
+        pair = value.get(name) if isinstance(value, dict) else None
+        if pair is None or pair == [None, None]:
+            continue
+        found = positions([pair], 2)
+        if found and low <= found[0][0] <= high and 1e-4 <= found[0][1] <= high:
+            known, sigma = found[0]
+            beliefs.append(Belief.of_fov(known, sigma, width) if name == "fov_deg" else Belief.of_height(known, sigma))
+        else:
+            text = f"expected {low:g} to {high:g} {unit}, and how exactly that is known"
+            problems.append(Problem(kind="known", index=0, field=name, text=text))
+    return tuple(beliefs), problems
+
+
+def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:
+    """A list of the document; a UserError where it is no list of objects."""
+    value = document.get(kind, [])
+    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value) or len(value) > _MOST:
+        raise UserError(f"{kind}: expected a list of up to {_MOST} objects")
+    return value
+
+
+def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A name for each entry, its own where no earlier one has it: messages of the solver name points."""
+    out: list[str] = []
+    for number, entry in enumerate(entries, start=1):
+        own = entry.get("name")
+        name = own.strip() if isinstance(own, str) and own.strip() else str(number)
+        plain, again = name, 2
+        while name in out:
+            name, again = f"{plain} ({again})", again + 1
+        out.append(name)
+    return out
+
+
+def is_name(value: Any) -> bool:
+    """Whether something is a name of one line, in any script, and not too long to be shown."""
+    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
+
+
+def number(value: Any) -> float | None:
+    """A finite number, or None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def positions(value: Any, width: int) -> list[list[float]] | None:
+    """Rows of `width` numbers each, or None for anything else."""
+    if not isinstance(value, list) or len(value) > _MOST:
+        return None
+    rows = []
+    for row in value:
+        if not isinstance(row, list) or len(row) != width:
+            return None
+        numbers = [number(one) for one in row]
+        if None in numbers:
+            return None
+        rows.append([one for one in numbers if one is not None])
+    return rows
+
+
+class _Entry:
+    """One entry of a list of the document, and what is wrong with it."""
+
+    def __init__(self, kind: str, index: int, name: str, value: Mapping[str, Any]) -> None:
+        self.kind, self.index, self.name, self._value = kind, index, name, value
+        self.problems: list[Problem] = []
+
+    def wrong(self, field: str, text: str, *, missing: bool = False) -> None:
+        self.problems.append(Problem(kind=self.kind, index=self.index, field=field, text=text, missing=missing))
+
+    def check_name(self) -> None:
+        """Note a name that is no name, or that an earlier entry has."""
+        own = self._value.get("name", "")
+        if not isinstance(own, str) or not is_name(own or "1"):
+            self.wrong("name", NO_NAME)
+        elif own.strip() and own.strip() != self.name:
+            self.wrong("name", f"another one is called {own.strip()!r} already")
+
+    def number(self, field: str, low: float, high: float, unit: str, default: float | None = None) -> float | None:
+        """A number between two limits; None, with a problem noted, where there is none such.
+
+        A field that is empty has the default; where that is None, it is missing.
+        """
+        value = self._value.get(field)
+        if value is None or value == "":
+            if default is None:
+                self.wrong(field, f"type how many {unit}", missing=True)
+            return default
+        found = number(value)
+        if found is None or not low <= found <= high:
+            self.wrong(field, f"expected a number from {low:g} to {high:g} {unit}".rstrip() + f", got {_short(value)}")
+            return None
+        return found
+
+    def pixels(self, field: str, count: int | None) -> list[list[float]] | None:
+        """Positions in the image; None, with a problem noted, where they are not that many."""
+        rows = positions(self._value.get(field), 2)
+        if rows is None or (count is not None and len(rows) != count):
+            self.wrong(field, "expected column and row in pixels, two numbers")
+            return None
+        return rows
+
+    def value(self, field: str) -> Any:
+        return self._value.get(field)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _point(entry: _Entry) -> MarkedPoint | None:
+    pixel = positions([entry.value("pixel")], 2)
+    if pixel is None:
+        entry.wrong("pixel", "expected column and row in pixels, two numbers")
+    place = entry.value("place")
+    wanted = ["x", "y", "z"]
+    values = place if isinstance(place, list) and len(place) == 3 else [None, None, None]
+    given: list[float] = []
+    for axis, value in zip(wanted, values, strict=True):
+        found = number(value)
+        if found is None or abs(found) > 1e8:
+            empty = value is None or value == ""
+            entry.wrong(f"place.{axis}", "type it in metres" if empty else f"expected metres, got {_short(value)}",
+                        missing=empty)  # fmt: skip
+        else:
+            given.append(found)
+    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    sigmas = {key: entry.number(key, 1e-4, 1000, "", default) for key, default in usual.items()}
+    known = {key: sigma for key, sigma in sigmas.items() if sigma is not None}
+    if pixel is None or len(given) < 3 or len(known) < len(sigmas):
+        return None
+    return MarkedPoint(_array(pixel[0]), _array(given), name=entry.name, **known)
+
+
+def _length(entry: _Entry) -> MarkedLength | None:
+    pixels, metres = entry.pixels("pixels", 2), entry.number("metres", 0.1, 1000, "metres")
+    sigma = entry.number("sigma_m", 0.001, 100, "metres", 0.05)
+    if pixels is None or metres is None or sigma is None:
+        return None
+    if math.dist(*pixels) < 1:
+        entry.wrong("pixels", "its two ends are the same")
+        return None
+    return MarkedLength(_array(pixels), metres, sigma_m=sigma, name=entry.name)
+
+
+def _parallels(entry: _Entry) -> ParallelLines | None:
+    lines = entry.value("lines")
+    rows = [positions(line, 2) for line in lines] if isinstance(lines, list) else []
+    if not rows or any(row is None or len(row) != 2 for row in rows):
+        entry.wrong("lines", "expected column and row in pixels for both ends of each line")
+        return None
+    if len(rows) < 2:
+        entry.wrong("lines", "draw a second line that is parallel to this one on the road", missing=True)
+        return None
+    if any(row is not None and math.dist(*row) < 1 for row in rows):
+        entry.wrong("lines", "both ends of a line are the same")
+        return None
+    return ParallelLines(_array(rows), name=entry.name)
+
+
+def _vertical(entry: _Entry) -> Vertical | None:
+    pixels = entry.pixels("pixels", 2)
+    known = entry.value("metres") not in (None, "")
+    metres = entry.number("metres", 0.1, 200, "metres") if known else None
+    if pixels is None or (known and metres is None):
+        return None
+    if math.dist(*pixels) < 1:
+        entry.wrong("pixels", "its foot and its top are the same")
+        return None
+    return Vertical(_array(pixels), metres, name=entry.name)
+
+
+def _array(value: Any) -> Any:
+    import numpy as np
+
+    return np.asarray(value, dtype=np.float64)

@@ -1,0 +1,122 @@
+"""What is drawn into the image to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
+
+All are polylines in pixels, cut where the camera does not see them.
+"""
+
+import itertools
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
+from skope.types import Array
+
+_STEPS_M: Final = (1, 2, 5, 10, 20)
+"""Distances of the grid's lines that are chosen from."""
+_LINES: Final = 10
+"""The grid has about so many lines away from the camera."""
+_REACH: Final = 12.0
+"""The grid ends at so many times the camera's height."""
+_REACH_M: Final = (20.0, 120.0)
+_POST_M: Final = 3.0
+"""Height of the posts."""
+CAR_LWH: Final = (4.5, 1.8, 1.5)
+"""Length, width and height of a car, metres."""
+_MARGIN: Final = 0.5
+"""Lines are drawn so far outside the image, as a share of its size."""
+_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0))))
+_EDGES: Final = tuple(
+    (a, b) for a, b in itertools.combinations(range(8), 2) if int(np.sum(_CORNERS[a] != _CORNERS[b])) == 1
+)
+
+Polyline = list[list[float]]
+
+
+def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
+    """Polylines by their kind (`grid`, `horizon`, `posts`, `boxes`), words with their pixels, and what they measure.
+
+    Args:
+        camera: The camera, over a road at z = 0.
+        toward: (2,) direction along the road, in the world; None: that in which the camera looks.
+    """
+    ahead, left, foot = axes(camera)
+    reach = float(np.clip(_REACH * camera.position[2], *_REACH_M))
+    step = next((m for m in _STEPS_M if reach / m <= _LINES), _STEPS_M[-1])
+    along, side = np.arange(0, reach + 0.1, 0.5), np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
+    grid = []
+    for k in np.arange(-(reach // 2 // step) * step, reach / 2 + 0.1, step).tolist():
+        grid += drawn(camera, foot + left * k + ahead * along[:, None])
+    labels = []
+    for k in range(1, int(reach // step) + 1):
+        grid += drawn(camera, foot + ahead * (k * step) + left * side[:, None])
+        pixel, _, valid = camera.project(foot + ahead * (k * step))
+        if valid and camera.inside(pixel):
+            labels.append({"at": _rounded(pixel), "text": f"{k * step} m"})
+    places, beside = _standing(camera, (0.3, 0.7)), _standing(camera, (0.12, 0.88))
+    way = ahead[:2] if toward is None else toward / np.linalg.norm(toward)
+    return {
+        "grid": grid,
+        "step_m": step,
+        "labels": labels,
+        "horizon": horizon(camera),
+        "posts": [line for place in beside for line in drawn(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
+        "post_m": _POST_M,
+        "boxes": [line for place in places for line in box(camera, place, way)],
+        "box_lwh": list(CAR_LWH),
+    }
+
+
+def axes(camera: Camera) -> tuple[Array, Array, Array]:
+    """(3,) unit vectors along the road ahead of a camera and to its left, and the place under it."""
+    yaw, _, _ = camera.angles
+    ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    return ahead, np.array([-ahead[1], ahead[0], 0.0]), np.array([*camera.position[:2], 0.0])
+
+
+def horizon(camera: Camera) -> list[Polyline]:
+    """The line to which level roads lead."""
+    ahead, left, foot = axes(camera)
+    turn = np.linspace(-1.3, 1.3, 105)[:, None]
+    level = [0.0, 0.0, float(camera.position[2])]
+    return drawn(camera, foot + level + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left))
+
+
+def box(camera: Camera, place: Array, way: Array) -> list[Polyline]:
+    """The edges of a car that stands on a place (3,) of the road along a direction (2,)."""
+    turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
+    corners = place + (_CORNERS * CAR_LWH) @ turn.T
+    return [line for a, b in _EDGES for line in drawn(camera, corners[[a, b]])]
+
+
+def drawn(camera: Camera, points: Array) -> list[Polyline]:
+    """Points (N, 3) in a row as polylines in pixels: cut where they lie behind the camera or far outside the image."""
+    pixels, _, valid = camera.project(points)
+    size = np.array([camera.width, camera.height])
+    near = valid & (np.abs(np.nan_to_num(pixels, nan=1e9) - size / 2) <= (0.5 + _MARGIN) * size).all(axis=-1)
+    out: list[Polyline] = []
+    for inside, run in itertools.groupby(range(len(points)), key=lambda i: bool(near[i])):
+        row = list(run)
+        if inside and len(row) > 1:
+            out.append([_rounded(pixels[i]) for i in row])
+    return out
+
+
+def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
+    """Places (3,) from near to far, above one another at some columns of the image, shares of its width."""
+    rows = np.linspace(0.95, 0.3, 60) * camera.height
+    out: list[Array] = []
+    for share in columns:
+        places = ground_places(camera, np.stack([np.full(60, share * camera.width), rows], axis=-1))
+        away = np.linalg.norm(places - camera.position, axis=-1)
+        last = 0.0
+        for place, distance in zip(places, away.tolist(), strict=True):
+            if np.isfinite(distance) and distance < _REACH_M[1] and distance > max(last * 1.6, last + 6):
+                out.append(place)
+                last = distance
+    return out
+
+
+def _rounded(pixel: Array) -> list[float]:
+    return [round(float(v), 1) for v in pixel]

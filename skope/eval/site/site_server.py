@@ -1,0 +1,189 @@
+"""The server of the page of `skope eval site`: pictures, answers to the page's document, and saving it."""
+
+import re
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any, Final
+
+from skope.errors import UserError
+from skope.eval.site.drawings import read_drawings
+from skope.eval.site.frames import SiteFrames, decoded
+from skope.eval.site.from_above import seen_from_above
+from skope.eval.site.loaded_files import read_file
+from skope.eval.site.marks import read_marks
+from skope.eval.site.merge import joined
+from skope.eval.site.plan import plan_scale
+from skope.eval.site.site_store import SavedElsewhereError, SiteStore
+from skope.eval.site.solved_page import SolvedPage, unfinished
+from skope.files.json_files import json_bytes, parse_json
+from skope.terminal.console import Console
+from skope.viewer.local_server import (
+    CSS,
+    HTML,
+    JSON,
+    SCRIPT,
+    Answer,
+    LocalHandler,
+    LocalServer,
+    bound_to,
+    read_resource,
+    serve_until_stopped,
+)
+
+_HERE: Final = "skope.eval.site"
+_FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
+_SCRIPTS: Final = ("site", "controls", "server", "history", "kinds", "viewport", "drawing", "panel")
+_FILES: Final = {
+    "/": (_HERE, "site.html", HTML),
+    "/page.css": ("skope.page", "page.css", CSS),
+    "/site.css": (_HERE, "site.css", CSS),
+    **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
+}
+_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
+
+
+def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None, console: Console) -> None:
+    """Show the page until Ctrl-C; the address is printed in one line.
+
+    Args:
+        frames: The footage.
+        path: The site file, which need not be there.
+        added: What is put into the page's document besides what the file holds: points, a camera.
+        port: Where the server listens; None: any usual one.
+        console: Where the address is printed.
+
+    Raises:
+        UserError: The site file cannot be read, or `port` not be used.
+    """
+    server = bound_site(frames, path, added, port)
+    serve_until_stopped(server, f"{frames.title}, {path}", console)
+
+
+def bound_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None) -> "SiteServer":
+    """A server that listens; see `serve_site`."""
+    return bound_to(lambda free: SiteServer(frames, path, added, free), port)
+
+
+class SiteServer(LocalServer):
+    """The server of one site."""
+
+    def __init__(self, frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int) -> None:
+        self.frames, self.added = frames, added
+        self.store = SiteStore(path, frames.size)
+        self.solved = SolvedPage(frames.size, self.store.read().vehicles)
+        self.clearest = frames.clearest()
+        super().__init__(port, _Handler)
+
+    def begin(self) -> dict[str, Any]:
+        """What the page is of, its document, and the document as it is saved."""
+        opened = self.store.read()
+        document = opened.document
+        if opened.revision is None:
+            document = document | {key: [*document[key], *value] if isinstance(value, list) else value
+                                   for key, value in self.added.items()}  # fmt: skip
+        return {
+            "title": self.frames.title,
+            "size": list(self.frames.size),
+            "frames": self.frames.count,
+            "frame": self.clearest,
+            "file": self.store.path.name,
+            "exists": opened.revision is not None,
+            "document": document,
+            "saved": opened.document,
+            "revision": opened.revision,
+        }
+
+    def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
+        """Status and answer to a document that is to be saved."""
+        document = _document(sent)
+        problems = [*read_marks(document, self.frames.size).problems, *read_drawings(document)[1]]
+        if problems:
+            words = unfinished(problems)
+            return HTTPStatus.UNPROCESSABLE_ENTITY, {"text": f"not saved: {words}", "problem": asdict(problems[0])}
+        solved, _ = self.solved.solve(document)
+        revision = sent.get("revision")
+        if not isinstance(revision, str | None):
+            raise UserError("revision: expected a text")
+        try:
+            revision = self.store.save(
+                document, solved, revision, datetime.now(UTC).astimezone().replace(microsecond=0)
+            )
+        except SavedElsewhereError:
+            return HTTPStatus.CONFLICT, {"text": _ELSEWHERE.format(name=self.store.path.name)}
+        said = "" if solved.camera else "saved; the camera is not calibrated yet"
+        return HTTPStatus.OK, {"revision": revision, "said": said}
+
+    def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """The page's document joined with the saved one, and the saved one with its revision."""
+        opened = self.store.read()
+        document = joined(_document(sent, "base"), _document(sent, "mine"), opened.document)
+        return {"document": document, "saved": opened.document, "revision": opened.revision}
+
+    def above(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """The road from above, as a frame shows it."""
+        solved, _ = self.solved.solve(_document(sent))
+        if solved.camera is None:
+            raise UserError("the camera is not calibrated yet: " + solved.message)
+        number = sent.get("frame")
+        if not self.frames.count:
+            return seen_from_above(solved.camera, None)
+        if not isinstance(number, int) or not 0 <= number < self.frames.count:
+            raise UserError("frame: there is no such")
+        pixels = decoded(self.frames.picture(number))
+        if (pixels.shape[1], pixels.shape[0]) != self.frames.size:
+            raise UserError(f"frame {number + 1}: is of another size than the first one")
+        return seen_from_above(solved.camera, pixels)
+
+
+class _Handler(LocalHandler):
+    server: SiteServer
+    posts = True
+
+    def answer_to(self, path: str) -> Answer | None:
+        if file := _FILES.get(path):
+            return file[2], read_resource(*file[:2])
+        if path == "/begin.json":
+            return JSON, json_bytes(self.server.begin())
+        frames = self.server.frames
+        if (frame := _FRAME.fullmatch(path)) and (number := int(frame[1])) < frames.count:
+            picture = frames.picture(number)
+            return picture.media_type, picture.data
+        return None
+
+    def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
+        if path not in ("/look", "/places", "/above", "/plan", "/read", "/save", "/merge"):
+            return None
+        try:
+            sent = parse_json(data)
+        except ValueError:
+            raise UserError("expected JSON") from None
+        if not isinstance(sent, dict):
+            raise UserError("expected a JSON object")
+        status, answer = HTTPStatus.OK, {}
+        if path == "/look":
+            answer = self.server.solved.look(sent)
+        elif path == "/places":
+            answer = self.server.solved.places(_document(sent), sent.get("pixels"))
+        elif path == "/above":
+            answer = self.server.above(sent)
+        elif path == "/plan":
+            answer = plan_scale(sent)
+        elif path == "/read":
+            with tempfile.TemporaryDirectory() as folder:
+                answer = read_file(sent, Path(folder), self.server.frames.size)
+        elif path == "/merge":
+            answer = self.server.merge(sent)
+        else:
+            status, answer = self.server.save(sent)  # type: ignore[assignment]
+        return status, JSON, json_bytes(answer)
+
+
+def _document(sent: Mapping[str, Any], key: str = "document") -> Mapping[str, Any]:
+    value = sent.get(key)
+    if not isinstance(value, dict):
+        raise UserError(f"{key}: expected an object")
+    return value

@@ -1,0 +1,226 @@
+"""The page's document from a site file, and back into it: what the page does not know stays in the file."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.errors import UserError
+from skope.eval.site.drawings import DRAWN
+from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
+from skope.eval.site.solved_page import SolvedCamera
+from skope.files.reading import sha256_of
+from skope.site.calibration_marks import CalibrationMarks
+from skope.site.site_file import SiteFile, read_site
+from skope.site.write_site import save_site
+
+KNOWN: Final = ("fov_deg", "height_m")
+"""What may be known of a camera beforehand, each with its standard deviation."""
+_POSES: Final = (
+    *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
+    "ground",
+)
+"""Other ways in which a [camera] table says where a camera hangs; what the page has found takes their place."""
+_LENGTH_SIGMA_M: Final = 0.05
+
+
+class SavedElsewhereError(Exception):
+    """Somebody else has saved the file since it was read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A site file as the page has it."""
+
+    document: dict[str, Any]
+    revision: str | None
+    """None: there is no file yet."""
+    vehicles: Belief | None = None
+    """What vehicles say of the camera."""
+
+
+class SiteStore:
+    """A site file that may not be there yet."""
+
+    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+        self.path, self.size = path, size
+
+    def read(self) -> Opened:
+        """The file as a document; an empty one where there is no file. Raises UserError as `read_site` does."""
+        if not self.path.exists():
+            return Opened(document=document_of(None, self.size), revision=None)
+        site = read_site(self.path)
+        vehicles = site.calibration.vehicles if site.calibration else None
+        return Opened(document=document_of(site, self.size), revision=site.revision, vehicles=vehicles)
+
+    def save(self, document: Mapping[str, Any], solved: SolvedCamera, revision: str | None, when: datetime) -> str:
+        """Write a document into the file; returns its new revision.
+
+        Raises:
+            SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
+            UserError: It cannot be written.
+        """
+        if self._revision() != revision:
+            raise SavedElsewhereError
+        try:
+            return save_site(self.path, changes_of(document, solved, self.size, when), revision).revision
+        except UserError:
+            if self._revision() != revision:
+                raise SavedElsewhereError from None
+            raise
+
+    def _revision(self) -> str | None:
+        return sha256_of(self.path) if self.path.exists() else None
+
+
+def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
+    """What the page shows of a site file.
+
+    Raises UserError where the file's marks are of images of another size than `size`.
+    """
+    out: dict[str, Any] = {kind: [] for kind in (*KINDS, *DRAWN)} | {"camera": None, "known": {}}
+    if site is None:
+        return out
+    if site.calibration is not None:
+        out |= _marks(site.calibration, size)
+    if site.camera is not None:
+        out["camera"] = _camera(site, size)
+    out["gates"] = [
+        {"name": one.name, "line": _rows(one.line), "directions": list(one.directions or ("", ""))}
+        for one in site.gates
+    ]
+    out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
+    out["lanes"] = [{"name": one.name, "line": _rows(one.line), "width": one.width} for one in site.lanes]
+    out["occluders"] = [
+        {"polygon": _rows(one.polygon), "foot": list(one.foot) if one.foot else None, "distance": one.distance}
+        for one in site.occluders
+    ]
+    return out
+
+
+def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
+    evidence = marks.evidence(size)
+    known = {"fov_deg": marks.fov_deg, "height_m": marks.height_m}
+    return {
+        "points": [point_entry(one) for one in evidence.points],
+        "lengths": [
+            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
+            | _unless("sigma_m", one.sigma_m, _LENGTH_SIGMA_M)
+            for one in evidence.lengths
+        ],
+        "parallels": [{"name": one.name, "lines": one.lines.tolist()} for one in evidence.parallels],
+        "verticals": [
+            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres} for one in evidence.verticals
+        ],
+        "known": {name: list(value) for name, value in known.items() if value is not None},
+    }
+
+
+def point_entry(point: MarkedPoint) -> dict[str, Any]:
+    """A point in the document, with standard deviations where they are not the usual ones."""
+    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    own = {
+        key: value
+        for name, default in usual.items()
+        for key, value in _unless(name, getattr(point, name), default).items()
+    }
+    return {"name": point.name, "pixel": point.pixel.tolist(), "place": point.place.tolist()} | own
+
+
+def _unless(key: str, value: float, default: float) -> dict[str, float]:
+    return {} if math.isclose(value, default) else {key: value}
+
+
+def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
+    assert site.camera is not None
+    camera = site.camera.camera
+    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+        raise UserError(
+            f"{site.path}: camera: is of {camera.width}x{camera.height} pixels, the footage of "
+            f"{size[0]}x{size[1]}: other shapes"
+        )
+    return camera_dict(site.camera.known, camera)
+
+
+def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:
+    """A camera in the document, with how well it is known where that is known."""
+    out = {"width": camera.width, "height": camera.height, **camera.to_dict()}
+    return out | ({"covariance": known.covariance_dict()} if known else {})
+
+
+def _rows(positions: Any) -> list[list[float]]:
+    return [list(position) for position in positions]
+
+
+# -------------------------------------------------------------------------------------------------------- what is saved
+
+
+def changes_of(
+    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
+) -> dict[str, Any]:
+    """New values of the file's keys, as `save_site` takes them, of a document without problems."""
+    out: dict[str, Any] = {}
+    marked = {kind: _saved_marks(document, kind) for kind in KINDS}
+    known = {name: document.get("known", {}).get(name) for name in KNOWN}
+    if any(marked.values()) or any(known.values()):
+        rows = {kind: values or None for kind, values in marked.items()}
+        out["calibration"] = {"size": list(size), "when": when, **rows, **known}
+    else:
+        out["calibration"] = dict.fromkeys((*KINDS, *KNOWN))
+    for kind in DRAWN:
+        rows_of_kind = [_saved_drawing(kind, entry) for entry in entries_of(document, kind)]
+        out[kind] = rows_of_kind or None
+    if document.get("world"):
+        out["world"] = document["world"]
+    camera = _saved_camera(document, solved, size, when)
+    if camera:
+        out["camera"] = camera
+    return out
+
+
+def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
+    entries = entries_of(document, kind)
+    keys: dict[str, tuple[str, ...]] = {
+        "points": ("pixel", "place", *SIGMAS),
+        "lengths": ("pixels", "metres", "sigma_m"),
+    }
+    keys |= {"parallels": ("lines",), "verticals": ("pixels", "metres")}
+    return [
+        {"name": name} | {key: entry.get(key) for key in keys[kind]}
+        for name, entry in zip(unique_names(entries), entries, strict=True)
+    ]
+
+
+def _saved_drawing(kind: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+    if kind == "gates":
+        directions = entry.get("directions") or ["", ""]
+        return {"name": entry["name"], "line": entry["line"], "directions": directions if any(directions) else None}
+    if kind == "zones":
+        return {"name": entry["name"], "polygon": entry["polygon"]}
+    if kind == "lanes":
+        return {"name": entry["name"], "line": entry["line"], "width": entry.get("width")}
+    foot = entry.get("foot")
+    return {"polygon": entry["polygon"], "foot": foot, "distance": None if foot else entry.get("distance")}
+
+
+def _saved_camera(
+    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
+) -> dict[str, Any] | None:
+    """The [camera] table; None where the page has found none, so that the file's own stays."""
+    loaded = (document.get("camera") or {}).get("trusted") is True
+    if solved.camera is None or (solved.calibration is None and not loaded):
+        return None
+    counted = [f"{len(entries_of(document, kind))} {kind}" for kind in KINDS if entries_of(document, kind)]
+    source = ", ".join(counted) if solved.calibration else "a camera file"
+    return {
+        **dict.fromkeys(_POSES),
+        "size": list(size),
+        **solved.camera.to_dict(),
+        "covariance": solved.known.covariance_dict() if solved.known else None,
+        "calibrated": {"when": when, "from": source},
+    }

@@ -1,0 +1,211 @@
+"""The [calibration] table of a site file: what a user has marked to calibrate the camera by."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final, TypeVar
+
+import numpy as np
+
+from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.evidence import (
+    MARKED_PX,
+    MEASURED_M,
+    UNEVEN_M,
+    Belief,
+    Evidence,
+    MarkedLength,
+    MarkedPoint,
+    ParallelLines,
+    Vertical,
+)
+from skope.errors import UserError
+from skope.site.marks import FARTHEST, checked_name
+from skope.site.toml_table import TomlTable
+
+_Mark = TypeVar("_Mark")
+_WIDEST: Final = 1e5
+"""Largest column or row of a mark, pixels."""
+_LARGEST_PX: Final = 8192
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibrationMarks:
+    """What tells a camera, in pixels of the footage."""
+
+    size: tuple[int, int] | None
+    """Width and height of the images that were marked, pixels; None: the file does not say it."""
+    when: datetime | None
+    """When they were marked."""
+    points: tuple[MarkedPoint, ...] = ()
+    lengths: tuple[MarkedLength, ...] = ()
+    parallels: tuple[ParallelLines, ...] = ()
+    verticals: tuple[Vertical, ...] = ()
+    fov_deg: tuple[float, float] | None = None
+    """Horizontal field of view and its standard deviation, degrees."""
+    height_m: tuple[float, float] | None = None
+    """The camera's height over the road and its standard deviation, metres."""
+    vehicles: Belief | None = None
+    """What its vehicles say of the camera."""
+
+    def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
+        """What the solver takes, for images of `size`; None: of the file's own.
+
+        Raises UserError where neither says a size, or they contradict each other.
+        """
+        if size and self.size and size != self.size:
+            raise UserError(
+                f"calibration.size: {self.size[0]}x{self.size[1]} was marked, but the images are {size[0]}x{size[1]}"
+            )
+        whole = size or self.size
+        if whole is None:
+            raise UserError("calibration.size: missing: expected [width, height] of the images that were marked")
+        beliefs = [self.vehicles] if self.vehicles else []
+        if self.fov_deg:
+            beliefs.append(Belief.of_fov(*self.fov_deg, whole[0]))
+        if self.height_m:
+            beliefs.append(Belief.of_height(*self.height_m))
+        return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, tuple(beliefs))
+
+
+def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
+    """The marks of a [calibration] table; keys that mean nothing here are added to `unknown`.
+
+    Raises:
+        UserError: Something is missing or wrong; the message names file and key.
+    """
+    made = CalibrationMarks(
+        size=_size(table),
+        when=_time(table, "when"),
+        points=_rows(table, "points", _point, unknown),
+        lengths=_rows(table, "lengths", _length, unknown),
+        parallels=_rows(table, "parallels", _parallel, unknown),
+        verticals=_rows(table, "verticals", _vertical, unknown),
+        fov_deg=_measured(table, "fov_deg", 2, 170),
+        height_m=_measured(table, "height_m", 0.5, 1000),
+        vehicles=_vehicles(table),
+    )
+    unknown += table.unread
+    return made
+
+
+def _rows(table: TomlTable, key: str, read: Callable[[TomlTable, str], _Mark], unknown: list[str]) -> tuple[_Mark, ...]:
+    out, names = [], set[str]()
+    for number, row in enumerate(table.rows(key), start=1):
+        name = checked_name(row, "name", row.text("name")) if "name" in row else str(number)
+        if name in names:
+            raise row.wrong("name", f"{name!r} is the name of two {key}")
+        names.add(name)
+        try:
+            out.append(read(row, name))
+        except UserError as error:
+            raise error if str(error).startswith(str(row.path)) else row.wrong("", str(error)) from None
+        unknown += row.unread
+    return tuple(out)
+
+
+def _point(row: TomlTable, name: str) -> MarkedPoint:
+    place = row.value("place")
+    count = 2 if isinstance(place, list) and len(place) == 2 else 3
+    where = row.numbers("place", count)
+    if max(map(abs, where)) > FARTHEST:
+        raise row.wrong("place", f"expected numbers within {FARTHEST:g}")
+    return MarkedPoint(
+        _pixels(row, "pixel", 1)[0],
+        np.array([*where, 0.0][:3]),
+        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
+        sigma_m=_sigma(row, "sigma_m", MEASURED_M),
+        sigma_z_m=_sigma(row, "sigma_z_m", UNEVEN_M),
+        name=name,
+    )
+
+
+def _length(row: TomlTable, name: str) -> MarkedLength:
+    return MarkedLength(
+        _pixels(row, "pixels", 2),
+        row.number("metres", low=0.01, high=1e4),
+        sigma_m=_sigma(row, "sigma_m", 0.05),
+        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
+        name=name,
+    )
+
+
+def _parallel(row: TomlTable, name: str) -> ParallelLines:
+    lines = row.value("lines")
+    if not isinstance(lines, list) or len(lines) < 2 or not all(isinstance(line, list) for line in lines):
+        raise row.wrong("lines", "expected two or more lines of two pixels each")
+    marked = [_ends(row, line) for line in lines]
+    return ParallelLines(np.array(marked), sigma_px=_sigma(row, "sigma_px", MARKED_PX), name=name)
+
+
+def _ends(row: TomlTable, line: object) -> list[list[float]]:
+    one = TomlTable(row.path, "", {"line": line})
+    try:
+        ends = one.matrix("line", 2, 2)
+    except UserError:
+        raise row.wrong("lines", "expected two pixels [column, row] for each line") from None
+    if max(abs(value) for end in ends for value in end) > _WIDEST or ends[0] == ends[1]:
+        raise row.wrong("lines", f"expected lines between two pixels within {_WIDEST:g}")
+    return [list(end) for end in ends]
+
+
+def _vertical(row: TomlTable, name: str) -> Vertical:
+    return Vertical(
+        _pixels(row, "pixels", 2),
+        metres=row.number("metres", low=0.01, high=1000) if "metres" in row else None,
+        sigma_m=_sigma(row, "sigma_m", 0.1),
+        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
+        name=name,
+    )
+
+
+def _pixels(row: TomlTable, key: str, count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """(count, 2) pixels; of one the key holds the pixel itself."""
+    rows = [row.numbers(key, 2)] if count == 1 else row.matrix(key, count, 2)
+    out = np.array(rows, dtype=np.float64)
+    if np.abs(out).max() > _WIDEST:
+        raise row.wrong(key, f"expected pixels within {_WIDEST:g}")
+    if count == 2 and (out[0] == out[1]).all():
+        raise row.wrong(key, "its ends are one pixel")
+    return out
+
+
+def _sigma(row: TomlTable, key: str, default: float) -> float:
+    return row.number(key, default, low=1e-4, high=1e3)
+
+
+def _measured(table: TomlTable, key: str, low: float, high: float) -> tuple[float, float] | None:
+    """A value with its standard deviation, [value, sigma]."""
+    if key not in table:
+        return None
+    value, sigma = table.numbers(key, 2)
+    if not low <= value <= high or not 1e-4 <= sigma <= high:
+        raise table.wrong(key, f"expected [value, standard deviation] from {low:g} to {high:g}")
+    return value, sigma
+
+
+def _size(table: TomlTable) -> tuple[int, int] | None:
+    if "size" not in table:
+        return None
+    width, height = table.numbers("size", 2)
+    if not (min(width, height) >= 16 and max(width, height) <= _LARGEST_PX) or width % 1 or height % 1:
+        raise table.wrong("size", f"expected width and height, 16 to {_LARGEST_PX} whole pixels")
+    return int(width), int(height)
+
+
+def _time(table: TomlTable, key: str) -> datetime | None:
+    value = table.value(key)
+    if value is not None and (not isinstance(value, datetime) or value.tzinfo is None):
+        raise table.wrong(key, "expected a time with its zone, like 2026-06-21T14:30:00+02:00")
+    return value
+
+
+def _vehicles(table: TomlTable) -> Belief | None:
+    """The camera that `skope eval camera` has found from vehicles, which says nothing of place and direction."""
+    path = table.file("vehicles")
+    if path is None:
+        return None
+    known = read_uncertain_camera(path)
+    if known is None or set(known.parameters) & {"x", "y", "yaw"}:
+        raise table.wrong("vehicles", f"{path}: expected a camera file that `skope eval camera` made from vehicles")
+    return known.belief("vehicles")

@@ -1,0 +1,128 @@
+"""What a user draws on a road, as a site file has it: gates, zones, lanes, occluders."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from shapely import Polygon
+
+from skope.site.toml_table import TomlTable
+
+Outline = tuple[tuple[float, float], ...]
+FARTHEST: Final = 1e8
+"""Largest coordinate of a place, metres, or of a pixel."""
+_LONGEST_NAME: Final = 200
+_LANE_M: Final = (0.5, 50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """A line across the road that traffic is counted at."""
+
+    name: str
+    line: Outline
+    """Its two ends, world x and y, metres."""
+    directions: tuple[str, str] | None = None
+    """What crossings from left to right, and from right to left, of the line as drawn are called; None: not named."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zone:
+    """A part of the road."""
+
+    name: str
+    polygon: Outline
+    """Corners, world x and y, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lane:
+    """A lane's middle line, along the way that is driven."""
+
+    name: str
+    line: Outline
+    """World x and y, metres."""
+    width: float | None = None
+    """Metres; None: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OccluderMark:
+    """Something in the image that stands before the traffic; one of `distance` and `foot` says how far away."""
+
+    polygon: Outline
+    """Pixels."""
+    distance: float | None = None
+    """Planar depth, metres."""
+    foot: tuple[float, float] | None = None
+    """The pixel where it stands on the ground."""
+
+
+def read_gate(row: TomlTable) -> Gate:
+    """Raises UserError naming file and key, as all readers here do."""
+    line = read_line(row, "line")
+    if len(line) != 2:
+        raise row.wrong("line", f"expected two ends [x, y], got {len(line)}")
+    if line[0] == line[1]:
+        raise row.wrong("line", "its ends are one place")
+    directions = None
+    if "directions" in row:
+        names = row.value("directions")
+        if not isinstance(names, list) or len(names) != 2 or not all(isinstance(name, str) for name in names):
+            raise row.wrong("directions", 'expected two names, like ["to the station", "to the bridge"]')
+        directions = (checked_name(row, "directions", names[0]), checked_name(row, "directions", names[1]))
+        if names[0] == names[1]:
+            raise row.wrong("directions", f"both are called {names[0]!r}")
+    return Gate(name=read_name(row), line=line, directions=directions)
+
+
+def read_zone(row: TomlTable) -> Zone:
+    return Zone(name=read_name(row), polygon=read_outline(row, "[x, y]"))
+
+
+def read_lane(row: TomlTable) -> Lane:
+    line = read_line(row, "line")
+    width = row.number("width", low=_LANE_M[0], high=_LANE_M[1]) if "width" in row else None
+    return Lane(name=read_name(row), line=line, width=width)
+
+
+def read_occluder(row: TomlTable) -> OccluderMark:
+    polygon = read_outline(row)
+    if "distance" in row:
+        return OccluderMark(polygon=polygon, distance=row.number("distance", low=0.5, high=2000))
+    column, line = row.numbers("foot", 2)
+    return OccluderMark(polygon=polygon, foot=(column, line))
+
+
+def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
+    """Three or more corners of `polygon`, whose sides do not cross each other; `corner` says of what each consists."""
+    points = row.value("polygon")
+    if not isinstance(points, list) or len(points) < 3:
+        raise row.wrong("polygon", f"expected three or more {corner}")
+    outline = tuple((x, y) for x, y in row.matrix("polygon", len(points), 2))
+    if not Polygon(outline).is_valid:
+        raise row.wrong("polygon", "its sides cross each other")
+    return outline
+
+
+def read_line(row: TomlTable, key: str) -> Outline:
+    """Two or more places [x, y], metres."""
+    points = row.value(key)
+    if not isinstance(points, list) or len(points) < 2:
+        raise row.wrong(key, "expected two or more places [x, y]" if key in row else "missing")
+    line = tuple((x, y) for x, y in row.matrix(key, len(points), 2))
+    if any(abs(value) > FARTHEST for place in line for value in place):
+        raise row.wrong(key, f"expected numbers within {FARTHEST:g}")
+    return line
+
+
+def read_name(row: TomlTable) -> str:
+    if "name" not in row:
+        raise row.wrong("name", "missing")
+    return checked_name(row, "name", row.text("name"))
+
+
+def checked_name(row: TomlTable, key: str, name: str) -> str:
+    """A name that people give: any script, but of one line, and not too long to be shown."""
+    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise row.wrong(key, f"expected a name of one line and up to {_LONGEST_NAME} letters")
+    return name

@@ -1,0 +1,137 @@
+"""Read a site file: camera, what it was calibrated by, gates, zones, lanes, occluders, and the footage's time.
+
+`skope gen --site` takes the same file, and reads these parts of it by what is here. Keys that nobody knows do no harm:
+they are named, and kept when the file is saved (`skope.site.write_site`).
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Final, TypeVar
+from zoneinfo import ZoneInfo
+
+from skope.errors import UserError
+from skope.files.reading import decoded, read_bytes
+from skope.site.calibration_marks import CalibrationMarks, read_marks
+from skope.site.marks import Gate, Lane, OccluderMark, Zone, read_gate, read_lane, read_occluder, read_zone
+from skope.site.site_camera import OwnCamera, read_camera
+from skope.site.toml_table import TomlTable
+
+_Part = TypeVar("_Part")
+_FOR_GENERATING: Final = (
+    *("background", "conditions", "flows", "ground_height", "lefthand", "light", "name", "network", "origin"),
+    *("shades", "splits", "style", "vehicles_per_hour"),
+)
+"""Keys that `skope gen` alone reads."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SiteParts:
+    """The parts of a site file that generating and evaluating share, but for camera and occluders."""
+
+    calibration: CalibrationMarks | None
+    """What was marked to calibrate the camera; None: nothing."""
+    gates: tuple[Gate, ...]
+    zones: tuple[Zone, ...]
+    lanes: tuple[Lane, ...]
+    time_zone: str | None
+    """Name of the time zone that people at the road live by, as "Europe/Berlin"; None: not said."""
+    start: datetime | None
+    """When the footage begins, with its zone; None: not said."""
+    unknown: tuple[str, ...]
+    """Keys in these parts that mean nothing here."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SiteFile(SiteParts):
+    """A site file."""
+
+    path: Path
+    revision: str
+    """SHA-256 of the bytes that were read, by which it is told whether somebody else has saved the file since."""
+    camera: OwnCamera | None
+    """The camera and how well it is known; None where the file has no camera yet."""
+    occluders: tuple[OccluderMark, ...]
+
+
+def read_site(path: Path) -> SiteFile:
+    """Read and check a site file.
+
+    Args:
+        path: A TOML file (docs/own-road.md); files that it names are relative to its folder.
+
+    Raises:
+        UserError: A file cannot be read, or a key is missing or wrong; the message names file and key.
+    """
+    return parse_site(path, read_bytes(path))
+
+
+def parse_site(path: Path, data: bytes) -> SiteFile:
+    """The site file of these bytes; `path` is what messages name. Raises as `read_site` does."""
+    try:
+        table = TomlTable.parse(path, decoded(data))
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not UTF-8 text") from None
+    camera = read_camera(table.table("camera"), None) if "camera" in table else None
+    parts = read_parts(table)
+    occluders, unknown = [], list(parts.unknown)
+    for row in table.rows("occluders"):
+        occluders.append(read_occluder(row))
+        unknown += row.unread
+    others = [key for key in table.unread if key not in _FOR_GENERATING]
+    return SiteFile(
+        **{**vars(parts), "unknown": (*others, *unknown)},
+        path=path,
+        revision=hashlib.sha256(data).hexdigest(),
+        camera=camera,
+        occluders=tuple(occluders),
+    )
+
+
+def read_parts(table: TomlTable) -> SiteParts:
+    """The parts of a site file that everything shares. Raises UserError naming file and key."""
+    unknown: list[str] = []
+    zone = _time_zone(table)
+    return SiteParts(
+        calibration=read_marks(table.table("calibration"), unknown) if "calibration" in table else None,
+        gates=_named(table, "gates", read_gate, unknown),
+        zones=_named(table, "zones", read_zone, unknown),
+        lanes=_named(table, "lanes", read_lane, unknown),
+        time_zone=zone.key if zone else None,
+        start=_start(table, zone),
+        unknown=tuple(unknown),
+    )
+
+
+def _named(table: TomlTable, key: str, read: Callable[[TomlTable], _Part], unknown: list[str]) -> tuple[_Part, ...]:
+    """The rows of a list of tables, no two of one name."""
+    out, names = [], set[str]()
+    for row in table.rows(key):
+        out.append(read(row))
+        name = row.text("name")
+        if name in names:
+            raise row.wrong("name", f"{name!r} is the name of two {key}")
+        names.add(name)
+        unknown += row.unread
+    return tuple(out)
+
+
+def _time_zone(table: TomlTable) -> ZoneInfo | None:
+    if "time_zone" not in table:
+        return None
+    name = table.text("time_zone")
+    try:
+        return ZoneInfo(name)
+    except (ValueError, KeyError, OSError):  # no such zone, a path, a folder of zones
+        raise table.wrong("time_zone", f'expected a name like "Europe/Berlin", got {name[:60]!r}') from None
+
+
+def _start(table: TomlTable, zone: ZoneInfo | None) -> datetime | None:
+    if "start" not in table:
+        return None
+    start = table.value("start")
+    if not isinstance(start, datetime) or (start.tzinfo is None and zone is None):
+        raise table.wrong("start", "expected a time with its zone, like 2026-11-26T10:00:00+01:00, or time_zone too")
+    return start.replace(tzinfo=zone) if start.tzinfo is None else start

@@ -1,0 +1,164 @@
+"""Save a site file: what was changed takes its place, and comments, order and keys that nobody knows stay.
+
+A file that somebody else has saved since it was read is not overwritten.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from skope.errors import UserError
+from skope.files.atomic import locked, replacing
+from skope.files.reading import decoded, read_bytes
+from skope.site.site_file import SiteFile, parse_site
+
+
+def save_site(path: Path, changes: Mapping[str, Any], revision: str | None) -> SiteFile:
+    """Change keys of a site file, and return the file as it is then.
+
+    Args:
+        path: The file; a symbolic link stays one.
+        changes: New values of keys at the top of the file: texts, numbers, times, lists, tables. A table's keys are
+            changed one by one, and those that are not named stay; None removes a key. Rows of a list of tables that
+            have the same `name` as before are changed likewise; others are removed.
+        revision: `SiteFile.revision` of what was read; None: there was no file.
+
+    Raises:
+        UserError: Somebody else has saved the file since, it cannot be written, or what would be written is no site
+            file; the file is then what it was.
+    """
+    whole = path.resolve()
+    if not whole.parent.is_dir():
+        raise UserError(f"{path}: {whole.parent}: no such folder")
+    lock = whole.with_name(f".{whole.name}.lock")
+    try:
+        with locked(lock, f"{path}: is being saved by another window; try again"):
+            before = _unchanged(path, whole, revision)
+            data = _changed(path, before, changes)
+            site = parse_site(path, data)
+            if data != before:
+                with replacing(whole) as part:
+                    part.write_bytes(data)
+                    if before is not None:
+                        part.chmod(whole.stat().st_mode)
+            return site
+    except OSError as error:  # the lock's own
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _unchanged(path: Path, whole: Path, revision: str | None) -> bytes | None:
+    """The file's bytes, None where there is none; UserError where they are not those of the revision."""
+    data = read_bytes(whole) if whole.exists() else None
+    if (None if data is None else hashlib.sha256(data).hexdigest()) != revision:
+        raise UserError(
+            f"{path}: {'is there already' if revision is None else 'was changed by somebody else since it was read'}; "
+            "nothing was saved: open it again"
+        )
+    return data
+
+
+def _changed(path: Path, data: bytes | None, changes: Mapping[str, Any]) -> bytes:
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    try:
+        document = tomlkit.parse(decoded(data or b""))
+        _merge(document, changes, inline=False)
+        return tomlkit.dumps(document).encode()
+    except (TOMLKitError, ValueError, TypeError, RecursionError, UnicodeDecodeError) as error:
+        line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(f"{path}: cannot be saved: {line}") from None
+
+
+def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
+    """Change a table of tomlkit in place."""
+    for key, value in changes.items():
+        if value is None:
+            if key in table:
+                table.remove(key)
+        elif key not in table:
+            table[key] = _made(value, inline=inline)
+        elif _plain(table[key]) == value and type(_plain(table[key])) is type(value):
+            continue
+        elif isinstance(value, Mapping) and isinstance(table[key], Mapping):
+            _merge(table[key], value, inline=inline or _is_inline(table[key]))
+        elif _tables(value) and _tables(_plain(table[key])):
+            _merge_rows(table, key, value)
+        else:
+            table[key] = _made(value, inline=True) if not isinstance(value, Mapping) else _made(value, inline=inline)
+
+
+def _merge_rows(table: Any, key: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Change a list of tables: rows keep what they have besides."""
+    from tomlkit.items import AoT
+
+    old = table[key]
+    before = [_plain(row) for row in old]
+    partner = _partners(before, rows)
+    kept = [k for k in partner if k is not None]
+    inline = not isinstance(old, AoT)
+    if kept == sorted(kept) and None not in partner[: len(kept)]:
+        for row, k in zip(rows, kept, strict=False):
+            _merge(old[k], row, inline=True)
+        for k in sorted(set(range(len(before))) - set(kept), reverse=True):
+            del old[k]
+        for row in rows[len(kept) :]:
+            old.append(_made(row, inline=inline))
+        return
+    whole = [{**(before[k] if k is not None else {}), **row} for row, k in zip(rows, partner, strict=True)]
+    table[key] = _made(whole, inline=inline)
+
+
+def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> list[int | None]:
+    """Which row each one was before: that of its name, or the one in its place that differs in its name alone."""
+
+    def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in row.items() if key != "name"}
+
+    at = {row["name"]: k for k, row in enumerate(before) if "name" in row}
+    out = [at.get(row["name"]) if "name" in row else None for row in rows]
+    for i, row in enumerate(rows):
+        if out[i] is not None or i in out or i >= len(before):
+            continue
+        nameless = "name" not in row and "name" not in before[i]
+        if nameless or other_than_name(row).items() <= other_than_name(before[i]).items():
+            out[i] = i
+    return out
+
+
+def _made(value: Any, *, inline: bool) -> Any:
+    """A value as tomlkit writes it: tables one below the other, or within a line; lists of tables a line each."""
+    import tomlkit
+
+    if isinstance(value, Mapping):
+        made = tomlkit.inline_table() if inline else tomlkit.table()
+        for key, one in value.items():
+            if one is not None:
+                made[key] = _made(one, inline=inline or not isinstance(one, Mapping))
+        return made
+    if _tables(value):
+        if not inline:
+            rows = tomlkit.aot()
+            for row in value:
+                rows.append(_made(row, inline=False))
+            return rows
+        listed = tomlkit.array().multiline(True)
+        for row in value:
+            listed.append(_made(row, inline=True))
+        return listed
+    return tomlkit.item(value)
+
+
+def _tables(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(row, Mapping) for row in value)
+
+
+def _is_inline(table: Any) -> bool:
+    from tomlkit.items import InlineTable
+
+    return isinstance(table, InlineTable)
+
+
+def _plain(value: Any) -> Any:
+    return value.unwrap() if hasattr(value, "unwrap") else value

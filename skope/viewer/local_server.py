@@ -1,0 +1,189 @@
+"""A server for one browser on this machine, which the pages of this package are made of.
+
+It listens on this machine's own address only, refuses requests that come by another name or from another page, and
+sends with everything a policy under which the page asks nobody else.
+"""
+
+import errno
+import re
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from typing import Any, Final, TypeVar
+
+from skope.errors import UserError
+from skope.terminal.console import Console
+
+ADDRESS: Final = "127.0.0.1"
+PORT: Final = 8033
+"""The port that is taken where it is free."""
+JSON: Final = "application/json"
+TEXT: Final = "text/plain; charset=utf-8"
+HTML: Final = "text/html; charset=utf-8"
+CSS: Final = "text/css; charset=utf-8"
+SCRIPT: Final = "text/javascript; charset=utf-8"
+_HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+_LARGEST: Final = 1 << 25
+"""Bytes that a request may bring along."""
+_HEADERS: Final = {
+    # The page asks this server alone, runs its own script alone, and stands in no other page.
+    "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'self'; script-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    # The data may be made anew, and another page may be shown at the same address tomorrow.
+    "Cache-Control": "no-store",
+}
+
+Answer = tuple[str, bytes]
+"""Media type and content."""
+S = TypeVar("S", bound="LocalServer")
+
+
+class LocalServer(ThreadingHTTPServer):
+    """A server that listens on this machine's own address; each request has its thread."""
+
+    daemon_threads = True
+
+    def __init__(self, port: int, handler: "type[LocalHandler]") -> None:
+        super().__init__((ADDRESS, port), handler)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes on before its answer is whole is no error."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
+
+
+class LocalHandler(BaseHTTPRequestHandler):
+    """Answers what `answer_to` and, where requests may bring something along, `answer_to_post` know, and no more."""
+
+    posts = False
+    """Whether requests may bring something along."""
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "skope", ""
+    timeout = 60
+
+    def answer_to(self, path: str) -> Answer | None:
+        """Media type and content of what a path names; None for any other path."""
+        raise NotImplementedError
+
+    def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
+        """Status, media type and content of the answer to what was sent to a path; None for any other path."""
+        raise NotImplementedError
+
+    def do_GET(self) -> None:
+        if not self._is_own():
+            return
+        try:
+            answer = self.answer_to(self.path)
+        except UserError as error:
+            self.send_error(HTTPStatus.NOT_FOUND, str(error))
+        else:
+            self._send(HTTPStatus.OK, *answer) if answer else self.send_error(HTTPStatus.NOT_FOUND)
+
+    def do_POST(self) -> None:
+        if not self.posts:
+            self._refuse()
+            return
+        length = self.headers.get("Content-Length", "")
+        # Until what it brings is read, nothing else can follow a request.
+        self.close_connection, kept_open = True, not self.close_connection
+        if not self._is_own():
+            return
+        # Forms of other pages can send neither this type nor, without saying so, their own origin.
+        if self.headers.get("Origin") is None or self.headers.get("Content-Type") != JSON:
+            self.send_error(HTTPStatus.FORBIDDEN, "is for this server's own page")
+            return
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _LARGEST or "Transfer-Encoding" in self.headers:
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_LARGEST >> 20} MB")
+            return
+        data = self.rfile.read(int(length))
+        self.close_connection = not kept_open
+        try:
+            answer = self.answer_to_post(self.path, data)
+        except UserError as error:
+            self.send_error(HTTPStatus.BAD_REQUEST, str(error))
+        else:
+            self._send(*answer) if answer else self.send_error(HTTPStatus.NOT_FOUND)
+
+    def _is_own(self) -> bool:
+        """Whether a request comes by this server's own name and from no other page; says so where it does not."""
+        # A page of another origin whose name leads here ("DNS rebinding") says its own name.
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
+            self.send_error(HTTPStatus.FORBIDDEN, "open this server as localhost or 127.0.0.1")
+            return False
+        origins = self.headers.get_all("Origin", [])
+        if any(origin.strip().lower() != f"http://{hosts[0].strip().lower()}" for origin in origins):
+            self.send_error(HTTPStatus.FORBIDDEN, "other pages may not ask this server")
+            return False
+        return True
+
+    def _refuse(self) -> None:
+        # What the request brings along is not read, so that nothing else can follow it.
+        self.close_connection = True
+        self.send_error(HTTPStatus.METHOD_NOT_ALLOWED)
+
+    do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = _refuse
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Answer with a line of text, which is also how the base class refuses what is no request at all."""
+        self._send(code, TEXT, (message or HTTPStatus(code).phrase).encode(errors="replace"))
+
+    def _send(self, code: int, media_type: str, data: bytes) -> None:
+        self.send_response(code)
+        headers = {**_HEADERS, "Content-Type": media_type, "Content-Length": str(len(data))}
+        if code == HTTPStatus.METHOD_NOT_ALLOWED:
+            headers["Allow"] = "GET, POST" if self.posts else "GET"
+        if self.close_connection:
+            headers["Connection"] = "close"
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(data)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing: whoever looks at the page sees what comes."""
+
+
+def bound_to(make: Callable[[int], S], port: int | None) -> S:
+    """The server that `make` makes of a port.
+
+    Args:
+        make: What makes it.
+        port: Where it listens; None: `PORT`, or any free one where that is taken.
+
+    Raises:
+        UserError: `port` cannot be used.
+    """
+    try:
+        return make(PORT if port is None else port)
+    except OverflowError:
+        raise UserError(f"--port: expected a number from 0 to 65535, got {port}") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE and port is None:
+            return make(0)
+        reason = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be used: {error.strerror}"
+        raise UserError(f"--port: {port} {reason}; without --port a free one is found") from None
+
+
+def serve_until_stopped(server: LocalServer, title: str, console: Console) -> None:
+    """Answer until Ctrl-C; title and address are printed in one line."""
+    with server:
+        try:
+            console.result(f"{title}: http://{ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")
+            server.serve_forever()
+        except KeyboardInterrupt:
+            console.say("")
+
+
+@lru_cache
+def read_resource(package: str, name: str) -> bytes:
+    """A file that comes with the package."""
+    return resources.files(package).joinpath(name).read_bytes()

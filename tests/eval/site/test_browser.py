@@ -1,0 +1,356 @@
+"""The whole walk in a browser: by mouse, by keyboard, by touch at a phone's width; two windows; hostile names."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from skope.eval.site.frames import SiteFrames
+from skope.site.site_file import read_site
+from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
+
+HOSTILE = "<img src=x onerror=alert(1)>\"'&"
+
+LOUPE = (
+    "(() => { const b = document.getElementById('loupe').getBoundingClientRect();"
+    " return [b.left, b.top, b.right, b.bottom]; })()"
+)
+
+Open = Callable[..., SitePage]
+
+
+def mark_all(page: SitePage, count: int = 6) -> None:
+    """Mark the crosses of the road by mouse, and type their places."""
+    page.tool("points")
+    for i, (pixel, place) in enumerate(zip(pixels_of(PLACES[:count]), PLACES[:count], strict=True)):
+        page.click(pixel)
+        page.type(str(place[0]))  # the field has the focus
+        page.type(str(place[1]).replace(".", ","))
+        assert page.count(".points circle.handle") == i + 1
+    page.settle()
+
+
+def test_by_mouse_from_the_first_point_to_a_saved_site(open_page: Open) -> None:
+    page = open_page()
+    assert page.text("#message").startswith("Mark four points")
+    mark_all(page)
+    assert page.text("#message") == ""
+    assert page.text("#figures-summary").startswith("6.")
+    assert not page.browser.run("document.getElementById('legend').hidden")
+    # A point that was marked wrongly is seen, and mended by dragging it.
+    begin, wrong = pixels_of(PLACES[2:3])[0], pixels_of(PLACES[2:3])[0] + [40, 25]
+    page.tool("select")
+    page.drag(page.screen(begin), page.screen(wrong))
+    page.settle()
+    assert "left out" in page.text("#marks .bad")
+    page.drag(page.screen(wrong), page.screen(begin))
+    page.settle()
+    assert page.count("#marks .bad") == 0
+    page.tool("gates")
+    for pixel in pixels_of([[2, 15], [9, 18]]):
+        page.click(pixel)
+    page.settle()
+    page.fill("gates:0:name", f"north {HOSTILE}")
+    page.fill("gates:0:directions.0", "to the station")
+    page.fill("gates:0:directions.1", "to the bridge")
+    page.tool("lanes")
+    for pixel in pixels_of([[5, 8], [6, 14], [8, 30]]):
+        page.click(pixel)
+    page.press("Enter")
+    page.settle()
+    page.tool("zones")
+    for pixel in pixels_of([[3, 10], [9, 12], [8, 20]]):
+        page.click(pixel)
+    page.browser.run("document.getElementById('finish').click()")
+    page.settle()
+    page.browser.run("document.getElementById('undo').click()")
+    page.settle()
+    assert page.count(".zones path.shape") == 0
+    assert "to the station" in page.text("#drawing .gates")
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    site = read_site(page.served.path)
+    assert site.gates[0].name == f"north {HOSTILE}"
+    assert site.gates[0].directions == ("to the station", "to the bridge")
+    assert np.abs(np.array(site.gates[0].line) - [[2, 15], [9, 18]]).max() < 1.0
+    assert len(site.lanes[0].line) == 3
+    assert site.zones == ()
+    assert site.camera is not None
+    assert np.abs(site.camera.camera.position - CAMERA.position).max() < 0.7
+    again = open_page(page.served)
+    again.settle()
+    assert again.count(".points circle.handle") == 6
+    assert f"north {HOSTILE}" in again.text("#road")
+    assert again.text("#state") == "saved"
+
+
+def test_by_keyboard_alone(open_page: Open) -> None:
+    page = open_page()
+    run = page.browser.run
+    page.press("p")
+    for i, (pixel, place) in enumerate(zip(np.rint(pixels_of(PLACES)), PLACES, strict=True)):
+        run("document.getElementById('stage').focus()")
+        page.press("ArrowRight")  # the cross-hair, in the middle
+        off = (pixel - [SIZE[0] / 2, SIZE[1] / 2]).astype(int)
+        for amount, ways in zip(off.tolist(), (("ArrowLeft", "ArrowRight"), ("ArrowUp", "ArrowDown")), strict=True):
+            page.press(ways[amount > 0], shift=True, times=abs(amount) // 10)
+            page.press(ways[amount > 0], times=abs(amount) % 10)
+        page.press("Enter")
+        page.type(str(place[0]))
+        page.type(str(place[1]))
+        page.press("Escape")  # back to the picture
+        assert run("document.activeElement.id") == "stage"
+        assert page.count(".points circle.handle") == i + 1
+    page.settle()
+    assert page.text("#figures-summary").startswith("6.")
+    # Tab leads into the picture's marks, whose arrow keys move them; typed pixels do the same.
+    page.press("Tab")
+    handle = run("document.activeElement.dataset.handle")
+    assert handle is not None, run("document.activeElement.outerHTML.slice(0, 300)")
+    kind, index, _ = handle.split(":")
+    page.settle()
+    before = float(run(f"document.querySelector('[data-focus=\"{kind}:{index}:pixel.0\"]').value"))
+    page.press("ArrowRight", times=3)
+    page.settle()
+    assert run("document.activeElement.dataset.handle") == handle
+    after = float(run(f"document.querySelector('[data-focus=\"{kind}:{index}:pixel.0\"]').value"))
+    assert after == pytest.approx(before + 3)
+    page.press("z", ctrl=True)
+    page.settle()
+    assert float(run(f"document.querySelector('[data-focus=\"{kind}:{index}:pixel.0\"]').value")) == before
+    page.fill(f"{kind}:{index}:pixel.0", str(before + 0.25))
+    page.settle()
+    page.press("Escape")
+    page.press("g")
+    for right, down in ((-4, 3), (9, -1)):
+        page.press("ArrowRight")
+        page.press("ArrowRight" if right > 0 else "ArrowLeft", shift=True, times=abs(right))
+        page.press("ArrowDown" if down > 0 else "ArrowUp", shift=True, times=abs(down))
+        page.press("Enter")
+    page.settle()
+    assert page.count("#road > .gates") == 1
+    page.press("Escape")
+    page.press("s", ctrl=True)
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    assert len(read_site(page.served.path).gates) == 1
+    page.press("Delete")
+    page.settle()
+    assert page.count("#road > .gates") == 0
+
+
+def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
+    page = open_page(None, 390, 844)
+    assert page.browser.run("document.documentElement.scrollWidth") <= 390
+    for i, (pixel, place) in enumerate(zip(pixels_of(PLACES), PLACES, strict=True)):
+        # A finger comes down beside the place, and is moved onto it under the loupe.
+        x, y = page.screen(pixel + [-20, 10])
+        page.browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        assert not page.browser.run("document.getElementById('loupe').hidden")
+        glass = page.browser.run(LOUPE)
+        assert not (glass[0] <= x <= glass[2] and glass[1] <= y <= glass[3])  # the finger does not hide it
+        page.browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        assert page.browser.run("document.getElementById('loupe').hidden")
+        page.press("z", ctrl=True)
+        page.touch(pixel + [-20, 10], pixel)
+        assert page.browser.run("document.activeElement.tagName") != "INPUT"  # no keyboard over the picture
+        page.fill(f"points:{i}:place.0", str(place[0]))
+        page.fill(f"points:{i}:place.1", str(place[1]))
+        page.browser.run("window.scrollTo(0, 0)")
+    page.settle()
+    assert page.text("#figures-summary").startswith("6.")
+    page.tool("gates")
+    page.touch(pixels_of([[2, 15]])[0])
+    page.touch(pixels_of([[9, 18]])[0])
+    page.settle()
+    assert page.count("#road > .gates") == 1
+    page.tool("lanes")
+    for pixel in pixels_of([[5, 8], [8, 30]]):
+        page.touch(pixel)
+    page.browser.run("document.getElementById('finish').click()")
+    page.settle()
+    assert page.count("#road > .lanes") == 1
+    # Two fingers zoom.
+    page.tool("select")
+    before = page.browser.run("document.getElementById('drawing').viewBox.baseVal.width")
+    a, b = page.screen([250, 180]), page.screen([350, 180])
+    for kind, spread in (("touchStart", 0), ("touchMove", 30), ("touchMove", 60)):
+        fingers = [{"x": a[0] - spread, "y": a[1], "id": 0}, {"x": b[0] + spread, "y": b[1], "id": 1}]
+        page.browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=fingers)
+    page.browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    assert page.browser.run("document.getElementById('drawing').viewBox.baseVal.width") < 0.8 * before
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    assert len(read_site(page.served.path).lanes) == 1
+    again = open_page(page.served, 390, 844)
+    assert again.count(".points circle.handle") == 6
+
+
+def test_wrong_input_is_said_beside_its_field_and_not_saved(open_page: Open) -> None:
+    page = open_page()
+    mark_all(page, 5)
+    page.browser.run("document.querySelectorAll('#marks .choose')[1].click()")
+    page.fill("points:1:place.0", "seven")
+    page.settle()
+    assert "expected metres, got 'seven'" in page.text("#marks .wrong")
+    field = "document.querySelector('[data-focus=\"points:1:place.0\"]')"
+    assert page.browser.run(f"{field}.value") == "seven"
+    assert page.browser.run(f"{field}.getAttribute('aria-invalid')") == "true"
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("!document.getElementById('problem').hidden")
+    assert page.text("#problem").startswith("not saved: points 2: place.x")
+    assert not page.served.path.exists()
+    page.fill("points:1:place.0", "1.5")
+    page.fill("points:1:pixel.0", "left")
+    page.settle()
+    assert "expected column and row" in page.text("#marks .wrong")
+    assert page.count(".points circle.handle") == 4
+    page.press("Escape")
+    page.press("z", ctrl=True)
+    page.settle()
+    assert page.text("#marks .wrong") == ""
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    assert page.served.path.exists()
+
+
+def test_two_windows_do_not_lose_each_others_work(open_page: Open, serve: Callable[..., Served]) -> None:
+    served = serve()
+    page = open_page(served)
+    mark_all(page)
+    # Another window saves a gate meanwhile.
+    document = json.loads(page.browser.run("fetch('/begin.json').then((a) => a.text())"))["document"]
+    other = document | {"points": marked_points(), "gates": [{"name": "theirs", "line": [[2, 15], [9, 18]]}]}
+    status, _ = served.server.save({"document": other, "revision": None})
+    assert status == 200
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("!document.getElementById('conflict').hidden")
+    assert "saved by another window" in page.text("#conflict")
+    assert [gate.name for gate in read_site(served.path).gates] == ["theirs"]
+    page.browser.run("document.getElementById('merge').click()")
+    page.settle()
+    assert "theirs" in page.text("#road")
+    assert page.count(".points circle.handle") == 6
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    assert [gate.name for gate in read_site(served.path).gates] == ["theirs"]
+
+
+def test_places_clicked_on_a_plan(open_page: Open, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.png"
+    # Ten pixels a metre, north up, the corner at x = -5, y = 40.
+    cv2.imwrite(str(plan), np.full((450, 300, 3), 230, dtype=np.uint8))
+    page = open_page()
+    choose_file(page, "plan", plan)
+    page.browser.until("document.querySelector('[data-view=plan]').getAttribute('aria-pressed') === 'true'")
+    for pixel in ([50, 400], [150, 400]):
+        page.click(pixel)
+    page.browser.until("document.getElementById('scale').open")
+    page.browser.run("document.getElementById('scale-metres').focus()")
+    page.type("ten")
+    page.browser.run("document.querySelector('#scale button[type=submit]').click()")
+    page.browser.until("document.getElementById('scale-wrong').textContent !== ''")
+    page.browser.run("document.getElementById('scale-metres').focus()")
+    page.type("10")
+    page.browser.run("document.querySelector('#scale button[type=submit]').click()")
+    page.browser.until("!document.getElementById('scale').open")
+    page.browser.until("document.querySelector('[data-view=image]').getAttribute('aria-pressed') === 'true'")
+    for pixel, place in zip(pixels_of(PLACES), PLACES, strict=True):
+        page.click(pixel)
+        page.browser.until("document.querySelector('[data-view=plan]').getAttribute('aria-pressed') === 'true'")
+        page.click([50 + 10 * place[0], 400 - 10 * place[1]])
+        page.browser.until("document.querySelector('[data-view=image]').getAttribute('aria-pressed') === 'true'")
+    page.settle()
+    assert page.text("#figures-summary").startswith("6.")
+    page.browser.run("document.querySelectorAll('#marks .choose')[5].click()")
+    shown = page.browser.run("document.querySelector('[data-focus=\"points:5:place.1\"]')?.value")
+    assert float(shown or 33) == pytest.approx(33, abs=0.2)
+
+
+def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..., Served], tmp_path: Path) -> None:
+    page = open_page(serve(SiteFrames.canvas((640, 360), "points")))
+    rows: dict[str, Any] = {
+        str(i + 1): {"x_px": pixel[0], "y_px": pixel[1], "hemisphere": "N", "zone_utm": 33}
+        | {"lon_utm": 412345.5 + place[0], "lat_utm": 5812345.5 + place[1]}
+        for i, (pixel, place) in enumerate(zip(pixels_of(PLACES).tolist(), PLACES.tolist(), strict=True))
+    }
+    path = tmp_path / "points.otrfpts"
+    path.write_text(json.dumps(rows))
+    choose_file(page, "file", path)
+    page.browser.until("document.querySelectorAll('.points circle.handle').length === 6")
+    page.settle()
+    assert "UTM zone 33N" in page.text("#problem")
+    assert page.count("#marks .bad") == 0
+    assert page.text("#figures-summary").startswith("6.")
+
+
+def test_lanes_are_drawn_from_above(open_page: Open, serve: Callable[..., Served]) -> None:
+    served = serve(points=marked_points())
+    page = open_page(served)
+    assert page.text("#state") == "not saved yet"  # the points came with the command
+    page.browser.run("document.querySelector('[data-view=above]').click()")
+    page.browser.until("document.querySelector('[data-view=above]').getAttribute('aria-pressed') === 'true'")
+    page.tool("lanes")
+    page.click([300, 700])
+    page.click([400, 200])
+    page.press("Enter")
+    page.settle()
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    (lane,) = read_site(served.path).lanes
+    (x0, y0), (x1, y1) = lane.line
+    assert y1 > y0
+    assert x1 > x0  # north is up, east to the right
+    above = served.server.above({"document": {"points": marked_points(), "camera": None}, "frame": 0})
+    assert (y1 - y0) / (500 * above["cell_m"]) == pytest.approx(1, abs=0.02)
+
+
+def test_names_of_files_are_text(open_page: Open, serve: Callable[..., Served], tmp_path: Path) -> None:
+    path = tmp_path / "<img src=x onerror=document.title=1>.png"
+    cv2.imwrite(str(tmp_path / "plain.png"), road_picture())
+    (tmp_path / "plain.png").rename(path)
+    page = open_page(serve(SiteFrames.of_footage(str(path)), tmp_path / "<b>site.toml"))
+    assert "<img src=x" in page.text("#title")
+    assert page.count("#title *") == 0
+    time.sleep(0.1)
+    assert page.count("img") == 0
+
+
+def choose_file(page: SitePage, field: str, path: Path) -> None:
+    """Choose a file as a person does in the browser's dialog."""
+    root = page.browser.call("DOM.getDocument")["root"]["nodeId"]
+    node = page.browser.call("DOM.querySelector", nodeId=root, selector=f"input#{field}")["nodeId"]
+    page.browser.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
+
+
+def test_a_gate_at_the_edge_is_warned_of_in_its_row(open_page: Open, serve: Callable[..., Served]) -> None:
+    page = open_page(serve(points=marked_points()))
+    page.settle()
+    page.tool("gates")
+    page.click([120, 352])
+    page.click([520, 352])
+    page.settle()
+    assert "never on both sides" in page.text("#road .warnings")
+    assert page.text("#road .bad") == "warning"
+
+
+def test_a_length_and_parallel_lines_tell_a_camera_without_places(open_page: Open) -> None:
+    page = open_page()
+    page.tool("parallels")
+    for line in ([[4, 8], [6, 30]], [[7.5, 8], [9.5, 30]], [[11, 12], [12.6, 30]]):
+        for pixel in pixels_of(line):
+            page.click(pixel)
+    page.settle()
+    assert page.count("#marks > .parallels") == 1
+    assert "nothing tells metres" in page.text("#message")
+    page.tool("lengths")
+    for pixel in pixels_of([[4, 8], [6, 30]]):
+        page.click(pixel)
+    page.type("22.09")
+    page.settle()
+    assert page.text("#message") == ""
+    assert "m high" in page.text("#figures-summary")

@@ -1,0 +1,65 @@
+"""`skope eval site` refuses in one line what it cannot begin with, and Ctrl-C ends it without anything written."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skope.site.write_site import save_site
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "FOOTAGE: needed; without any, --points and --size begin on an empty canvas"),
+        (["gone.mp4"], "gone.mp4: no such file or folder"),
+        (["rtsp://camera/1", "--size", "8x8"], "--size: is for an empty canvas; the footage has its own"),
+        (["--size", "8x8"], "--size: expected 16 to 8192 pixels, got 8x8"),
+        (["--points", "marks.json"], "--points: marks.json: expected .otrfpts or .csv"),
+        (["--points", "gone.csv"], "gone.csv: no such file"),
+    ],
+)
+def test_what_it_cannot_begin_with_is_one_line(
+    skope: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert skope("eval", "site", *words, "-q") == (2, "", f"skope: {said}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_marks_of_images_of_another_size_are_refused(skope: Any, image: Path) -> None:
+    site = image.parent / "site.toml"
+    points = [{"pixel": [1.0, 2.0], "place": [3.0, 4.0]}]
+    save_site(site, {"calibration": {"size": [800, 600], "points": points}}, None)
+    code, out, error = skope("eval", "site", image, "--site", site, "-q")
+    assert (code, out) == (2, "")
+    assert "calibration.size: 800x600 was marked, but the images are 640x360" in error
+
+
+def test_ctrl_c_ends_it_and_nothing_is_written(image: Path) -> None:
+    site = image.parent / "new.toml"
+    command = [sys.executable, "-m", "skope", "eval", "site", str(image), "--site", str(site), "--port", "0", "-q"]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert process.stdout
+    line = process.stdout.readline()
+    address = line.split(" ")[2]
+    assert address.startswith("http://127.0.0.1:")
+    with urllib.request.urlopen(address + "begin.json", timeout=20) as answer:
+        assert json.load(answer)["size"] == [640, 360]
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=30)
+    assert (process.returncode, out, error) == (0, "", "")
+    assert not site.exists()
