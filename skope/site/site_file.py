@@ -5,19 +5,21 @@ they are named, and kept when the file is saved (`skope.site.write_site`).
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
 from skope.files.reading import decoded, read_bytes
 from skope.site.calibration_marks import CalibrationMarks, read_marks
 from skope.site.marks import Gate, Lane, OccluderMark, Zone, read_gate, read_lane, read_occluder, read_zone
+from skope.site.plan_picture import PlanPicture, read_plan
 from skope.site.site_camera import OwnCamera, read_camera
 from skope.site.toml_table import TomlTable
+from skope.site.world import read_world
 
 _Part = TypeVar("_Part")
 _FOR_GENERATING: Final = (
@@ -40,6 +42,10 @@ class SiteParts:
     """Name of the time zone that people at the road live by, as "Europe/Berlin"; None: not said."""
     start: datetime | None
     """When the footage begins, with its zone; None: not said."""
+    world: Mapping[str, Any] | None
+    """Where the world's (0, 0) is on a map, as `read_world` has it; None: not said."""
+    plan: PlanPicture | None
+    """A picture of the road from above; None: there is none."""
     unknown: tuple[str, ...]
     """Keys in these parts that mean nothing here."""
 
@@ -101,6 +107,8 @@ def read_parts(table: TomlTable) -> SiteParts:
         lanes=_named(table, "lanes", read_lane, unknown),
         time_zone=zone.key if zone else None,
         start=_start(table, zone),
+        world=read_world(table.table("world"), unknown) if "world" in table else None,
+        plan=read_plan(table.table("plan"), unknown) if "plan" in table else None,
         unknown=tuple(unknown),
     )
 

@@ -32,6 +32,18 @@ lengths = [{ pixels = [[10, 20], [30, 40]], metres = 5.0 }]
 parallels = [{ lines = [[[1, 2], [3, 4]], [[5, 6], [7, 9]]], name = "edges" }]
 verticals = [{ pixels = [[100, 200], [100, 90]], metres = 6.0 }]
 
+[world]
+origin = { easting = 844090.0, northing = 5673189.0 }
+utm_zone = "32N"
+epsg = 32632
+scale = 1.0010604
+
+[plan]
+file = "plan.png"
+metres_per_pixel = 0.05
+origin = [-20.0, 60.0]
+rotation_deg = 12.5
+
 [camera]
 size = [640, 480]
 fov_deg = 60.0
@@ -93,6 +105,15 @@ def test_everything_is_read(site: Path) -> None:
     assert read.camera.known is not None
     assert read.camera.known.parameters == ("z", "pitch")
     assert read.camera.camera.position == pytest.approx([0, 0, 6])
+    assert read.world == {
+        "origin": {"easting": 844090.0, "northing": 5673189.0},
+        "utm_zone": "32N",
+        "epsg": 32632,
+        "scale": 1.0010604,
+    }
+    assert read.plan is not None
+    assert read.plan.file == site.with_name("plan.png")
+    assert (read.plan.metres_per_pixel, read.plan.origin, read.plan.rotation_deg) == (0.05, (-20.0, 60.0), 12.5)
     assert read.unknown == ("gates[1].colour",)
 
 
@@ -144,6 +165,15 @@ def test_the_camera_of_a_file_keeps_its_uncertainty(tmp_path: Path) -> None:
         ("foot = [15, 400]", "", ["occluders[1].foot", "missing"]),
         ('["z", "pitch"]', '["z", "pith"]', ["camera", "covariance: of"]),
         ("[0.0, 0.0001]]", "[0.0, -1.0]]", ["camera", "covariance: matrix"]),
+        ("easting = 844090.0, ", "", ["world.origin.easting", "missing"]),
+        ("northing = 5673189.0", "northing = 1e9", ["world.origin.northing", "number"]),
+        ('utm_zone = "32N"', 'utm_zone = "61N"', ["world.utm_zone", "32N"]),
+        ('utm_zone = "32N"', "", ["world.utm_zone", "missing"]),
+        ("epsg = 32632", "epsg = 32632.5", ["world.epsg", "whole"]),
+        ("scale = 1.0010604", "scale = 0", ["world.scale"]),
+        ('file = "plan.png"', "", ["plan.file", "picture"]),
+        ("metres_per_pixel = 0.05", "metres_per_pixel = 0", ["plan.metres_per_pixel"]),
+        ("origin = [-20.0, 60.0]", "origin = [-20.0]", ["plan.origin", "2 numbers"]),
         ("yaw_deg = 90.0", f"yaw_deg = {'9' * 400}", ["camera.yaw_deg", "number"]),
         ("yaw_deg = 90.0", f"yaw_deg = {'9' * 5000}", ["TOML"]),
         ("width = 3.5", f"width = {'[' * 20000}{']' * 20000}", ["TOML", "deeply"]),

@@ -99,7 +99,7 @@ def _read(path: Path, size: str | None) -> _Marked:
         return _Marked(
             evidence=evidence,
             when=site.calibration.when or _saved(path),
-            world=None,
+            world=site.world,
             said=tuple(f"{path.name}: {key}: unknown; not used" for key in site.unknown),
         )
     if shape is None:

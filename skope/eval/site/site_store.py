@@ -90,6 +90,8 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
         out |= _marks(site.calibration, size)
     if site.camera is not None:
         out["camera"] = _camera(site, size)
+    if site.world is not None:
+        out["world"] = dict(site.world)
     out["gates"] = [
         {"name": one.name, "line": _rows(one.line), "directions": list(one.directions or ("", ""))}
         for one in site.gates

@@ -45,15 +45,17 @@ def test_a_site_file_is_calibrated_by_all_that_it_has(skope: Any) -> None:
         "[calibration]\nsize = [1280, 720]\nwhen = 2026-11-25T10:00:00+01:00\npoints = [\n"
         + "\n".join(rows)
         + f"\n]\nlengths = [{{ pixels = [[500, 600], [800, 450]], metres = {np.linalg.norm(ends[1] - ends[0])} }}]\n"
-        "fov_deg = [55, 3]\n"
+        "fov_deg = [55, 3]\n[world]\norigin = { longitude = 13.4, latitude = 52.5 }\naxes = 'east, north'\n"
     )
-    code, out, _ = skope(*camera_command("site.toml"))
+    code, out, error = skope(*camera_command("site.toml"))
     assert code == 0
     document = json.loads(Path("c.json").read_text())
     assert document["calibrated"] == {
         "when": "2026-11-25T10:00:00+01:00",
         "from": "site.toml: 8 points, 1 length, field of view",
     }
+    assert document["world"] == {"origin": {"longitude": 13.4, "latitude": 52.5}, "axes": "east, north"}
+    assert "unknown" not in out + error
     known = read_uncertain_camera(Path("c.json"))
     assert known is not None
     assert known.parameters == ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")

@@ -415,6 +415,8 @@ def test_what_evaluating_needs_of_a_site_file_does_generating_no_harm(tmp_path: 
     camera = {**BASE["camera"], "covariance": {"of": ["z"], "matrix": [[0.01]]}, "calibrated": {"from": "6 points"}}
     gate = {"name": "north", "line": [[0, 0], [8, 0]], "colour": "red"}
     shared = {"gates": [gate], "calibration": {"points": [{"pixel": [1, 2], "place": [3, 4]}]}, "time_zone": "UTC"}
+    shared["world"] = {"origin": {"longitude": 8.4, "latitude": 49.0}}
+    shared["plan"] = {"file": "not_there.png", "metres_per_pixel": 0.1, "origin": [0, 0]}
     (tmp_path / "site.toml").write_text(toml({**BASE, **shared, "camera": camera}))
     read = read_site(tmp_path / "site.toml")
     assert read.said == ("site.toml: gates[1].colour: unknown; not used",)
