@@ -42,6 +42,8 @@ function row(kind, index, entry, page, act) {
   );
   button.addEventListener("click", () => act.choose(chosen ? null : { kind, index, part: 0 }));
   item.append(button);
+  const others = page.residualOf(kind, index)?.by_others;
+  if (others) item.append(byOthers(others));
   const warnings = page.warningsOf(kind, index);
   if (warnings.length) {
     const made = text("ul", "", { class: "warnings" });
@@ -51,6 +53,14 @@ function row(kind, index, entry, page, act) {
   if (chosen) item.append(form(kind, index, entry, page, act));
   return item;
 }
+
+// Where the other points alone would put this one, beside what they were said to be good for: the honest test of a map.
+function byOthers([error, stated]) {
+  const words = `the other points put it ${short(error)} off; stated: within ${short(stated)} (90%)`;
+  return text("p", words, { class: error > stated ? "others bad" : "others" });
+}
+
+const short = (m) => `${m < 10 ? m.toFixed(2) : m.toFixed(0)} m`;
 
 // The name, with the word for what it is unless that begins it already.
 function title(kind, index, { name }) {

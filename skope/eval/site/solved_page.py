@@ -4,7 +4,7 @@ import json
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import Belief
 from skope.camera.ground_plane import ground_places
+from skope.camera.left_out import LeftOutError, left_out_errors
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
@@ -41,6 +42,8 @@ class SolvedCamera:
     """How well the camera is known; None where nothing says it."""
     message: str
     """Why there is no camera, or why it is not that of the marks; empty where it is."""
+    left_out: Mapping[str, LeftOutError] = field(default_factory=dict)
+    """Where the others put each point that is left out once, by its name."""
 
     @property
     def calibration(self) -> SiteCalibration | None:
@@ -82,7 +85,7 @@ class SolvedPage:
             return replace(fallback, message=str(error).removeprefix("calibration: "))
         except (np.linalg.LinAlgError, FloatingPointError):
             return replace(fallback, message="no camera agrees with what is marked")
-        return SolvedCamera(found.camera, found, "")
+        return SolvedCamera(found.camera, found, "", left_out_errors(evidence, found))
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """All that the page shows of a document."""
@@ -106,7 +109,7 @@ class SolvedPage:
         if solved.known is not None:
             out["errors"] = error_map(solved.known)
         if solved.calibration is not None:
-            out["residuals"] = _residuals(solved.calibration, marks)
+            out["residuals"] = _residuals(solved.calibration, marks, solved.left_out)
             out["warnings"] = list(solved.calibration.warnings)
         return out
 
@@ -209,8 +212,14 @@ def _sigmas(known: UncertainCamera | None) -> dict[str, float]:
     return dict(zip(known.parameters, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
 
 
-def _residuals(calibration: SiteCalibration, marks: Marks) -> list[dict[str, Any]]:
-    """How far each mark is from the camera, in the order of the document's lists; left-out points too."""
+def _residuals(
+    calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]
+) -> list[dict[str, Any]]:
+    """How far each mark is from the camera, in the order of the document's lists; left-out points too.
+
+    `by_others` of a point is [how far from its place the others put it, within what that lies in 90% of the cases],
+    metres; None where they do not say it.
+    """
     out = []
     told = {(one.kind, one.name): one for one in calibration.residuals}
     for kind in KINDS:
@@ -230,9 +239,15 @@ def _residuals(calibration: SiteCalibration, marks: Marks) -> list[dict[str, Any
                     "left_out": left_out,
                     "wrong": left_out or (one is not None and one.sigmas > _WRONG_SIGMAS),
                     "at": _expected(calibration.camera, record.place) if kind == "points" else None,
+                    "by_others": _by_others(without.get(record.name)) if kind == "points" else None,
                 }
             )
     return out
+
+
+def _by_others(error: LeftOutError | None) -> list[float] | None:
+    told = [] if error is None else values(np.array([error.error_m, error.stated_m]))
+    return [value for value in told if value is not None] if told and None not in told else None
 
 
 def _expected(camera: Camera, place: Array) -> list[float] | None:

@@ -1,6 +1,7 @@
 """The whole walk in a browser: by mouse, by keyboard, by touch at a phone's width; two windows; hostile names."""
 
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -286,6 +287,8 @@ def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..
     assert "UTM zone 33N" in page.text("#problem")
     assert page.count("#marks .bad") == 0
     assert page.text("#figures-summary").startswith("6.")
+    assert page.count("#marks .others") == 6
+    assert re.match(r"the other points put it [\d.]+ m off; stated: within [\d.]+ m", page.text("#marks .others"))
 
 
 def test_lanes_are_drawn_from_above(open_page: Open, serve: Callable[..., Served]) -> None:

@@ -105,6 +105,21 @@ def test_a_look_has_camera_residuals_and_errors(serve: Serve) -> None:
     assert errors["values"][-1] < 5
 
 
+def test_a_look_says_where_the_others_put_each_point(serve: Serve) -> None:
+    points = marked_points()
+    points[2]["pixel"] = [points[2]["pixel"][0] + 3, points[2]["pixel"][1]]
+    answer = json.loads(ask(serve(), "/look", empty_document(points=points))[2])
+    told = {one["index"]: one["by_others"] for one in answer["residuals"]}
+    others = [point for i, point in enumerate(points) if i != 2]
+    document = empty_document(points=others)
+    (place,) = json.loads(ask(serve(), "/places", {"document": document, "pixels": [points[2]["pixel"]]})[2])["places"]
+    assert told[2][0] == pytest.approx(float(np.linalg.norm(place - PLACES[2])), abs=0.02)
+    assert 0.1 < told[2][1] < 3
+    # Of four points, three are left, which tell no camera.
+    answer = json.loads(ask(serve(), "/look", empty_document(points=points[:4]))[2])
+    assert [one["by_others"] for one in answer["residuals"]] == [None] * 4
+
+
 def test_saving_keeps_what_the_page_does_not_know(serve: Serve, tmp_path: Path) -> None:
     path = tmp_path / "site.toml"
     path.write_text(
