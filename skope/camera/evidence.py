@@ -123,6 +123,13 @@ class Belief:
         """The camera's height over the road."""
         return cls(("z",), np.array([metres]), np.array([[sigma_m**2]]), "height")
 
+    @classmethod
+    def of_lens(cls, focal_px: float, sigma_px: float, k1: tuple[float, float] | None) -> "Belief":
+        """A focal length in pixels, and k1 of the lens distortion with its standard deviation where it is known."""
+        rows = [("focal", math.log(focal_px), sigma_px / focal_px), *([("k1", *k1)] if k1 else [])]
+        names, mean, sigmas = zip(*rows, strict=True)
+        return cls(names, np.array(mean), np.diag(np.square(sigmas)), "lens")
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:

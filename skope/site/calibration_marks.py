@@ -1,6 +1,6 @@
 """The [calibration] table of a site file: what a user has marked to calibrate the camera by."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Final, TypeVar
@@ -43,6 +43,8 @@ class CalibrationMarks:
     verticals: tuple[Vertical, ...] = ()
     fov_deg: tuple[float, float] | None = None
     """Horizontal field of view and its standard deviation, degrees."""
+    lens: Mapping[str, tuple[float, float]] | None = None
+    """What a calibration of the lens says: `focal_px`, and `k1` where it is known, each with its standard deviation."""
     height_m: tuple[float, float] | None = None
     """The camera's height over the road and its standard deviation, metres."""
     vehicles: Belief | None = None
@@ -63,6 +65,8 @@ class CalibrationMarks:
         beliefs = [self.vehicles] if self.vehicles else []
         if self.fov_deg:
             beliefs.append(Belief.of_fov(*self.fov_deg, whole[0]))
+        if self.lens:
+            beliefs.append(Belief.of_lens(*self.lens["focal_px"], self.lens.get("k1")))
         if self.height_m:
             beliefs.append(Belief.of_height(*self.height_m))
         return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, tuple(beliefs))
@@ -82,6 +86,7 @@ def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
         parallels=_rows(table, "parallels", _parallel, unknown),
         verticals=_rows(table, "verticals", _vertical, unknown),
         fov_deg=_measured(table, "fov_deg", 2, 170),
+        lens=_lens(table.table("lens"), unknown) if "lens" in table else None,
         height_m=_measured(table, "height_m", 0.5, 1000),
         vehicles=_vehicles(table),
     )
@@ -182,6 +187,16 @@ def _measured(table: TomlTable, key: str, low: float, high: float) -> tuple[floa
     if not low <= value <= high or not 1e-4 <= sigma <= high:
         raise table.wrong(key, f"expected [value, standard deviation] from {low:g} to {high:g}")
     return value, sigma
+
+
+def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
+    """Raises UserError where it does not say a focal length."""
+    focal = _measured(table, "focal_px", 10, 1e5)
+    if focal is None:
+        raise table.wrong("focal_px", "missing: expected [value, standard deviation] in pixels")
+    k1 = _measured(table, "k1", -2, 2)
+    unknown += table.unread
+    return {"focal_px": focal, **({"k1": k1} if k1 else {})}
 
 
 def _size(table: TomlTable) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ const LAYERS = [
   ["grid", "grid on the road, horizon"],
   ["posts", "posts, 3 m"],
   ["boxes", "boxes as large as cars"],
-  ["residuals", "residuals, ten times as long"],
+  ["residuals", "how far marks are off, ten times as long"],
   ["names", "names"],
 ];
 
@@ -81,5 +81,5 @@ export function legend(list) {
     item.append(chip, words);
     return item;
   });
-  list.replaceChildren(text("li", "A place is known (90%)"), ...chips);
+  list.replaceChildren(text("li", "How far off a place on the road may be (in 9 of 10 cases)"), ...chips);
 }

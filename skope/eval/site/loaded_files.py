@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.model import Camera
 from skope.camera.point_files import read_points
 from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
@@ -12,11 +13,16 @@ from skope.eval.site.site_store import camera_dict, point_entry
 from skope.files.atomic import write_text
 
 POINT_FILES: Final = (".otrfpts", ".csv")
+_FOCAL_SHARE: Final = 0.01
+"""How well the focal length of a camera file is believed, as a share of it: zoom and focus may have changed since."""
+_K1_SIGMA: Final = 0.02
 CAMERA_FILES: Final = (".json", ".yml", ".yaml", ".xml", ".txt")
 
 
 def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """What a file that the browser sends adds to the document: `points` or `camera`, and `said`, words to the user.
+    """What a file that the browser sends adds to the document: `points` with their `world`, or `lens` and `camera`.
+
+    `said` are words to the user.
 
     Args:
         sent: `name` and `text` of the file.
@@ -50,5 +56,17 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         return {"points": points, **world, "said": "; ".join(file.said)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
-    said = "" if posed else "the file tells the lens alone: mark what tells where the camera hangs"
-    return {"camera": camera_dict(known, camera) | {"posed": posed, "trusted": True}, "said": said}
+    lens = {"lens": lens_of(camera)}
+    if not posed:
+        said = "the file tells the lens alone: mark points, or lengths and parallels, that tell where the camera hangs"
+        return {**lens, "said": said}
+    return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": ""}
+
+
+def lens_of(camera: Camera) -> dict[str, list[float]]:
+    """What a camera file says of the lens, as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
+    focal = round(float(camera.K[0, 0]), 3)
+    out = {"focal_px": [focal, round(_FOCAL_SHARE * focal, 3)]}
+    if camera.distortion.model == "brown":
+        out["k1"] = [float(camera.distortion.coefficients[0]), _K1_SIGMA]
+    return out

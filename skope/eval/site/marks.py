@@ -104,7 +104,19 @@ def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
         else:
             text = f"expected {low:g} to {high:g} {unit}, and how exactly that is known"
             problems.append(Problem(kind="known", index=0, field=name, text=text))
+    lens = value.get("lens") if isinstance(value, dict) else None
+    if lens is not None:
+        beliefs.append(_lens(lens))
     return tuple(beliefs), problems
+
+
+def _lens(value: Any) -> Belief:
+    """What a camera file says of the lens, which the page shows and does not change."""
+    k1 = value.get("k1") if isinstance(value, dict) else None
+    rows = positions([value.get("focal_px"), *([] if k1 is None else [k1])], 2) if isinstance(value, dict) else None
+    if rows is None or min(rows[0]) <= 0 or min(row[1] for row in rows) <= 0:
+        raise UserError("known.lens: expected focal_px and k1, each [value, standard deviation]")
+    return Belief.of_lens(rows[0][0], rows[0][1], (rows[1][0], rows[1][1]) if k1 is not None else None)
 
 
 def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:

@@ -29,7 +29,7 @@ def joined(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str
                 rows.append(entry)
         rows += [entry for name, entry in other.items() if name not in own and entry != before.get(name)]
         out[kind] = rows
-    for key in ("camera", "known"):
+    for key in ("camera", "known", "world", "plan", "time_zone", "start"):
         out[key] = mine.get(key) if mine.get(key) != base.get(key) else theirs.get(key)
     return out
 

@@ -9,19 +9,31 @@ export function text(name, words, attributes = {}) {
   return made;
 }
 
-// Fills both lists anew; the field that had the focus, and what is being typed into it, stay.
-export function fill(marks, road, page, act) {
+// Fills the lists anew; the field that had the focus, and what is being typed into it, stay. Where the page is narrow,
+// the fields of what is chosen are in the sheet right below the picture, not in the list far down.
+export function fill({ marks, road, sheet, narrow }, page, act) {
   const active = document.activeElement;
   const focused = active && active.dataset && active.dataset.focus;
   const typing = focused && active instanceof HTMLInputElement ? { value: active.value, from: active.selectionStart, to: active.selectionEnd, was: active.dataset.was } : null;
-  rows(marks, MARKED, "Nothing is marked yet.", page, act);
-  rows(road, DRAWN, page.look && page.look.camera ? "Nothing is drawn yet." : "Gates, zones and lanes can be drawn once the camera is calibrated.", page, act);
+  const shown = { ...page, narrow };
+  rows(marks, MARKED, "Nothing is marked yet.", shown, act);
+  rows(road, DRAWN, page.look && page.look.camera ? "Nothing is drawn yet." : "Gates, zones and lanes can be drawn once the camera is calibrated.", shown, act);
+  fillSheet(sheet, narrow ? page.selected : null, page, act);
   if (!focused) return;
-  const again = [...marks.querySelectorAll("[data-focus]"), ...road.querySelectorAll("[data-focus]")].find((one) => one.dataset.focus === focused);
+  const again = [marks, road, sheet].flatMap((list) => [...list.querySelectorAll("[data-focus]")]).find((one) => one.dataset.focus === focused);
   if (!again) return;
   again.focus({ preventScroll: true });
   if (typing && typing.value !== typing.was) again.value = typing.value;
   if (typing) again.setSelectionRange(typing.from, typing.to);
+}
+
+function fillSheet(sheet, chosen, page, act) {
+  const entry = chosen && page.document[chosen.kind][chosen.index];
+  sheet.hidden = !entry;
+  if (!entry) return sheet.replaceChildren();
+  const head = text("p", "", { class: "row" });
+  head.append(text("strong", title(chosen.kind, chosen.index, entry)), button("Done", () => act.choose(null)));
+  sheet.replaceChildren(head, form(chosen.kind, chosen.index, entry, page, act));
 }
 
 function rows(list, kinds, empty, page, act) {
@@ -50,7 +62,7 @@ function row(kind, index, entry, page, act) {
     made.append(...warnings.map((words) => text("li", words)));
     item.append(made);
   }
-  if (chosen) item.append(form(kind, index, entry, page, act));
+  if (chosen && !page.narrow) item.append(form(kind, index, entry, page, act));
   return item;
 }
 
@@ -80,39 +92,34 @@ function valueOf(kind, index, page) {
 
 function form(kind, index, entry, page, act) {
   const made = text("div", "", { class: "fields" });
-  const problems = [...page.problemsOf(kind, index)];
+  const problems = page.problemsOf(kind, index);
+  const said = new Set(); // a problem of several fields is said once
+  const tell = (field) => problems.filter((one) => one.field === field.name && !said.has(one)).forEach((problem) => {
+    said.add(problem);
+    const id = `wrong-${kind}-${index}-${field.way.join("-")}`;
+    field.input.setAttribute("aria-describedby", id);
+    field.input.setAttribute("aria-invalid", "true");
+    made.append(text("p", problem.text, { class: "wrong", id }));
+  });
   for (const field of fieldsOf(kind, entry)) {
-    const label = text("label", field.words, { class: field.wide ? "wide" : field.two ? "two" : "" });
     const value = valueAt(entry, field.way);
-    const input = text("input", "", { "data-focus": `${kind}:${index}:${field.way.join(".")}`, "data-name": field.name });
-    if (!field.text) input.inputMode = "decimal";
-    if (field.usual) input.placeholder = field.usual;
-    input.autocomplete = "off";
-    input.value = value === null || value === undefined ? "" : String(value);
-    input.dataset.was = input.value;
-    input.addEventListener("change", () => {
-      input.dataset.was = input.value;
-      // The list is made anew by a change: only after Tab has led on, so that it finds where to.
-      setTimeout(() => act.edit(kind, index, (one) => setValue(one, field.way, field.text ? input.value : typed(input.value))));
-    });
-    label.append(input);
-    made.append(label);
-    for (const problem of problems.filter((one) => one.field === field.name && !one.said)) {
-      problem.said = true;
-      if (problem.missing && input.value === "") {
-        input.placeholder = "?";
-        input.dataset.missing = "";
-        input.title = problem.text;
-        continue;
-      }
-      if (!problem.missing) input.setAttribute("aria-invalid", "true");
-      const id = `wrong-${kind}-${index}-${field.way.join("-")}`;
-      input.setAttribute("aria-describedby", id);
-      made.append(text("p", problem.text, { class: "wrong", id }));
+    const edit = (input) => act.edit(kind, index, (one) => setValue(one, field.way, field.text ? input.value : typed(input.value)));
+    field.input = labelled(made, `${kind}:${index}:${field.way.join(".")}`, field, value, edit);
+    const empty = problems.find((one) => one.field === field.name && one.missing);
+    if (empty && field.input.value === "") {
+      said.add(empty);
+      Object.assign(field.input, { placeholder: "?", title: empty.text });
+      field.input.dataset.missing = "";
+    }
+    tell(field);
+    if (kind === "points" && field.name === "place.z") {
+      const map = { way: ["map"], name: "map", words: "or latitude, longitude, as maps give them", text: true, wide: true, usual: "49.00012, 8.40034" };
+      const refused = problems.find((one) => one.field === "map");
+      map.input = labelled(made, `${kind}:${index}:map`, map, refused ? refused.typed : "", (input) => act.fromMap(index, input.value));
+      tell(map);
     }
   }
-  for (const problem of problems.filter((one) => !one.said)) made.append(text("p", problem.text, { class: "wrong" }));
-  for (const problem of problems) delete problem.said;
+  for (const problem of problems.filter((one) => !said.has(one))) made.append(text("p", problem.text, { class: "wrong" }));
   const buttons = text("p", "", { class: "row wide" });
   if (kind === "points" && page.planReady) buttons.append(button("Click its place on the plan", () => act.placeOnPlan(index)));
   if (kind === "parallels") buttons.append(button("Add a line", () => act.addLine(index)));
@@ -123,25 +130,78 @@ function form(kind, index, entry, page, act) {
   return made;
 }
 
+// A field with its words; `edit` is given it when something else was typed.
+function labelled(box, focus, { words, wide, two, text: plain, usual, name, list }, value, edit) {
+  const label = text("label", words, { class: wide ? "wide" : two ? "two" : "" });
+  const input = text("input", "", { "data-focus": focus, "data-name": name, autocomplete: "off" });
+  if (!plain) input.inputMode = "decimal";
+  if (usual) input.placeholder = usual;
+  if (list) input.setAttribute("list", list);
+  input.value = value === null || value === undefined ? "" : String(value);
+  input.dataset.was = input.value;
+  input.addEventListener("change", () => {
+    input.dataset.was = input.value;
+    // The list is made anew by a change: only after Tab has led on, so that it finds where to.
+    setTimeout(() => edit(input));
+  });
+  label.append(input);
+  box.append(label);
+  return input;
+}
+
+const KNOWN = [["fov_deg", "field of view, degrees"], ["height_m", "height over the road, m"]];
+const FOOTAGE = [
+  { name: "time_zone", words: "time zone", usual: "Europe/Berlin", list: "zones" },
+  { name: "start", words: "begins at", usual: "2026-11-26 10:00:00" },
+];
+
 // What is known of the camera before anything is marked: a value, and how exactly it is known.
 export function known(box, page, act) {
-  const active = document.activeElement;
-  if (box.contains(active)) return; // somebody is typing there
-  const out = [];
-  for (const [name, words] of [["fov_deg", "field of view, degrees"], ["height_m", "height over the road, m"]]) {
-    const pair = page.document.known[name] || [null, null];
-    pair.forEach((value, i) => {
-      const label = text("label", i ? "± (standard deviation)" : words, { class: i ? "" : "two" });
-      const input = text("input", "", { inputmode: "decimal", autocomplete: "off", "data-known": name });
-      input.value = value === null ? "" : String(value);
-      input.addEventListener("change", () => act.know(name, i, typed(input.value)));
-      label.append(input);
-      out.push(label);
-    });
-    const problem = page.problemsOf("known", 0).find(({ field }) => field === name);
-    if (problem) out.push(text("p", problem.text, { class: "wrong" }));
-  }
-  box.replaceChildren(...out);
+  plain(box, (made) => {
+    for (const [name, words] of KNOWN) {
+      const pair = page.document.known[name] || [null, null];
+      labelled(made, `known:${name}:0`, { name, words, two: true }, pair[0], (input) => act.know(name, 0, typed(input.value)));
+      labelled(made, `known:${name}:1`, { name, words: "± (standard deviation)" }, pair[1], (input) => act.know(name, 1, typed(input.value)));
+      tellOf("known", name, made, page);
+    }
+    const { lens } = page.document.known;
+    if (!lens) return;
+    const [focal, k1] = [lens.focal_px, lens.k1];
+    const distortion = k1 ? `, distortion k1 ${k1[0].toFixed(3)} ± ${k1[1]}` : "";
+    made.append(text("p", `Lens of a camera file: focal length ${focal[0].toFixed(0)} ± ${focal[1].toFixed(0)} px${distortion}`, { class: "whole" }));
+    made.append(button("Take the lens away", act.forgetLens));
+  });
+}
+
+// When the footage was taken.
+export function footage(box, page, act) {
+  plain(box, (made) => {
+    for (const field of FOOTAGE) {
+      const edit = (input) => act.set(field.name, input.value.trim() || null);
+      labelled(made, `footage:0:${field.name}`, { ...field, text: true, wide: true }, page.document[field.name], edit);
+      tellOf("footage", field.name, made, page);
+    }
+  });
+}
+
+function tellOf(kind, name, box, page) {
+  const problem = page.problemsOf(kind, 0).find(({ field }) => field === name);
+  if (!problem) return;
+  const input = box.querySelector(`[data-name="${name}"]`);
+  const id = `wrong-${kind}-${name}`;
+  input.setAttribute("aria-invalid", "true");
+  input.setAttribute("aria-describedby", id);
+  box.append(text("p", problem.text, { class: "wrong", id }));
+}
+
+// Fills a box anew, but leaves what is being typed there, and the focus, where they are.
+function plain(box, fillIn) {
+  const active = box.contains(document.activeElement) ? document.activeElement : null;
+  if (active && active.dataset.was !== active.value && active.dataset.was !== undefined) return;
+  const made = document.createElement("div");
+  fillIn(made);
+  box.replaceChildren(...made.childNodes);
+  if (active) box.querySelector(`[data-focus="${active.dataset.focus}"]`)?.focus({ preventScroll: true });
 }
 
 function button(words, does) {

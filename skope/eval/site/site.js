@@ -4,8 +4,13 @@
 import { keyList, legend, switches, toolbar } from "./controls.js";
 import { redraw, handlesOf } from "./drawing.js";
 import { History } from "./history.js";
-import { DRAWN, KINDS, MARKED, made, metres, pixel, setPosition } from "./kinds.js";
-import { figures, fill, known, text } from "./panel.js";
+import { Keys, handleOf } from "./keys.js";
+import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
+import { MovedDrawings } from "./moved.js";
+import { figures, fill, footage, known, text } from "./panel.js";
+import { PlanView } from "./plan_view.js";
+import { Pointer } from "./pointer.js";
+import { Saving } from "./saving.js";
 import { get, newest, post } from "./server.js";
 import { Viewport } from "./viewport.js";
 
@@ -14,71 +19,73 @@ const stage = byId("stage");
 const svg = byId("drawing");
 const viewport = new Viewport(stage, byId("canvas"), svg, byId("loupe"));
 
-const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // so near to a handle it is meant
-const DRAGGED_PX = 5; // so far a press has to go to be a drag
 const WAIT_MS = 120; // before the server is asked for what changed
 const CAMERA_NEEDED = "The camera is not calibrated yet: mark points with places, or a length and parallel lines, first.";
 
 let history; // of the document
 let begun; // what the server said at the start
-let saved; // JSON of the document as it is in the file
-let base; // the document that `revision` belongs to
-let revision;
+let saving; // what of the document is in the file
 let look = null; // the server's answer to the document
-let tool = "select";
-let pending = []; // positions of what is being drawn, in the view
-let group = null; // index of the parallel lines that the next line joins
-let selected = null; // { kind, index, part }
-let dragged = null; // { kind, index, part, position }
-let hover = null;
-let cursor = null; // of the keyboard, in the view
-let byTouch = false; // whether a finger has touched the picture last
-let picking = null; // index of the point whose place is clicked on the plan
-let scaling = []; // the plan's two points
+const now = {
+  tool: "select",
+  pending: [], // positions of what is being drawn, in the view
+  group: null, // index of the parallel lines that the next line joins
+  selected: null, // { kind, index, part }
+  dragged: null, // { kind, index, part, position }
+  hover: null,
+  cursor: null, // of the keyboard, in the view
+  byTouch: false, // whether a finger has touched the picture last
+  picking: null, // index of the point whose place is clicked on the plan
+  refused: null, // a problem of what was typed last, which is not in the document
+};
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
-const views = { image: { picture: null, size: [1, 1] }, above: null, plan: null };
+const image = { picture: null, size: [1, 1] };
+const moved = new MovedDrawings();
+const narrow = matchMedia("(max-width: 56rem)"); // as in site.css: the list is far below the picture
+let above = null;
 let viewName = "image";
 let frame = 0;
 
-const view = () => views[viewName];
+const plan = new PlanView((scaled) => planScaled(scaled), () => history && viewName === "plan" && show("plan"));
+const view = () => (viewName === "plan" ? plan.view(document_().plan) : viewName === "above" ? above : image);
 const document_ = () => history.document;
 
 // ---------------------------------------------------------------------------------------------------------- showing
 
 const page = () => ({
+  ...now,
   document: document_(),
   look,
-  view: view(),
-  tool,
-  pending,
-  selected,
-  dragged,
-  hover,
-  cursor,
+  view: view() || { size: [1, 1] },
   layers,
   unit: 1 / viewport.scale,
-  planReady: Boolean(views.plan && views.plan.fromWorld),
+  planReady: Boolean(document_().plan && plan.view(document_().plan)),
   residualOf: (kind, index) => (look ? look.residuals.find((one) => one.kind === kind && one.index === index) : undefined),
-  problemsOf: (kind, index) => (look ? look.problems.filter((one) => one.kind === kind && one.index === index) : []),
+  problemsOf: (kind, index) => problems().filter((one) => one.kind === kind && one.index === index),
   warningsOf: (kind, index) => (look ? look.shapes.find((one) => one.kind === kind && one.index === index)?.warnings || [] : []),
 });
+
+const problems = () => [...(look ? look.problems : []), ...(now.refused ? [now.refused] : [])];
 
 const drawAll = () => redraw(svg, page());
 viewport.shown = () => history && drawAll();
 
 function refresh() {
   drawAll();
-  fill(byId("marks"), byId("road"), page(), act);
+  fill({ marks: byId("marks"), road: byId("road"), sheet: byId("sheet"), narrow: narrow.matches }, page(), act);
   known(byId("known"), page(), act);
+  footage(byId("footage"), page(), act);
   byId("undo").disabled = !history.past.length;
   byId("redo").disabled = !history.future.length;
-  const same = JSON.stringify(document_()) === saved;
+  const same = saving.has(document_());
   byId("save").disabled = same;
-  byId("state").textContent = same ? (begun.exists ? "saved" : "") : "not saved yet";
+  byId("state").textContent = same ? (saving.exists ? "saved" : "") : "not saved yet";
+  const { tool, pending } = now;
   for (const button of byId("tools").querySelectorAll("[data-tool]")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
   byId("finish").hidden = !(pending.length && KINDS[tool] && KINDS[tool].open);
-  byId("cancel").hidden = !pending.length && picking === null;
-  stage.classList.toggle("selecting", tool === "select" && picking === null);
+  byId("cancel").hidden = !pending.length && now.picking === null;
+  byId("plan-tools").hidden = viewName !== "plan" || !document_().plan;
+  stage.classList.toggle("selecting", tool === "select" && now.picking === null);
   hint();
 }
 
@@ -87,8 +94,9 @@ function hint() {
 }
 
 function hintWords() {
-  if (viewName === "plan" && !views.plan) return "Load a map, a plan or an aerial picture first.";
-  if (viewName === "plan" && !views.plan.fromWorld) return scaling.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
+  const { tool, picking, group, pending } = now;
+  if (viewName === "plan" && !view()) return document_().plan ? "The plan's picture is not there any more: load it again." : "Load a map, a plan or an aerial picture first.";
+  if (viewName === "plan" && !view().fromWorld) return plan.ends.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
   if (picking !== null && document_().points[picking]) return `Click the place of point ${document_().points[picking].name || picking + 1} on the plan (Esc: type it instead).`;
   if (tool === "select") return "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
   if (KINDS[tool].world && !(look && look.camera) && viewName === "image") return CAMERA_NEEDED;
@@ -107,13 +115,15 @@ const askLook = newest("/look", (answer) => {
   look = answer;
   stage.setAttribute("aria-busy", "false");
   showCamera();
+  showMoved();
   refresh();
 }, (error) => trouble(error.message));
 let asking;
 
 function changed() {
   trouble("");
-  views.above = viewName === "above" ? views.above : null; // the camera may be another one
+  now.refused = null;
+  above = viewName === "above" ? above : null; // the camera may be another one
   stage.setAttribute("aria-busy", "true");
   clearTimeout(asking);
   asking = setTimeout(() => askLook(document_()), WAIT_MS);
@@ -125,12 +135,57 @@ function change(edit, of = null) {
 }
 
 function showCamera() {
+  byId("steps").hidden = Boolean(look.camera);
   byId("message").textContent = look.message;
   byId("message").hidden = !look.message;
+  for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
   byId("warnings").replaceChildren(...look.warnings.map((words) => text("li", words)));
   byId("figures-details").hidden = !look.camera;
   if (look.camera) figures(byId("figures"), byId("figures-summary"), look.camera);
   setMap();
+}
+
+// Says that the camera has been calibrated again under gates, zones and lanes that were drawn before.
+function showMoved() {
+  const { entries, most } = moved.compare(document_(), look);
+  byId("moved").hidden = !entries.length;
+  byId("moved-words").textContent = `The camera is another one now: ${entries.length} of what is drawn on the road ${entries.length > 1 ? "have" : "has"} moved by up to ${Math.round(most)} px in the image.`;
+  byId("moved").entries = entries;
+}
+
+// Draws what has moved again where it was in the image, by the camera as it is now.
+async function keepInImage() {
+  const { entries } = byId("moved");
+  const pixels = entries.flatMap(({ corners }) => corners.filter(Boolean));
+  const places = await placesOf(pixels);
+  if (!places.length) return;
+  change((all) => {
+    for (const { kind, index, corners } of entries) {
+      corners.forEach((corner, part) => corner && setPosition(kind, all[kind][index], part, places.shift()));
+    }
+  });
+}
+
+function keepMetres() {
+  moved.agree();
+  showMoved();
+}
+
+// Mends places that are all wrong in one way: axes that are swapped or turned, degrees in place of metres.
+async function mend(way) {
+  const whole = document_().points.filter(({ place }) => place.slice(0, 2).every((one) => typeof one === "number"));
+  let places = whole.map(({ place: [x, y] }) => (way === "swap" ? [y, x] : [x, -y]));
+  let world = null;
+  if (way === "latitude" || way === "longitude") {
+    const answer = await post("/map-places", { pairs: whole.map(({ place }) => place.slice(0, 2)), order: way, world: null }).catch((error) => trouble(error.message));
+    if (!answer) return;
+    ({ places, world } = answer);
+  }
+  const names = whole.map((point) => document_().points.indexOf(point));
+  change((all) => {
+    names.forEach((index, i) => all.points[index].place.splice(0, 2, ...places[i]));
+    if (world) all.world = world;
+  });
 }
 
 function setMap() {
@@ -141,7 +196,7 @@ function setMap() {
 
 const act = {
   choose(what) {
-    selected = what;
+    now.selected = what;
     if (what) {
       const place = handlesOf(what.kind, what.index, document_()[what.kind][what.index], page())[what.part || 0];
       if (place) viewport.reveal(place);
@@ -152,10 +207,29 @@ const act = {
     change((all) => edit(all[kind][index]));
   },
   remove(kind, index) {
-    selected = null;
-    group = null;
-    picking = null;
+    Object.assign(now, { selected: null, group: null, picking: null });
     change((all) => all[kind].splice(index, 1));
+  },
+  // A place as maps on the web give it, in degrees; it is kept in metres.
+  async fromMap(index, typed) {
+    if (!typed.trim()) return;
+    const others = document_().points.some(({ place }, i) => i !== index && typeof place[0] === "number");
+    try {
+      const { places: [place], world } = await post("/map-places", { text: typed, world: document_().world, others });
+      change((all) => {
+        all.points[index].place.splice(0, 2, ...place);
+        all.world = world;
+      });
+    } catch (error) {
+      now.refused = { kind: "points", index, field: "map", text: error.message, missing: false, typed };
+      refresh();
+    }
+  },
+  set(key, value) {
+    change((all) => { all[key] = value; });
+  },
+  forgetLens() {
+    change((all) => { delete all.known.lens; });
   },
   know(name, part, value) {
     change((all) => {
@@ -168,12 +242,12 @@ const act = {
   },
   addLine(index) {
     setTool("parallels");
-    group = index;
+    now.group = index;
     show("image");
     hint();
   },
   placeOnPlan(index) {
-    picking = index;
+    now.picking = index;
     show("plan");
   },
 };
@@ -211,12 +285,10 @@ async function placesOf(pixels) {
 
 // ------------------------------------------------------------------------------------------------------------ tools
 
+const NOTHING = { pending: [], hover: null, group: null, picking: null };
+
 function setTool(name) {
-  tool = name;
-  pending = [];
-  hover = null;
-  group = null;
-  picking = null;
+  Object.assign(now, NOTHING, { tool: name });
   trouble("");
   refresh();
 }
@@ -229,37 +301,40 @@ function chooseTool(name) {
 // A position of the view was clicked, touched, or confirmed by Enter.
 async function mark(position) {
   if (!within(position)) return;
-  if (viewName === "plan" && !view().fromWorld) return scalePlan(position);
-  if (picking !== null) return place(position);
-  if (tool === "select") return act.choose(null);
-  if (!KINDS[tool].world && viewName !== "image") return trouble("Mark that in the image.");
-  pending = [...pending, position];
-  const { count, open } = KINDS[tool];
-  if (!open && pending.length === count) await finish();
+  if (viewName === "plan" && !view()?.fromWorld) {
+    if (view()) plan.click(position);
+    now.pending = plan.ends;
+    return refresh();
+  }
+  if (now.picking !== null) return place(position);
+  if (now.tool === "select") return act.choose(null);
+  const { count, open, world } = KINDS[now.tool];
+  if (!world && viewName !== "image") return trouble("Mark that in the image.");
+  now.pending = [...now.pending, position];
+  if (!open && now.pending.length === count) await finish();
   else refresh();
 }
 
-const within = ([x, y]) => x >= 0 && y >= 0 && x <= view().size[0] && y <= view().size[1];
+const within = ([x, y]) => Boolean(view()) && x >= 0 && y >= 0 && x <= view().size[0] && y <= view().size[1];
 
 async function finish() {
-  const kind = tool;
+  const kind = now.tool;
   const { count, world } = KINDS[kind];
-  if (pending.length < count) return trouble(`A ${KINDS[kind].word.toLowerCase()} needs ${count} positions or more.`);
-  const drawn = pending;
-  pending = [];
-  hover = null;
+  const drawn = now.pending;
+  if (drawn.length < count) return trouble(`A ${KINDS[kind].word.toLowerCase()} needs ${count} positions or more.`);
+  Object.assign(now, { pending: [], hover: null });
   let positions = world ? [] : drawn.map(pixel);
   if (world) positions = view().fromWorld ? drawn.map((position) => metres(view().toWorld(position))) : await placesOf(drawn);
   if (!positions.length) return refresh();
-  if (kind === "parallels" && group !== null && document_().parallels[group]) {
-    selected = { kind, index: group, part: 0 };
-    return change((all) => all.parallels[group].lines.push(positions));
+  if (kind === "parallels" && now.group !== null && document_().parallels[now.group]) {
+    now.selected = { kind, index: now.group, part: 0 };
+    return change((all) => all.parallels[now.group].lines.push(positions));
   }
-  selected = { kind, index: document_()[kind].length, part: 0 };
-  if (kind === "parallels") group = selected.index;
+  now.selected = { kind, index: document_()[kind].length, part: 0 };
+  if (kind === "parallels") now.group = now.selected.index;
   change((all) => all[kind].push(made(kind, positions, all[kind])));
-  if (kind === "points" && views.plan && views.plan.fromWorld) act.placeOnPlan(selected.index);
-  else if (!byTouch) typeNext(kind, selected.index);
+  if (kind === "points" && page().planReady) act.placeOnPlan(now.selected.index);
+  else if (!now.byTouch) typeNext(kind, now.selected.index);
 }
 
 // What is marked is told at once: the field of its place or its length has the focus. A finger would get a keyboard
@@ -270,8 +345,8 @@ function typeNext(kind, index) {
 }
 
 function place(position) {
-  const index = picking;
-  picking = null;
+  const index = now.picking;
+  now.picking = null;
   change((all) => {
     if (all.points[index]) all.points[index].place.splice(0, 2, ...metres(view().toWorld(position)));
   });
@@ -279,40 +354,39 @@ function place(position) {
 }
 
 function cancel() {
+  const { picking, pending, group, tool } = now;
   if (picking !== null) show("image");
-  if (pending.length) pending = [];
-  else if (group !== null) group = null;
-  else if (picking === null && tool !== "select") return setTool("select");
-  else if (picking === null) selected = null;
-  picking = null;
-  hover = null;
+  else if (!pending.length && group === null && tool !== "select") return setTool("select");
+  else if (!pending.length && group === null) now.selected = null;
+  if (!pending.length) now.group = null;
+  Object.assign(now, { pending: [], picking: null, hover: null });
+  plan.ends = [];
   refresh();
 }
 
 function step(does) {
   if (!history[does]()) return;
-  pending = [];
-  picking = null;
-  group = null;
-  if (selected && !document_()[selected.kind][selected.index]) selected = null;
+  Object.assign(now, NOTHING);
+  const { selected } = now;
+  if (selected && !document_()[selected.kind][selected.index]) now.selected = null;
+  if (viewName === "plan") show("plan");
   changed();
 }
 
 // ------------------------------------------------------------------------------------------------------------ views
 
 async function show(name) {
-  if (name === "above") {
-    try {
-      views.above = await fromAbove();
-    } catch (error) {
-      return trouble(error.message);
-    }
+  try {
+    if (name === "above") above = await fromAbove();
+    if (name === "plan") await plan.want(document_().plan);
+  } catch (error) {
+    return trouble(error.message);
   }
   const keep = name === viewName;
-  if (!keep) pending = [];
-  if (name !== "plan") scaling = [];
+  if (!keep) now.pending = [];
+  if (name !== "plan") plan.ends = [];
   viewName = name;
-  cursor = null;
+  now.cursor = null;
   byId("where").textContent = "";
   for (const button of byId("views").children) button.setAttribute("aria-pressed", button.dataset.view === name);
   byId("frames").hidden = name === "plan" || begun.frames < 2;
@@ -337,44 +411,36 @@ async function fromAbove() {
 
 async function loadPlan(file) {
   try {
-    const picture = await createImageBitmap(file);
-    views.plan = { picture, size: [picture.width, picture.height] };
-    scaling = [];
-    picking = null;
-    await show("plan");
-  } catch {
-    trouble(`${file.name}: not an image that a browser shows`);
-  }
-}
-
-function scalePlan(position) {
-  if (!views.plan) return;
-  scaling = [...scaling, position];
-  pending = scaling;
-  if (scaling.length === 2) byId("scale").showModal();
-  refresh();
-}
-
-async function useScale(event) {
-  event.preventDefault();
-  byId("scale-wrong").textContent = "";
-  try {
-    const number = (id) => byId(id).value.trim().replace(",", ".");
-    const asked = { ends: scaling, metres: number("scale-metres"), at: [number("scale-x"), number("scale-y")] };
-    const { metres_per_pixel: size, origin: [x0, y0] } = await post("/plan", asked);
-    views.plan.toWorld = ([x, y]) => [x0 + x * size, y0 - y * size];
-    views.plan.fromWorld = ([x, y]) => [(x - x0) / size, (y0 - y) / size];
-    scaling = [];
-    pending = [];
-    byId("scale").close();
-    const missing = document_().points.findIndex(({ place }) => place.slice(0, 2).includes(null));
-    if (missing >= 0) act.placeOnPlan(missing);
-    else if (document_().points.length) refresh();
-    else await show("image");
-    if (tool === "select" && missing < 0) setTool("points");
+    await plan.load(file);
   } catch (error) {
-    byId("scale-wrong").textContent = error.message;
+    return trouble(`${file.name}: ${error.status ? error.message : "not an image that a browser shows"}`);
   }
+  now.picking = null;
+  const known = document_().plan;
+  // A picture that had gone has its scale still; another one has to be scaled anew.
+  change((all) => { all.plan = known && !known.picture ? { ...known, picture: plan.loaded } : null; });
+  await show("plan");
+}
+
+async function planScaled(scaled) {
+  change((all) => { all.plan = scaled; });
+  now.pending = [];
+  const missing = document_().points.findIndex(({ place: [x, y] }) => x === null || y === null);
+  if (missing >= 0) act.placeOnPlan(missing);
+  else await show(document_().points.length ? "plan" : "image");
+  if (now.tool === "select" && missing < 0) setTool("points");
+}
+
+function scaleAgain() {
+  plan.loaded = document_().plan.picture;
+  change((all) => { all.plan = null; });
+  show("plan");
+}
+
+function forgetPlan() {
+  plan.loaded = null;
+  change((all) => { all.plan = null; });
+  show("image");
 }
 
 async function turnTo(number) {
@@ -384,7 +450,7 @@ async function turnTo(number) {
   try {
     const bitmap = await createImageBitmap(await (await get("/frames/" + number)).blob());
     if (frame !== number) return;
-    views.image.picture = bitmap;
+    image.picture = bitmap;
     stage.dataset.frame = number;
     if (viewName === "image") viewport.show(bitmap, view().size, true);
     else if (viewName === "above") await show("above");
@@ -393,17 +459,18 @@ async function turnTo(number) {
   }
 }
 
-// ------------------------------------------------------------------------------------------------------ files, saving
+// ------------------------------------------------------------------------------------------------------------- files
 
 async function loadFile(file) {
   try {
     const found = await post("/read", { name: file.name, text: await file.text() });
-    const other = found.points && document_().points.length && JSON.stringify(found.world) !== JSON.stringify(document_().world);
+    const other = found.points && document_().points.length && JSON.stringify(found.world ?? null) !== JSON.stringify(document_().world);
     if (other) return trouble(`${file.name}: its places are counted from another origin than those that are marked: take these away first`);
     change((all) => {
       if (found.points) all.points.push(...found.points);
       if (found.world) all.world = found.world;
       if (found.camera) all.camera = found.camera;
+      if (found.lens) all.known.lens = found.lens;
     });
     trouble(found.said || "");
   } catch (error) {
@@ -411,158 +478,23 @@ async function loadFile(file) {
   }
 }
 
-async function save() {
-  const asked = document_();
-  try {
-    const answer = await post("/save", { document: asked, revision });
-    revision = answer.revision;
-    base = asked;
-    saved = JSON.stringify(asked);
-    begun.exists = true;
-    trouble("");
-    byId("conflict").hidden = true;
-    refresh();
-    if (answer.said) byId("state").textContent = answer.said;
-  } catch (error) {
-    if (error.status === 409) {
-      byId("conflict-words").textContent = error.message;
-      byId("conflict").hidden = false;
-      byId("conflict").scrollIntoView({ block: "nearest" });
-      byId("merge").focus();
-      return;
-    }
-    const problem = error.said && error.said.problem;
-    if (problem) selected = { kind: problem.kind, index: problem.index, part: 0 };
-    refresh();
-    trouble(error.message);
-    document.querySelector(".fields [aria-describedby], .fields [data-missing]")?.focus();
-  }
+const save = () => saving.save(document_());
+
+// A problem keeps the document from being saved: its field is shown.
+function wrong(problem) {
+  if (problem && KINDS[problem.kind]) now.selected = { kind: problem.kind, index: problem.index, part: 0 };
+  if (problem && !KINDS[problem.kind]) byId(`${problem.kind}-details`).open = true;
+  refresh();
+  document.querySelector(".fields [aria-describedby], .fields [data-missing]")?.focus();
 }
 
-async function join(both) {
-  try {
-    const theirs = both ? await post("/merge", { base, mine: document_() }) : await (await get("/begin.json")).json();
-    revision = theirs.revision;
-    base = theirs.saved;
-    saved = JSON.stringify(base);
-    selected = null;
-    byId("conflict").hidden = true;
-    history.change((all) => Object.assign(all, theirs.document));
-    changed();
-  } catch (error) {
-    trouble(error.message);
-  }
+function replace(other) {
+  now.selected = null;
+  history.change((all) => Object.assign(all, other));
+  changed();
 }
 
-// -------------------------------------------------------------------------------------------------- pointer and touch
-
-const pointers = new Map();
-let action = null;
-
-function nearest(event) {
-  const [x, y] = viewport.at(event);
-  let best = (NEAR_PX[event.pointerType] || NEAR_PX.mouse) / viewport.scale;
-  let found = null;
-  // While something is drawn, only handles of its kind are in the way: a lane may begin at a marked point.
-  for (const kind of tool === "select" ? [...MARKED, ...DRAWN] : [tool]) {
-    document_()[kind].forEach((entry, index) => {
-      handlesOf(kind, index, entry, page()).forEach((place, part) => {
-        const away = place ? Math.hypot(place[0] - x, place[1] - y) : Infinity;
-        if (away < best) [best, found] = [away, { kind, index, part, offset: [place[0] - x, place[1] - y] }];
-      });
-    });
-  }
-  return found;
-}
-
-stage.addEventListener("pointerdown", (event) => {
-  if (event.button > 0) return;
-  event.preventDefault();
-  stage.focus({ preventScroll: true });
-  cursor = null;
-  try { stage.setPointerCapture(event.pointerId); } catch { /* a pointer that has gone already */ }
-  pointers.set(event.pointerId, event);
-  if (pointers.size > 1) {
-    viewport.unmagnify();
-    dragged = null;
-    action = { does: "pinch" };
-    return drawAll();
-  }
-  const touch = event.pointerType === "touch";
-  byTouch = touch;
-  const free = pending.length === 0 && picking === null && !(viewName === "plan" && !view()?.fromWorld);
-  const grabbed = free ? nearest(event) : null;
-  if (grabbed) selected = { kind: grabbed.kind, index: grabbed.index, part: grabbed.part };
-  const does = grabbed ? "drag" : touch && (tool !== "select" || picking !== null || !free) ? "aim" : "press";
-  action = { does, grabbed, begin: event, moved: false };
-  if (touch && does !== "press") viewport.magnify(event);
-  if (grabbed) refresh();
-});
-
-stage.addEventListener("pointermove", (event) => {
-  tell(viewport.at(event));
-  const before = pointers.get(event.pointerId);
-  if (!before) {
-    hover = pending.length && event.pointerType === "mouse" ? viewport.at(event) : null;
-    if (pending.length) drawAll();
-    return;
-  }
-  pointers.set(event.pointerId, event);
-  if (!action) return;
-  if (action.does === "pinch") return pinch(event, before);
-  if (Math.hypot(event.clientX - action.begin.clientX, event.clientY - action.begin.clientY) > DRAGGED_PX) action.moved = true;
-  if (event.pointerType === "touch" && action.does !== "press") viewport.magnify(event);
-  if (!action.moved) return;
-  if (action.does === "drag") {
-    const [x, y] = viewport.at(event);
-    const [dx, dy] = event.pointerType === "touch" ? [0, 0] : action.grabbed.offset;
-    dragged = { ...action.grabbed, position: [x + dx, y + dy] };
-    drawAll();
-  } else if (action.does === "press") {
-    stage.classList.add("moving");
-    viewport.move(event.clientX - before.clientX, event.clientY - before.clientY);
-  }
-});
-
-function pinch(event, before) {
-  const other = [...pointers.values()].find((one) => one.pointerId !== event.pointerId);
-  if (!other) return;
-  const box = stage.getBoundingClientRect();
-  const apart = (one) => Math.max(Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY), 1);
-  const middle = [(event.clientX + other.clientX) / 2 - box.left, (event.clientY + other.clientY) / 2 - box.top];
-  viewport.zoom(apart(event) / apart(before), ...middle);
-  viewport.move((event.clientX - before.clientX) / 2, (event.clientY - before.clientY) / 2);
-}
-
-function released(event, cancelled) {
-  pointers.delete(event.pointerId);
-  viewport.unmagnify();
-  stage.classList.remove("moving");
-  const done = action;
-  if (!pointers.size) action = null;
-  if (!done || done.does === "pinch") return;
-  const moved = dragged;
-  dragged = null;
-  if (cancelled) return drawAll();
-  if (done.does === "drag") {
-    if (moved) put(moved, moved.position);
-    else refresh();
-  } else if (done.does === "aim" || !done.moved) mark(viewport.at(event));
-}
-
-stage.addEventListener("pointerup", (event) => released(event, false));
-stage.addEventListener("pointercancel", (event) => released(event, true));
-stage.addEventListener("dblclick", () => {
-  if (pending.length && KINDS[tool].open) {
-    pending = pending.slice(0, -1); // the second press of the double one
-    finish();
-  }
-});
-stage.addEventListener("wheel", (event) => {
-  event.preventDefault();
-  const box = stage.getBoundingClientRect();
-  viewport.zoom(Math.exp(-Math.sign(event.deltaY) * Math.min(Math.abs(event.deltaY), 100) * 0.002), event.clientX - box.left, event.clientY - box.top);
-}, { passive: false });
+// ---------------------------------------------------------------------------------------------------- mouse and keys
 
 // Says what lies at a position of the view.
 function tell(position) {
@@ -580,83 +512,26 @@ function tell(position) {
   byId("where").textContent = words;
 }
 
-// -------------------------------------------------------------------------------------------------------------- keys
+const help = () => byId("help").showModal();
+const grabs = () => !now.pending.length && now.picking === null && !(viewName === "plan" && !view()?.fromWorld);
 
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-
-document.addEventListener("keydown", (event) => {
-  if (document.querySelector("dialog[open]")) return;
-  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-  const typing = event.target.closest("input:not([type=range]):not([type=checkbox]):not([type=file]), select, textarea");
-  if (event.ctrlKey || event.metaKey) {
-    if (key === "s") event.preventDefault(), event.target.blur?.(), setTimeout(save); // after what is being typed
-    else if (!typing && key === "z") event.preventDefault(), step(event.shiftKey ? "redo" : "undo");
-    else if (!typing && key === "y") event.preventDefault(), step("redo");
-    return;
-  }
-  if (event.altKey) return;
-  if (typing) {
-    if (key === "Escape") stage.focus();
-    return;
-  }
-  const handle = event.target.dataset && event.target.dataset.handle;
-  if (ARROWS[key] && (handle || event.target === stage)) {
-    event.preventDefault();
-    return arrow(ARROWS[key], event.shiftKey ? 10 : 1, handle);
-  }
-  if (key === "Enter" && event.target === stage && view()) {
-    event.preventDefault();
-    return confirm();
-  }
-  const tools = Object.keys(KINDS).find((kind) => KINDS[kind].key === key);
-  const does = {
-    Escape: cancel,
-    Delete: () => selected && act.remove(selected.kind, selected.index),
-    Backspace: () => selected && act.remove(selected.kind, selected.index),
-    s: () => setTool("select"),
-    "+": () => viewport.zoom(1.5),
-    "=": () => viewport.zoom(1.5),
-    "-": () => viewport.zoom(1 / 1.5),
-    0: () => viewport.fit(),
-    "?": () => byId("help").showModal(),
-  }[key] || (tools && (() => (setTool(tools), stage.focus())));
-  if (!does) return;
-  event.preventDefault();
-  does();
-});
-
-function confirm() {
-  const last = pending[pending.length - 1];
-  if (last && KINDS[tool]?.open && cursor && last[0] === cursor[0] && last[1] === cursor[1]) return finish();
-  if (cursor) return mark([...cursor]);
-  if (pending.length && KINDS[tool]?.open) return finish();
+function choose({ kind, index, part }) {
+  now.selected = { kind, index, part };
+  refresh();
 }
 
-function arrow([right, down], times, handle) {
-  if (handle) {
-    const [kind, index, part] = handle.split(":").map((word, i) => (i ? Number(word) : word));
-    const at = handlesOf(kind, index, document_()[kind][index], page())[part];
-    if (!at) return;
-    const far = view().fromWorld ? times * 2 : times;
-    put({ kind, index, part }, [at[0] + right * far, at[1] + down * far], `move ${handle}`);
-    return;
-  }
-  if (!view()) return;
-  const middle = [viewport.x + stage.clientWidth / 2 / viewport.scale, viewport.y + stage.clientHeight / 2 / viewport.scale];
-  const from = cursor || middle.map((value, i) => Math.round(Math.min(Math.max(value, 0), view().size[i])));
-  cursor = cursor ? [from[0] + right * times, from[1] + down * times] : from;
-  cursor = cursor.map((value, i) => Math.min(Math.max(value, 0), view().size[i]));
-  hover = pending.length ? cursor : null;
-  viewport.reveal(cursor);
-  tell(cursor);
-  drawAll();
+// The second press of two ends what is drawn; it is no further position.
+function ended() {
+  if (!now.pending.length || !KINDS[now.tool].open) return;
+  now.pending = now.pending.slice(0, -1);
+  finish();
 }
 
 svg.addEventListener("focusin", ({ target }) => {
-  if (!target.dataset.handle) return;
-  const [kind, index, part] = target.dataset.handle.split(":").map((word, i) => (i ? Number(word) : word));
-  if (selected && selected.kind === kind && selected.index === index && selected.part === part) return;
-  selected = { kind, index, part };
+  const handle = handleOf(target);
+  const { selected } = now;
+  if (!handle || (selected && selected.kind === handle.kind && selected.index === handle.index && selected.part === handle.part)) return;
+  now.selected = handle;
   // The handles are made anew: only after the browser has done with the one that it has just given the focus.
   setTimeout(refresh);
 });
@@ -668,20 +543,17 @@ function listen() {
   on("undo", () => step("undo"));
   on("redo", () => step("redo"));
   on("save", save);
-  on("merge", () => join(true));
-  on("theirs", () => join(false));
-  on("ask", () => byId("help").showModal());
+  on("merge", () => saving.join(document_()));
+  on("theirs", () => saving.join(null));
+  on("keep-image", keepInImage);
+  on("keep-metres", keepMetres);
+  on("plan-again", scaleAgain);
+  on("plan-away", forgetPlan);
+  on("ask", help);
   on("larger", () => viewport.zoom(1.5));
   on("smaller", () => viewport.zoom(1 / 1.5));
   on("whole", () => viewport.fit());
   on("frame", () => turnTo(Number(byId("frame").value) - 1), "change");
-  on("scale-form", useScale, "submit");
-  on("scale-again", () => byId("scale").close());
-  byId("scale").addEventListener("close", () => {
-    if (!scaling.length) return;
-    [scaling, pending] = [[], []];
-    refresh();
-  });
   for (const [id, does] of [["file", loadFile], ["plan", loadPlan]]) {
     on(id, (event) => {
       if (event.target.files[0]) does(event.target.files[0]);
@@ -689,23 +561,24 @@ function listen() {
     }, "change");
   }
   for (const button of byId("views").children) button.addEventListener("click", () => show(button.dataset.view));
-  stage.addEventListener("blur", () => {
-    if (!cursor) return;
-    cursor = null;
-    drawAll();
-  });
+  for (const button of byId("mend").children) button.addEventListener("click", () => mend(button.dataset.way));
+  narrow.addEventListener("change", refresh);
+  const does = { mark, put, choose, ended, tell, draw: drawAll, grabs, save, step, cancel, remove: act.remove, setTool, finish, help };
+  new Pointer(stage, viewport, now, page, does);
+  new Keys(stage, viewport, now, page, does);
   new ResizeObserver(() => viewport.move(0, 0)).observe(stage);
-  addEventListener("beforeunload", (event) => JSON.stringify(document_()) !== saved && event.preventDefault());
+  addEventListener("beforeunload", (event) => !saving.has(document_()) && event.preventDefault());
 }
 
 async function begin() {
   begun = await (await get("/begin.json")).json();
   history = new History(begun.document);
-  [revision, base, saved] = [begun.revision, begun.saved, JSON.stringify(begun.saved)];
+  saving = new Saving(begun, { refresh, trouble, wrong, replace });
   byId("title").textContent = `${begun.title} → ${begun.file}`;
   document.title = `${begun.title}: site`;
-  views.image.size = begun.size;
+  image.size = begun.size;
   byId("frame").max = Math.max(begun.frames, 1);
+  byId("zones").replaceChildren(...begun.zones.map((value) => text("option", "", { value })));
   toolbar(byId("tools"), { choose: chooseTool, finish, cancel });
   switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
   legend(byId("legend"));
@@ -715,6 +588,7 @@ async function begin() {
   setTool(begun.document.points.length ? "select" : "points");
   askLook(document_());
   if (begun.frames) await turnTo(begun.frame);
+  plan.want(document_().plan).catch((error) => trouble(error.message));
   stage.dataset.ready = "true";
 }
 

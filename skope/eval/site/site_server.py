@@ -1,5 +1,7 @@
 """The server of the page of `skope eval site`: pictures, answers to the page's document, and saving it."""
 
+import base64
+import os
 import re
 import tempfile
 from collections.abc import Mapping
@@ -8,16 +10,20 @@ from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final
+from zoneinfo import available_timezones
 
 from skope.errors import UserError
 from skope.eval.site.drawings import read_drawings
+from skope.eval.site.footage_time import read_time
 from skope.eval.site.frames import SiteFrames, decoded
 from skope.eval.site.from_above import seen_from_above
 from skope.eval.site.loaded_files import read_file
+from skope.eval.site.map_places import map_places
 from skope.eval.site.marks import read_marks
 from skope.eval.site.merge import joined
 from skope.eval.site.plan import plan_scale
-from skope.eval.site.site_store import SavedElsewhereError, SiteStore
+from skope.eval.site.plan_pictures import PlanPictures
+from skope.eval.site.site_store import Opened, SavedElsewhereError, SiteStore
 from skope.eval.site.solved_page import SolvedPage, unfinished
 from skope.files.json_files import json_bytes, parse_json
 from skope.terminal.console import Console
@@ -35,14 +41,30 @@ from skope.viewer.local_server import (
 )
 
 _HERE: Final = "skope.eval.site"
+_PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
-_SCRIPTS: Final = ("site", "controls", "server", "history", "kinds", "viewport", "drawing", "panel")
+_SCRIPTS: Final = (
+    "site",
+    "controls",
+    "server",
+    "history",
+    "kinds",
+    "viewport",
+    "drawing",
+    "panel",
+    "pointer",
+    "keys",
+    "plan_view",
+    "saving",
+    "moved",
+)
 _FILES: Final = {
     "/": (_HERE, "site.html", HTML),
     "/page.css": ("skope.page", "page.css", CSS),
     "/site.css": (_HERE, "site.css", CSS),
     **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
 }
+_QUESTIONS: Final = ("/look", "/places", "/above", "/plan", "/plan-picture", "/map-places", "/read", "/save", "/merge")
 _ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
 
 
@@ -76,11 +98,12 @@ class SiteServer(LocalServer):
         self.store = SiteStore(path, frames.size)
         self.solved = SolvedPage(frames.size, self.store.read().vehicles)
         self.clearest = frames.clearest()
+        self.plans = PlanPictures()
         super().__init__(port, _Handler)
 
     def begin(self) -> dict[str, Any]:
         """What the page is of, its document, and the document as it is saved."""
-        opened = self.store.read()
+        opened = self._opened()
         document = opened.document
         if opened.revision is None:
             document = document | {key: [*document[key], *value] if isinstance(value, list) else value
@@ -95,12 +118,31 @@ class SiteServer(LocalServer):
             "document": document,
             "saved": opened.document,
             "revision": opened.revision,
+            "zones": sorted(available_timezones()),
         }
+
+    def _opened(self) -> Opened:
+        """The site file, with the picture of its plan under the name by which the page asks for it."""
+        opened = self.store.read()
+        if opened.plan is not None:
+            path = opened.plan
+            as_written = os.path.relpath(path, self.store.path.parent)
+            opened.document["plan"]["picture"] = self.plans.hold_file(path, as_written)
+        return opened
+
+    def hold_plan(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """Keep the picture of a plan that the user has loaded; `picture` is its name from now on."""
+        try:
+            data = base64.b64decode(sent.get("data", ""), validate=True)
+        except (TypeError, ValueError):
+            raise UserError("data: expected base64") from None
+        return {"picture": self.plans.hold(data)}
 
     def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
         """Status and answer to a document that is to be saved."""
         document = _document(sent)
         problems = [*read_marks(document, self.frames.size).problems, *read_drawings(document)[1]]
+        problems += read_time(document).problems
         if problems:
             words = unfinished(problems)
             return HTTPStatus.UNPROCESSABLE_ENTITY, {"text": f"not saved: {words}", "problem": asdict(problems[0])}
@@ -108,10 +150,11 @@ class SiteServer(LocalServer):
         revision = sent.get("revision")
         if not isinstance(revision, str | None):
             raise UserError("revision: expected a text")
+        now, plan = datetime.now(UTC).astimezone().replace(microsecond=0), document.get("plan")
         try:
-            revision = self.store.save(
-                document, solved, revision, datetime.now(UTC).astimezone().replace(microsecond=0)
-            )
+            self.store.check(revision)  # before a picture is written for nothing
+            file = self.plans.saved_beside(self.store.path, plan.get("picture")) if isinstance(plan, dict) else None
+            revision = self.store.save(document, solved, revision, now, file)
         except SavedElsewhereError:
             return HTTPStatus.CONFLICT, {"text": _ELSEWHERE.format(name=self.store.path.name)}
         said = "" if solved.camera else "saved; the camera is not calibrated yet"
@@ -119,7 +162,7 @@ class SiteServer(LocalServer):
 
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """The page's document joined with the saved one, and the saved one with its revision."""
-        opened = self.store.read()
+        opened = self._opened()
         document = joined(_document(sent, "base"), _document(sent, "mine"), opened.document)
         return {"document": document, "saved": opened.document, "revision": opened.revision}
 
@@ -152,10 +195,12 @@ class _Handler(LocalHandler):
         if (frame := _FRAME.fullmatch(path)) and (number := int(frame[1])) < frames.count:
             picture = frames.picture(number)
             return picture.media_type, picture.data
+        if (plan := _PLAN.fullmatch(path)) and (held := self.server.plans.picture(plan[1])):
+            return held.media_type, held.data
         return None
 
     def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
-        if path not in ("/look", "/places", "/above", "/plan", "/read", "/save", "/merge"):
+        if path not in _QUESTIONS:
             return None
         try:
             sent = parse_json(data)
@@ -172,6 +217,10 @@ class _Handler(LocalHandler):
             answer = self.server.above(sent)
         elif path == "/plan":
             answer = plan_scale(sent)
+        elif path == "/plan-picture":
+            answer = self.server.hold_plan(sent)
+        elif path == "/map-places":
+            answer = map_places(sent)
         elif path == "/read":
             with tempfile.TemporaryDirectory() as folder:
                 answer = read_file(sent, Path(folder), self.server.frames.size)

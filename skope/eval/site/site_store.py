@@ -12,6 +12,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
+from skope.eval.site.footage_time import read_time, time_texts
 from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
 from skope.eval.site.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
@@ -19,8 +20,10 @@ from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
-KNOWN: Final = ("fov_deg", "height_m")
-"""What may be known of a camera beforehand, each with its standard deviation."""
+KNOWN: Final = ("fov_deg", "height_m", "lens")
+"""What may be known of a camera beforehand, with standard deviations."""
+PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
+"""Where the pixels of a plan lie in the world."""
 _POSES: Final = (
     *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
     "ground",
@@ -42,6 +45,8 @@ class Opened:
     """None: there is no file yet."""
     vehicles: Belief | None = None
     """What vehicles say of the camera."""
+    plan: Path | None = None
+    """The plan's picture, which need not be there."""
 
 
 class SiteStore:
@@ -56,19 +61,31 @@ class SiteStore:
             return Opened(document=document_of(None, self.size), revision=None)
         site = read_site(self.path)
         vehicles = site.calibration.vehicles if site.calibration else None
-        return Opened(document=document_of(site, self.size), revision=site.revision, vehicles=vehicles)
+        return Opened(document=document_of(site, self.size), revision=site.revision, vehicles=vehicles,
+                      plan=site.plan.file if site.plan else None)  # fmt: skip
 
-    def save(self, document: Mapping[str, Any], solved: SolvedCamera, revision: str | None, when: datetime) -> str:
-        """Write a document into the file; returns its new revision.
+    def check(self, revision: str | None) -> None:
+        """Raise SavedElsewhereError where the file is not the one of `revision` any more."""
+        if self._revision() != revision:
+            raise SavedElsewhereError
+
+    def save(
+        self,
+        document: Mapping[str, Any],
+        solved: SolvedCamera,
+        revision: str | None,
+        when: datetime,
+        plan: str | None = None,
+    ) -> str:
+        """Write a document into the file; returns its new revision. `plan` is what its plan's picture is called.
 
         Raises:
             SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
             UserError: It cannot be written.
         """
-        if self._revision() != revision:
-            raise SavedElsewhereError
+        self.check(revision)
         try:
-            return save_site(self.path, changes_of(document, solved, self.size, when), revision).revision
+            return save_site(self.path, changes_of(document, solved, self.size, when, plan), revision).revision
         except UserError:
             if self._revision() != revision:
                 raise SavedElsewhereError from None
@@ -84,6 +101,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
     Raises UserError where the file's marks are of images of another size than `size`.
     """
     out: dict[str, Any] = {kind: [] for kind in (*KINDS, *DRAWN)} | {"camera": None, "known": {}}
+    out |= {"world": None, "plan": None, "time_zone": None, "start": None}
     if site is None:
         return out
     if site.calibration is not None:
@@ -92,6 +110,9 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
         out["camera"] = _camera(site, size)
     if site.world is not None:
         out["world"] = dict(site.world)
+    if site.plan is not None:
+        out["plan"] = {key: getattr(site.plan, key) for key in PLAN} | {"origin": list(site.plan.origin)}
+    out |= time_texts(site.time_zone, site.start)
     out["gates"] = [
         {"name": one.name, "line": _rows(one.line), "directions": list(one.directions or ("", ""))}
         for one in site.gates
@@ -108,6 +129,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
 def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
     evidence = marks.evidence(size)
     known = {"fov_deg": marks.fov_deg, "height_m": marks.height_m}
+    lens = {"lens": {key: list(value) for key, value in marks.lens.items()}} if marks.lens else {}
     return {
         "points": [point_entry(one) for one in evidence.points],
         "lengths": [
@@ -119,7 +141,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
         "verticals": [
             {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres} for one in evidence.verticals
         ],
-        "known": {name: list(value) for name, value in known.items() if value is not None},
+        "known": {name: list(value) for name, value in known.items() if value is not None} | lens,
     }
 
 
@@ -163,7 +185,11 @@ def _rows(positions: Any) -> list[list[float]]:
 
 
 def changes_of(
-    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
+    document: Mapping[str, Any],
+    solved: SolvedCamera,
+    size: tuple[int, int],
+    when: datetime,
+    plan: str | None,
 ) -> dict[str, Any]:
     """New values of the file's keys, as `save_site` takes them, of a document without problems."""
     out: dict[str, Any] = {}
@@ -177,8 +203,10 @@ def changes_of(
     for kind in DRAWN:
         rows_of_kind = [_saved_drawing(kind, entry) for entry in entries_of(document, kind)]
         out[kind] = rows_of_kind or None
-    if document.get("world"):
-        out["world"] = document["world"]
+    out["world"] = document.get("world") or None
+    out["plan"] = _saved_plan(document, plan)
+    time = read_time(document)
+    out |= {"time_zone": time.time_zone, "start": time.start}
     camera = _saved_camera(document, solved, size, when)
     if camera:
         out["camera"] = camera
@@ -208,6 +236,14 @@ def _saved_drawing(kind: str, entry: Mapping[str, Any]) -> dict[str, Any]:
         return {"name": entry["name"], "line": entry["line"], "width": entry.get("width")}
     foot = entry.get("foot")
     return {"polygon": entry["polygon"], "foot": foot, "distance": None if foot else entry.get("distance")}
+
+
+def _saved_plan(document: Mapping[str, Any], file: str | None) -> dict[str, Any] | None:
+    """The [plan] table; a picture that is not there keeps the name that it has in the file."""
+    plan = document.get("plan")
+    if not isinstance(plan, dict):
+        return None
+    return ({"file": file} if file else {}) | {key: plan.get(key) for key in PLAN}
 
 
 def _saved_camera(

@@ -16,21 +16,18 @@ from skope.camera.left_out import LeftOutError, left_out_errors
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
+from skope.eval.site.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
 from skope.eval.site.drawings import Drawing, read_drawings, shapes
 from skope.eval.site.error_map import error_map, values
+from skope.eval.site.footage_time import read_time
 from skope.eval.site.marks import KINDS, Marks, Problem, positions, read_marks
 from skope.eval.site.overlays import overlays
 from skope.types import Array
 
-_LENS_SIGMA: Final = {"focal": 0.01, "k1": 0.02}
-"""How well the lens of a camera file is believed, logarithm of the focal length and k1."""
 _WRONG_SIGMAS: Final = 3.0
 """Residuals from so many standard deviations on are marked."""
 _SINGULAR: Final = {"points": "point", "lengths": "length", "parallels": "parallel lines", "verticals": "vertical"}
 _UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "verticals": "px"}
-_BEGIN: Final = (
-    "Mark four points or more whose places you know, or a known length and lines that are parallel on the road."
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +39,8 @@ class SolvedCamera:
     """How well the camera is known; None where nothing says it."""
     message: str
     """Why there is no camera, or why it is not that of the marks; empty where it is."""
+    mend: str = ""
+    """What the page may offer to mend by itself: "degrees" or "mirrored" places; empty: nothing."""
     left_out: Mapping[str, LeftOutError] = field(default_factory=dict)
     """Where the others put each point that is left out once, by its name."""
 
@@ -66,34 +65,43 @@ class SolvedPage:
         key = json.dumps([document.get(kind) for kind in (*KINDS, "camera", "known")], sort_keys=True)
         with self._lock:
             if self._last is None or self._last[0] != key:
-                self._last = key, self._solved(marks, given_camera(document, self.size))
+                self._last = (
+                    key,
+                    self._solved(
+                        marks, given_camera(document, self.size), "" if self._vehicles else missing(document, marks)
+                    ),
+                )
             return self._last[1], marks
 
-    def _solved(self, marks: Marks, given: "GivenCamera | None") -> SolvedCamera:
+    def _solved(self, marks: Marks, given: "GivenCamera | None", lacking: str) -> SolvedCamera:
         evidence = marks.evidence
-        fallback = (
-            SolvedCamera(given.camera, given.known, "") if given and given.posed else SolvedCamera(None, None, "")
-        )
+        fallback = SolvedCamera(given.camera, given.known, "") if given else SolvedCamera(None, None, "")
         if not any(getattr(evidence, kind) for kind in KINDS):
-            return replace(fallback, message="" if fallback.camera else _BEGIN)
-        lens = (given.lens(),) if given and given.trusted else ()
+            return replace(fallback, message="" if fallback.camera else lacking or BEGIN)
+        if in_degrees(evidence):
+            return replace(fallback, message=DEGREES, mend="degrees")
+        if lacking:
+            return replace(fallback, message=lacking)
         vehicles = (self._vehicles,) if self._vehicles else ()
-        evidence = replace(evidence, beliefs=(*evidence.beliefs, *lens, *vehicles))
+        evidence = replace(evidence, beliefs=(*evidence.beliefs, *vehicles))
         try:
             found = calibrate(evidence)
         except UserError as error:
             return replace(fallback, message=str(error).removeprefix("calibration: "))
         except (np.linalg.LinAlgError, FloatingPointError):
             return replace(fallback, message="no camera agrees with what is marked")
-        return SolvedCamera(found.camera, found, "", left_out_errors(evidence, found))
+        if below_road(evidence, found.camera):
+            return replace(fallback, message=MIRRORED, mend="mirrored")
+        return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """All that the page shows of a document."""
         solved, marks = self.solve(document)
         drawings, problems = read_drawings(document)
         out: dict[str, Any] = {
-            "problems": [asdict(problem) for problem in (*marks.problems, *problems)],
+            "problems": [asdict(problem) for problem in (*marks.problems, *problems, *read_time(document).problems)],
             "message": solved.message,
+            "mend": solved.mend,
             "camera": None,
             "residuals": [],
             "warnings": [],
@@ -135,19 +143,7 @@ class GivenCamera:
     """A camera that a file says."""
 
     camera: Camera
-    posed: bool
-    """Whether the file says where it hangs."""
-    trusted: bool
-    """Whether its lens counts as evidence; a site's own camera, which came from its marks, does not count twice."""
     known: UncertainCamera | None
-
-    def lens(self) -> Belief:
-        """Focal length and distortion as evidence."""
-        distortion = self.camera.distortion
-        k1 = distortion.coefficients[0] if distortion.model == "brown" else None
-        known = {"focal": math.log(float(self.camera.K[0, 0])), **({} if k1 is None else {"k1": k1})}
-        variances = [_LENS_SIGMA[name] ** 2 for name in known]
-        return Belief(tuple(known), np.array(list(known.values())), np.diag(variances), "camera file")
 
 
 def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCamera | None:
@@ -164,8 +160,7 @@ def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCam
                 f"camera: is of {camera.width}x{camera.height} pixels, the footage of {size[0]}x{size[1]}: other shapes"
             )
         camera = camera.resized(size)
-    posed, trusted = value.get("posed") is not False, value.get("trusted") is True
-    return GivenCamera(camera, posed, trusted, _known(camera, value.get("covariance")))
+    return GivenCamera(camera, _known(camera, value.get("covariance")))
 
 
 def _known(camera: Camera, value: Any) -> UncertainCamera | None:
@@ -212,9 +207,7 @@ def _sigmas(known: UncertainCamera | None) -> dict[str, float]:
     return dict(zip(known.parameters, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
 
 
-def _residuals(
-    calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]
-) -> list[dict[str, Any]]:
+def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
     """How far each mark is from the camera, in the order of the document's lists; left-out points too.
 
     `by_others` of a point is [how far from its place the others put it, within what that lies in 90% of the cases],

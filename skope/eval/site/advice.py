@@ -1,0 +1,63 @@
+"""What is missing or turned round in the marks, in the words of somebody who has a road and a map."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.evidence import Evidence
+from skope.camera.model import Camera
+from skope.camera.pose_from_points import FEWEST
+from skope.eval.site.marks import Marks, entries_of
+from skope.types import Array
+
+BEGIN: Final = (
+    "Mark four points or more whose places you know, or a known length and lines that are parallel on the road."
+)
+MIRRORED: Final = (
+    "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "
+    "with x east and y north. Are x and y swapped (surveyors often count x to the north), or does y of your plan grow "
+    "downwards?"
+)
+DEGREES: Final = (
+    "These places look like latitude and longitude: degrees, not metres. Say which comes first, and they are taken as "
+    "metres around a point between them."
+)
+_NUMBERS: Final = ("no", "one", "two", "three", "four")
+_TOGETHER: Final = 0.2
+"""Places that differ by less than this are no metres of a road."""
+
+
+def missing(document: Mapping[str, Any], marks: Marks) -> str:
+    """What has to be marked or typed before points can tell a camera; empty where points are not what is missing."""
+    evidence = marks.evidence
+    if evidence.lengths or evidence.parallels or evidence.beliefs or len(evidence.points) >= FEWEST:
+        return ""
+    marked = entries_of(document, "points")
+    if not marked:
+        return BEGIN
+    good = len(evidence.points)
+    unplaced = [i for i in range(len(marked)) if i not in marks.entries["points"].values()]
+    words = f"{good} of {FEWEST} points have their places. "
+    if unplaced:
+        name = marked[unplaced[0]].get("name") or unplaced[0] + 1
+        words += f"Type x and y of point {name} in metres"
+    left = FEWEST - good - len(unplaced)
+    if left > 0:
+        words += (", then mark " if unplaced else "Mark ") + f"{_NUMBERS[left]} more"
+        words += ", spread over the road: near and far, left and right"
+    return words + "."
+
+
+def in_degrees(evidence: Evidence) -> bool:
+    """Whether places look like degrees on the Earth: none of them a hand's breadth from the others as metres."""
+    if len(evidence.points) < 2:
+        return False
+    places: Array = np.array([point.place[:2] for point in evidence.points])
+    return bool(np.ptp(places, axis=0).max() < _TOGETHER and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
+
+
+def below_road(evidence: Evidence, camera: Camera) -> bool:
+    """Whether a camera hangs below the points that it was found by, as a mirrored plan has it."""
+    heights = [point.place[2] for point in evidence.points]
+    return bool(heights) and float(camera.position[2]) < min(heights)
