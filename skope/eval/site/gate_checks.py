@@ -48,7 +48,7 @@ def gate_warnings(
         blind = float(np.mean(~(seen & _seen(camera, spots + sign * _ROOM_M * left))))
         if blind >= _BLIND:
             out.append(
-                f"{blind:.0%} of it has no {_ROOM_M:g} m of road in the image on its {side}: "
+                f"{'all' if blind == 1 else f'{blind:.0%}'} of it has no {_ROOM_M:g} m of road in the image on its {side}: "
                 "tracks there are never on both sides"
             )
     out += _lanes_along(line, lanes)

@@ -63,9 +63,9 @@ export function fieldsOf(kind, entry) {
   const corner = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words[i] || i + 1}, px`));
   if (kind === "points") {
     const place = ["x", "y", "z"].map((axis, i) => ({ way: ["place", i], name: "place." + axis, words: `${axis}, metres` }));
-    return [...place, name, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "known to, m", usual: "0.1" }];
+    return [...place, name, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.1" }];
   }
-  if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "known to, m", usual: "0.05" }, ...corner("pixels", ["one end", "other end"])];
+  if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.05" }, ...corner("pixels", ["one end", "other end"])];
   if (kind === "verticals") return [name, { way: ["metres"], name: "metres", words: "height, metres (if known)", wide: true }, ...corner("pixels", ["foot", "top"])];
   if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, ${"ab"[j]}`)))];
   if (kind === "gates") {

@@ -68,7 +68,7 @@ function row(kind, index, entry, page, act) {
 
 // Where the other points alone would put this one, beside what they were said to be good for: the honest test of a map.
 function byOthers([error, stated]) {
-  const words = `the other points put it ${short(error)} off; stated: within ${short(stated)} (90%)`;
+  const words = `by the others ${short(error)} off (stated: ${short(stated)})`;
   return text("p", words, { class: error > stated ? "others bad" : "others" });
 }
 

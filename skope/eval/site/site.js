@@ -5,7 +5,7 @@ import { keyList, legend, switches, toolbar } from "./controls.js";
 import { redraw, handlesOf } from "./drawing.js";
 import { History } from "./history.js";
 import { Keys, handleOf } from "./keys.js";
-import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
+import { KINDS, MARKED, made, metres, pixel, setPosition } from "./kinds.js";
 import { MovedDrawings } from "./moved.js";
 import { figures, fill, footage, known, text } from "./panel.js";
 import { PlanView } from "./plan_view.js";
@@ -101,7 +101,8 @@ function hintWords() {
   if (tool === "select") return "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
   if (KINDS[tool].world && !(look && look.camera) && viewName === "image") return CAMERA_NEEDED;
   if (tool === "parallels" && group !== null && !pending.length) return "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
-  return KINDS[tool].hint;
+  // What is still missing is said where the next click goes; on a phone the list is far below.
+  return (tool === "points" && document_().points.length && look && look.message) || KINDS[tool].hint;
 }
 
 function trouble(words) {
@@ -135,7 +136,7 @@ function change(edit, of = null) {
 }
 
 function showCamera() {
-  byId("steps").hidden = Boolean(look.camera);
+  byId("steps").hidden = Boolean(look.camera) || MARKED.some((kind) => document_()[kind].length);
   byId("message").textContent = look.message;
   byId("message").hidden = !look.message;
   for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;

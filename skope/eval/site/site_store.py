@@ -14,7 +14,7 @@ from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
 from skope.eval.site.footage_time import read_time, time_texts
 from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
-from skope.eval.site.solved_page import SolvedCamera
+from skope.eval.site.solved_page import SolvedCamera, at_size
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site
@@ -163,11 +163,10 @@ def _unless(key: str, value: float, default: float) -> dict[str, float]:
 def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
     assert site.camera is not None
     camera = site.camera.camera
-    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
-        raise UserError(
-            f"{site.path}: camera: is of {camera.width}x{camera.height} pixels, the footage of "
-            f"{size[0]}x{size[1]}: other shapes"
-        )
+    try:
+        at_size(camera, size)
+    except UserError as error:
+        raise UserError(f"{site.path}: {error}") from None
     return camera_dict(site.camera.known, camera)
 
 

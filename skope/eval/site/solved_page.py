@@ -154,13 +154,19 @@ def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCam
     if not isinstance(value, dict):
         raise UserError("camera: expected an object")
     camera = Camera.from_dict(value, int(value.get("width", size[0])), int(value.get("height", size[1])))
-    if (camera.width, camera.height) != size:
-        if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
-            raise UserError(
-                f"camera: is of {camera.width}x{camera.height} pixels, the footage of {size[0]}x{size[1]}: other shapes"
-            )
-        camera = camera.resized(size)
+    camera = at_size(camera, size)
     return GivenCamera(camera, _known(camera, value.get("covariance")))
+
+
+def at_size(camera: Camera, size: tuple[int, int]) -> Camera:
+    """A camera of images of the footage's size; a UserError where they have another shape."""
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+        raise UserError(
+            f"camera: is of {camera.width}x{camera.height} pixels, the footage of {size[0]}x{size[1]}: other shapes"
+        )
+    return camera.resized(size)
 
 
 def _known(camera: Camera, value: Any) -> UncertainCamera | None:

@@ -288,7 +288,7 @@ def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..
     assert page.count("#marks .bad") == 0
     assert page.text("#figures-summary").startswith("6.")
     assert page.count("#marks .others") == 6
-    assert re.match(r"the other points put it [\d.]+ m off; stated: within [\d.]+ m", page.text("#marks .others"))
+    assert re.match(r"by the others [\d.]+ m off \(stated: [\d.]+ m\)", page.text("#marks .others"))
 
 
 def test_lanes_are_drawn_from_above(open_page: Open, serve: Callable[..., Served]) -> None:

@@ -169,6 +169,22 @@ def test_a_plan_is_scaled_by_two_of_its_points() -> None:
             plan_scale({"ends": [[50, 400], [150, 400]], "metres": 10, "at": [0, 0]} | wrong)
 
 
+def test_a_plan_may_be_turned_where_two_of_its_places_are_known() -> None:
+    ends = [[50.0, 400.0], [150.0, 300.0]]  # on the plan: to the upper right, 141 pixels
+    # In the world from (10, 20) straight to the north, 28.28 m: the plan's up is turned by 45 degrees to the left.
+    found = plan_scale({"ends": ends, "metres": "", "at": [10, 20], "second": [10, 20 + 20 * math.sqrt(2)]})
+    assert found["rotation_deg"] == pytest.approx(45)
+    size, turn = found["metres_per_pixel"], math.radians(found["rotation_deg"])
+    assert size == pytest.approx(0.2)
+    R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    for (u, v), place in zip(ends, ([10, 20], [10, 20 + 20 * math.sqrt(2)]), strict=True):
+        assert found["origin"] + size * R @ [u, -v] == pytest.approx(place)
+    with pytest.raises(UserError, match=r"28\.28 m apart, not 30"):
+        plan_scale({"ends": ends, "metres": "30", "at": [10, 20], "second": [10, 20 + 20 * math.sqrt(2)]})
+    with pytest.raises(UserError, match="second"):
+        plan_scale({"ends": ends, "metres": "30", "at": [10, 20], "second": ["", "7"]})
+
+
 def test_the_road_from_above_is_where_it_is() -> None:
     import base64
 

@@ -1,16 +1,22 @@
 """The server of the page: its own page alone may ask it, and what it saves is refused where it would lose something."""
 
+import base64
 import json
 import tomllib
 from collections.abc import Callable
+from datetime import timedelta
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from skope.errors import UserError
 from skope.eval.site.frames import SiteFrames
+from skope.eval.site.map_places import map_places
+from skope.eval.site.solved_page import SolvedPage
 from skope.site.site_file import read_site
 from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
 
@@ -118,6 +124,191 @@ def test_a_look_says_where_the_others_put_each_point(serve: Serve) -> None:
     # Of four points, three are left, which tell no camera.
     answer = json.loads(ask(serve(), "/look", empty_document(points=points[:4]))[2])
     assert [one["by_others"] for one in answer["residuals"]] == [None] * 4
+
+
+def look_at(points: Any, **document: Any) -> dict[str, Any]:
+    return dict(SolvedPage(SIZE).look(empty_document(points=points, **document)))
+
+
+def moved_places(way: Callable[[float, float], tuple[float, float]]) -> list[dict[str, Any]]:
+    return [point | {"place": [*way(*point["place"][:2]), 0.0]} for point in marked_points()]
+
+
+def test_what_is_missing_is_said_point_by_point() -> None:
+    points = marked_points(4)
+    assert look_at([])["message"].startswith("Mark four points or more")
+    assert look_at(points[:1])["message"].startswith("1 of 4 points have their places. Mark three more")
+    assert "Mark one more" in look_at(points[:3])["message"]
+    points[1]["place"] = [None, None, 0]
+    message = look_at(points[:3])["message"]
+    assert message.startswith("2 of 4 points have their places. Type x and y of point 2 in metres, then mark one more")
+    assert look_at(marked_points(4))["message"] == ""
+
+
+@pytest.mark.parametrize("way", [lambda x, y: (x, -y), lambda x, y: (y, x)])
+def test_a_mirrored_plan_is_said_and_has_no_camera(way: Any) -> None:
+    answer = look_at(moved_places(way))
+    assert answer["camera"] is None
+    assert answer["mend"] == "mirrored"
+    assert "mirrored" in answer["message"]
+
+
+def test_degrees_in_place_of_metres_are_said_and_taken_as_metres(serve: Serve) -> None:
+    # A minute of latitude is a nautical mile of 1852 m at about 45 degrees, within a third of a percent at 50.
+    points = moved_places(lambda x, y: (50 + y / 1852 / 60, 8 + x / (1852 * 60 * 0.6428)))
+    answer = look_at(points)
+    assert (answer["camera"], answer["mend"]) == (None, "degrees")
+    pairs = [point["place"][:2] for point in points]
+    status, _, data = ask(serve(), "/map-places", {"pairs": pairs, "order": "latitude", "world": None})
+    found = json.loads(data)
+    assert status == 200
+    places = np.array(found["places"])
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    true = np.linalg.norm(PLACES[:, None] - PLACES, axis=-1)
+    assert apart == pytest.approx(true, rel=0.005, abs=0.01)
+    assert found["world"]["origin"]["latitude"] == pytest.approx(50.0002, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "world", "said"),
+    [
+        ("52.5163° N, 13.3777° E", None, None),
+        ("52,5163; 13,3777", None, None),
+        ("52.5163 13.3777", {"origin": {"longitude": 13.3777, "latitude": 52.5162}}, None),
+        ("-33.85, 151.21", None, None),
+        ("52.5163", None, "like 49.00012"),
+        ("95, 13", None, "from -90 to 90"),
+        ("13.3777, 52.5163", {"origin": {"longitude": 13.3777, "latitude": 52.5162}}, "is the latitude first?"),
+        ("52.5, 13.4", {"origin": {"easting": 1.0, "northing": 2.0}, "utm_zone": "33N"}, "UTM zone 33N"),
+    ],
+)
+def test_a_place_as_maps_give_it(text: str, world: Any, said: str | None) -> None:
+    if said is not None:
+        with pytest.raises(UserError, match=said):
+            map_places({"text": text, "world": world})
+        return
+    found = map_places({"text": text, "world": world})
+    north = 0.0001 * 111_280 if world else 0.0  # metres of a ten-thousandth of a degree at 52.5 degrees
+    assert found["places"][0] == pytest.approx([0.0, north], abs=0.02)
+
+
+def test_a_place_on_a_map_beside_metres_from_elsewhere_is_refused() -> None:
+    with pytest.raises(UserError, match="type this one in metres too"):
+        map_places({"text": "52.5163, 13.3777", "world": None, "others": True})
+
+
+def test_a_lens_file_is_kept_as_evidence(serve: Serve) -> None:
+    served = serve()
+    text = (
+        "%YAML:1.0\n---\nimage_width: 1280\nimage_height: 720\ncamera_matrix: !!opencv-matrix\n"
+        "   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1000., 0., 639.5, 0., 1000., 359.5, 0., 0., 1. ]\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: [ -0.1, 0., 0., 0. ]\n"
+    )
+    found = json.loads(ask(served, "/read", {"name": "lens.yml", "text": text})[2])
+    assert "lens alone" in found["said"]
+    assert "camera" not in found
+    assert found["lens"] == {"focal_px": [500.0, 5.0], "k1": [-0.1, 0.02]}  # of 640 pixels in place of 1280
+    begun = json.loads(ask(served, "/begin.json")[2])["document"]
+    document = begun | {"points": marked_points(4), "known": {"lens": found["lens"]}}
+    assert ask(served, "/save", {"document": document, "revision": None})[0] == 200
+    assert json.loads(ask(served, "/begin.json")[2])["document"]["known"] == {"lens": found["lens"]}
+    calibration = read_site(served.path).calibration
+    assert calibration is not None
+    (belief,) = calibration.evidence().beliefs
+    assert np.exp(belief.mean[0]) == pytest.approx(500)
+    assert belief.mean[1] == -0.1
+    with_lens, without = (
+        SolvedPage(SIZE).look(one)["camera"]["figures"][0] for one in (document, document | {"known": {}})
+    )
+    assert with_lens["sigma"] < 6 < without["sigma"]
+
+
+def test_a_plan_is_written_beside_the_site_and_opened_again(serve: Serve, tmp_path: Path) -> None:
+    served = serve()
+    pictures = [cv2.imencode(".png", np.full((40, 60, 3), grey, dtype=np.uint8))[1].tobytes() for grey in (10, 200)]
+    held = [
+        json.loads(ask(served, "/plan-picture", {"data": base64.b64encode(data).decode()})[2])["picture"]
+        for data in pictures
+    ]
+    assert ask(served, f"/plans/{held[0]}")[2] == pictures[0]
+    begun = json.loads(ask(served, "/begin.json")[2])
+    plan = {"metres_per_pixel": 0.1, "origin": [-5.0, 40.0], "rotation_deg": 12.5}
+    assert [path.name for path in tmp_path.iterdir()] == ["road.png"]  # nothing before it is saved
+    (tmp_path / "site_plan.png").write_bytes(b"somebody's own")
+    document = begun["document"] | {"plan": plan | {"picture": held[0], "file": "../../evil.png"}}
+    status, _, data = ask(served, "/save", {"document": document, "revision": None})
+    assert status == 200, data
+    assert (tmp_path / "site_plan.png").read_bytes() == b"somebody's own"
+    read = read_site(served.path).plan
+    assert read is not None
+    assert read.file == tmp_path / "site_plan_2.png"
+    assert read.file.read_bytes() == pictures[0]
+    again = json.loads(ask(serve(path=served.path), "/begin.json")[2])
+    assert again["document"]["plan"] == plan | {"picture": held[0]}
+    # Where the picture has gone, its name and its scale stay.
+    read.file.unlink()
+    served = serve(path=served.path)
+    gone = json.loads(ask(served, "/begin.json")[2])
+    assert gone["document"]["plan"] == plan | {"picture": None}
+    moved = gone["document"] | {"plan": gone["document"]["plan"] | {"origin": [0.0, 0.0]}}
+    assert ask(served, "/save", {"document": moved, "revision": gone["revision"]})[0] == 200
+    kept = read_site(served.path).plan
+    assert kept is not None
+    assert (kept.file.name, kept.origin) == ("site_plan_2.png", (0.0, 0.0))
+    away = moved | {"plan": None}
+    revision = json.loads(ask(served, "/begin.json")[2])["revision"]
+    assert ask(served, "/save", {"document": away, "revision": revision})[0] == 200
+    assert read_site(served.path).plan is None
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"<svg onload=alert(1)>", "PNG, JPEG or WebP"),
+        (b"%PDF-1.7", "save its page as PNG"),
+        (b"", "PNG, JPEG or WebP"),
+    ],
+)
+def test_what_is_no_picture_is_no_plan(serve: Serve, data: bytes, said: str) -> None:
+    status, _, answer = ask(serve(), "/plan-picture", {"data": base64.b64encode(data).decode()})
+    assert (status, said in answer.decode()) == (400, True)
+    assert ask(serve(), "/plan-picture", {"data": "no base64!"})[0] == 400
+
+
+@pytest.mark.parametrize(
+    ("time_zone", "start", "wrong"),
+    [
+        ("Europe/Berlin", "2026-11-26 10:00", {}),
+        (None, "2026-11-26T10:00:00+05:30", {}),
+        ("Berlin", "2026-11-26 10:00", {"time_zone": "Europe/Berlin"}),
+        ("../../etc/passwd", None, {"time_zone": "Europe/Berlin"}),
+        ("Europe/Berlin", "ten o'clock", {"start": "2026-11-26 10:00:00"}),
+        (None, "2026-11-26 10:00", {"start": "time zone"}),
+        ("Europe/Berlin", "2026-03-29 02:30", {"start": "no such time"}),
+        ("Europe/Berlin", "2026-10-25 02:30", {"start": "2026-10-25 02:30:00+02:00 or 2026-10-25 02:30:00+01:00"}),
+    ],
+)
+def test_time_zone_and_start_of_the_footage(
+    serve: Serve, time_zone: str | None, start: str | None, wrong: dict[str, str]
+) -> None:
+    served = serve()
+    begun = json.loads(ask(served, "/begin.json")[2])
+    document = begun["document"] | {"time_zone": time_zone, "start": start}
+    problems = json.loads(ask(served, "/look", document)[2])["problems"]
+    assert {one["field"] for one in problems} == set(wrong)
+    assert all(wrong[one["field"]] in one["text"] for one in problems)
+    status = ask(served, "/save", {"document": document, "revision": None})[0]
+    assert status == (422 if wrong else 200)
+    if wrong:
+        return
+    site = read_site(served.path)
+    assert start is not None
+    assert site.start is not None
+    assert site.start.replace(tzinfo=None).isoformat() == "2026-11-26T10:00:00"
+    assert site.start.utcoffset() == timedelta(hours=1 if time_zone else 5.5)
+    again = json.loads(ask(served, "/begin.json")[2])["document"]
+    assert again["time_zone"] == time_zone
+    assert again["start"].startswith("2026-11-26 10:00:00" if time_zone else "2026-11-26 10:00:00+05:30")
 
 
 def test_saving_keeps_what_the_page_does_not_know(serve: Serve, tmp_path: Path) -> None:
