@@ -47,8 +47,9 @@ def gate_warnings(
     for side, sign in (("left", 1.0), ("right", -1.0)):
         blind = float(np.mean(~(seen & _seen(camera, spots + sign * _ROOM_M * left))))
         if blind >= _BLIND:
+            much = "all" if blind == 1 else f"{blind:.0%}"
             out.append(
-                f"{'all' if blind == 1 else f'{blind:.0%}'} of it has no {_ROOM_M:g} m of road in the image on its {side}: "
+                f"{much} of it has no {_ROOM_M:g} m of road in the image on its {side}: "
                 "tracks there are never on both sides"
             )
     out += _lanes_along(line, lanes)

@@ -272,6 +272,165 @@ def test_places_clicked_on_a_plan(open_page: Open, tmp_path: Path) -> None:
     assert float(shown or 33) == pytest.approx(33, abs=0.2)
 
 
+def test_a_plan_is_scaled_and_turned_and_is_there_again(open_page: Open, tmp_path: Path) -> None:
+    plan = tmp_path / "aerial.png"
+    cv2.imwrite(str(plan), np.full((450, 300, 3), 230, dtype=np.uint8))
+    page = open_page()
+    run = page.browser.run
+    choose_file(page, "plan", plan)
+    page.browser.until("document.querySelector('[data-view=plan]').getAttribute('aria-pressed') === 'true'")
+
+    def scale() -> None:
+        # Up the plan by 100 pixels is 20 m to the west: its up is turned by 90 degrees to the left.
+        for pixel in ([150, 300], [150, 200]):
+            page.click(pixel)
+        page.browser.until("document.getElementById('scale').open")
+        for field, text in (("x", "10"), ("y", "20"), ("x2", "-10"), ("y2", "20")):
+            run(f"document.getElementById('scale-{field}').focus()")
+            page.type(text)
+        run("document.querySelector('#scale button[type=submit]').click()")
+        page.browser.until("!document.getElementById('scale').open")
+
+    scale()
+    # That was a mistake: undo takes the scale away, and the two points are clicked again.
+    run("document.querySelector('[data-view=plan]').click()")
+    run("document.getElementById('undo').click()")
+    page.browser.until("document.getElementById('hint').textContent.includes('first of two points')")
+    scale()
+    run("document.querySelector('[data-view=image]').click()")
+    for pixel, place in zip(pixels_of(PLACES), PLACES, strict=True):
+        page.click(pixel)
+        page.browser.until("document.querySelector('[data-view=plan]').getAttribute('aria-pressed') === 'true'")
+        # Of the plan, right is north and up is west, 0.2 m a pixel.
+        page.click([150 + (place[1] - 20) / 0.2, 300 + (place[0] - 10) / 0.2])
+        page.browser.until("document.querySelector('[data-view=image]').getAttribute('aria-pressed') === 'true'")
+    page.settle()
+    assert page.text("#figures-summary").startswith("6.")
+    run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    saved = read_site(page.served.path).plan
+    assert saved is not None
+    assert saved.file.name == "site_plan.png"
+    assert saved.rotation_deg == pytest.approx(90)
+    again = open_page(page.served)
+    again.browser.run("document.querySelector('[data-view=plan]').click()")
+    again.browser.until("document.querySelectorAll('.points circle.handle').length === 6")
+    x, y = again.browser.run(
+        "['cx', 'cy'].map((k) => Number(document.querySelector('[data-handle=\"points:0:0\"]').getAttribute(k)))"
+    )
+    assert (x, y) == pytest.approx((150 + (PLACES[0, 1] - 20) / 0.2, 300 + (PLACES[0, 0] - 10) / 0.2), abs=1)
+    assert again.text("#state") == "saved"
+    again.browser.run("document.getElementById('plan-away').click()")
+    assert again.text("#state") == "not saved yet"
+
+
+def gate_pixels(page: SitePage) -> Any:
+    """(2, 2) where the image shows the ends of the first gate."""
+    ends = "[...document.querySelectorAll('.gates circle.handle')]"
+    return np.array(page.browser.run(f"{ends}.map((c) => ['cx', 'cy'].map((k) => Number(c.getAttribute(k))))"))
+
+
+@pytest.mark.parametrize("kept", ["image", "metres"])
+def test_gates_under_a_camera_that_is_calibrated_again(
+    open_page: Open, serve: Callable[..., Served], kept: str
+) -> None:
+    gate: dict[str, Any] = {"name": "north", "line": [[2.0, 15.0], [9.0, 18.0]], "directions": ["", ""]}
+    served = serve(points=marked_points(4), gates=[gate])
+    page = open_page(served)
+    before = gate_pixels(page)
+    assert page.browser.run("document.getElementById('moved').hidden")
+    # All places were counted from elsewhere: the camera is 3 m farther east.
+    run = page.browser.run
+    for index, place in enumerate(PLACES[:4]):
+        run(f"document.querySelectorAll('#marks .choose')[{index}].click()")
+        page.fill(f"points:{index}:place.0", str(place[0] + 3))
+    page.settle()
+    assert "moved by up to" in page.text("#moved-words")
+    assert np.abs(gate_pixels(page) - before).max() > 10
+    run(f"document.getElementById('keep-{kept}').click()")
+    page.settle()
+    page.browser.until("document.getElementById('moved').hidden")
+    away = np.abs(gate_pixels(page) - before).max()
+    run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    line = np.array(read_site(served.path).gates[0].line)
+    if kept == "image":
+        assert away < 0.3
+        assert line == pytest.approx(np.array(gate["line"]) + [3, 0], abs=0.1)
+    else:
+        assert away > 10
+        assert line == pytest.approx(np.array(gate["line"]))
+
+
+def test_mirrored_places_are_mended_by_a_button_and_undone(open_page: Open, serve: Callable[..., Served]) -> None:
+    points = [point | {"place": [point["place"][0], -point["place"][1], 0.0]} for point in marked_points()]
+    page = open_page(serve(points=points))
+    assert "mirrored" in page.text("#message")
+    assert page.text("#mend button") == "Swap x and y Turn y round"
+    page.browser.run("document.querySelector('[data-way=mirror]').click()")
+    page.settle()
+    assert page.text("#message") == ""
+    assert page.text("#figures-summary").startswith("6.")
+    page.browser.run("document.getElementById('undo').click()")
+    page.settle()
+    assert "mirrored" in page.text("#message")
+
+
+def test_latitude_and_longitude_are_pasted(open_page: Open) -> None:
+    page = open_page()
+    page.tool("points")
+    for i, (pixel, (x, y)) in enumerate(zip(pixels_of(PLACES), PLACES.tolist(), strict=True)):
+        page.click(pixel)
+        # A degree at 50 degrees of latitude: 111.229 km to the north, 71.696 km to the east.
+        page.fill(f"points:{i}:map", f"{50 + y / 111229:.7f}, {8 + x / 71696:.7f}")
+        page.browser.until(f"document.querySelector('[data-focus=\"points:{i}:place.0\"]').value !== ''")
+    page.settle()
+    assert page.text("#figures-summary").startswith("6.")
+    page.fill("points:5:map", "50 degrees")
+    page.browser.until("document.querySelector('#marks .wrong') !== null")
+    assert "like 49.00012, 8.40034" in page.text("#marks .wrong")
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    world = read_site(page.served.path).world
+    assert world is not None
+    assert world["origin"]["latitude"] == pytest.approx(50, abs=0.001)
+
+
+def test_when_the_footage_was_taken(open_page: Open) -> None:
+    page = open_page()
+    page.browser.run("document.getElementById('footage-details').open = true")
+    page.fill("footage:0:time_zone", "Berlin")
+    page.settle()
+    assert "Europe/Berlin" in page.text("#footage .wrong")
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("!document.getElementById('problem').hidden")
+    assert not page.served.path.exists()
+    page.fill("footage:0:time_zone", "Europe/Berlin")
+    page.fill("footage:0:start", "2026-11-26 10:00")
+    page.settle()
+    assert page.text("#footage .wrong") == ""
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent.startsWith('saved')")
+    site = read_site(page.served.path)
+    assert (site.time_zone, str(site.start)) == ("Europe/Berlin", "2026-11-26 10:00:00+01:00")
+
+
+def test_on_a_phone_the_fields_of_a_new_point_are_in_sight(open_page: Open) -> None:
+    page = open_page(width=390, height=844)
+    page.tool("points")
+    page.touch(pixels_of(PLACES[:1])[0])
+    page.settle()
+    top, bottom = page.browser.run(
+        "(() => { const b = document.querySelector('[data-focus=\"points:0:place.0\"]').getBoundingClientRect();"
+        " return [b.top, b.bottom]; })()"
+    )
+    stage = page.browser.run("document.getElementById('stage').getBoundingClientRect().bottom")
+    assert stage <= top < bottom < 600
+    assert page.count("#marks .fields") == 0  # not far below as well
+    page.browser.run("document.querySelector('#sheet button').click()")
+    assert page.browser.run("document.getElementById('sheet').hidden")
+
+
 def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..., Served], tmp_path: Path) -> None:
     page = open_page(serve(SiteFrames.canvas((640, 360), "points")))
     rows: dict[str, Any] = {
