@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from skope.camera.camera_json import read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
@@ -52,7 +54,8 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     """What a file of points or a camera adds to the document. Raises UserError as `read_file` does."""
     if path.suffix.lower() in POINT_FILES:
         file = read_points(path)
-        points = [point_entry(point) for point in file.points]
+        # Map coordinates from a local origin have digits that nobody typed: tenths of millimetres are kept.
+        points = [entry | {"place": np.round(entry["place"], 4).tolist()} for entry in map(point_entry, file.points)]
         world = {"world": dict(file.world)} if file.world else {}
         return {"points": points, **world, "said": "; ".join(file.said)}
     camera, posed = read_camera(path, size)

@@ -447,6 +447,9 @@ def test_points_of_a_file_on_an_empty_canvas(open_page: Open, serve: Callable[..
     assert page.count("#marks .bad") == 0
     assert page.text("#figures-summary").startswith("6.")
     assert page.count("#marks .others") == 6
+    page.browser.run("document.querySelector('#marks .choose').click()")
+    shown = page.browser.run("document.querySelector('[data-focus=\"points:0:place.0\"]').value")
+    assert len(shown) <= 6, shown  # digits that nobody typed
     assert re.match(r"by the others [\d.]+ m off \(stated: [\d.]+ m\)", page.text("#marks .others"))
 
 
