@@ -1,18 +1,18 @@
 // The page on which a camera is calibrated and a road drawn. What a file says gets into it as text or as numbers of a
 // drawing; places, residuals and warnings come from the server.
 
+import { CameraPanel } from "./camera_panel.js";
 import { keyList, legend, switches, toolbar } from "./controls.js";
 import { redraw, handlesOf } from "./drawing.js";
 import { History } from "./history.js";
 import { Keys, handleOf } from "./keys.js";
-import { KINDS, MARKED, made, metres, pixel, setPosition } from "./kinds.js";
-import { MovedDrawings } from "./moved.js";
-import { figures, fill, footage, known, text } from "./panel.js";
-import { PlanView } from "./plan_view.js";
+import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
+import { fill, footage, known, text } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { Saving } from "./saving.js";
 import { get, newest, post } from "./server.js";
 import { Viewport } from "./viewport.js";
+import { Views } from "./views.js";
 
 const byId = (id) => document.getElementById(id);
 const stage = byId("stage");
@@ -39,15 +39,10 @@ const now = {
   refused: null, // a problem of what was typed last, which is not in the document
 };
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
-const image = { picture: null, size: [1, 1] };
-const moved = new MovedDrawings();
 const narrow = matchMedia("(max-width: 56rem)"); // as in site.css: the list is far below the picture
-let above = null;
-let viewName = "image";
-let frame = 0;
-
-const plan = new PlanView((scaled) => planScaled(scaled), () => history && viewName === "plan" && show("plan"));
-const view = () => (viewName === "plan" ? plan.view(document_().plan) : viewName === "above" ? above : image);
+let views;
+let cameraPanel;
+const view = () => views.current;
 const document_ = () => history.document;
 
 // ---------------------------------------------------------------------------------------------------------- showing
@@ -59,7 +54,7 @@ const page = () => ({
   view: view() || { size: [1, 1] },
   layers,
   unit: 1 / viewport.scale,
-  planReady: Boolean(document_().plan && plan.view(document_().plan)),
+  planReady: Boolean(document_().plan && views.plan.view(document_().plan)),
   residualOf: (kind, index) => (look ? look.residuals.find((one) => one.kind === kind && one.index === index) : undefined),
   problemsOf: (kind, index) => problems().filter((one) => one.kind === kind && one.index === index),
   warningsOf: (kind, index) => (look ? look.shapes.find((one) => one.kind === kind && one.index === index)?.warnings || [] : []),
@@ -68,7 +63,7 @@ const page = () => ({
 const problems = () => [...(look ? look.problems : []), ...(now.refused ? [now.refused] : [])];
 
 const drawAll = () => redraw(svg, page());
-viewport.shown = () => history && drawAll();
+viewport.shown = () => views && drawAll();
 
 function refresh() {
   drawAll();
@@ -84,7 +79,7 @@ function refresh() {
   for (const button of byId("tools").querySelectorAll("[data-tool]")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
   byId("finish").hidden = !(pending.length && KINDS[tool] && KINDS[tool].open);
   byId("cancel").hidden = !pending.length && now.picking === null;
-  byId("plan-tools").hidden = viewName !== "plan" || !document_().plan;
+  byId("plan-tools").hidden = views.name !== "plan" || !document_().plan;
   stage.classList.toggle("selecting", tool === "select" && now.picking === null);
   hint();
 }
@@ -95,11 +90,11 @@ function hint() {
 
 function hintWords() {
   const { tool, picking, group, pending } = now;
-  if (viewName === "plan" && !view()) return document_().plan ? "The plan's picture is not there any more: load it again." : "Load a map, a plan or an aerial picture first.";
-  if (viewName === "plan" && !view().fromWorld) return plan.ends.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
+  if (views.name === "plan" && !view()) return document_().plan ? "The plan's picture is not there any more: load it again." : "Load a map, a plan or an aerial picture first.";
+  if (views.name === "plan" && !view().fromWorld) return views.plan.ends.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
   if (picking !== null && document_().points[picking]) return `Click the place of point ${document_().points[picking].name || picking + 1} on the plan (Esc: type it instead).`;
   if (tool === "select") return "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
-  if (KINDS[tool].world && !(look && look.camera) && viewName === "image") return CAMERA_NEEDED;
+  if (KINDS[tool].world && !(look && look.camera) && views.name === "image") return CAMERA_NEEDED;
   if (tool === "parallels" && group !== null && !pending.length) return "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
   // What is still missing is said where the next click goes; on a phone the list is far below.
   return (tool === "points" && document_().points.length && look && look.message) || KINDS[tool].hint;
@@ -115,8 +110,8 @@ function trouble(words) {
 const askLook = newest("/look", (answer) => {
   look = answer;
   stage.setAttribute("aria-busy", "false");
-  showCamera();
-  showMoved();
+  cameraPanel.show(look);
+  setMap();
   refresh();
 }, (error) => trouble(error.message));
 let asking;
@@ -124,7 +119,6 @@ let asking;
 function changed() {
   trouble("");
   now.refused = null;
-  above = viewName === "above" ? above : null; // the camera may be another one
   stage.setAttribute("aria-busy", "true");
   clearTimeout(asking);
   asking = setTimeout(() => askLook(document_()), WAIT_MS);
@@ -135,62 +129,8 @@ function change(edit, of = null) {
   if (history.change(edit, of)) changed();
 }
 
-function showCamera() {
-  byId("steps").hidden = Boolean(look.camera) || MARKED.some((kind) => document_()[kind].length);
-  byId("message").textContent = look.message;
-  byId("message").hidden = !look.message;
-  for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
-  byId("warnings").replaceChildren(...look.warnings.map((words) => text("li", words)));
-  byId("figures-details").hidden = !look.camera;
-  if (look.camera) figures(byId("figures"), byId("figures-summary"), look.camera);
-  setMap();
-}
-
-// Says that the camera has been calibrated again under gates, zones and lanes that were drawn before.
-function showMoved() {
-  const { entries, most } = moved.compare(document_(), look);
-  byId("moved").hidden = !entries.length;
-  byId("moved-words").textContent = `The camera is another one now: ${entries.length} of what is drawn on the road ${entries.length > 1 ? "have" : "has"} moved by up to ${Math.round(most)} px in the image.`;
-  byId("moved").entries = entries;
-}
-
-// Draws what has moved again where it was in the image, by the camera as it is now.
-async function keepInImage() {
-  const { entries } = byId("moved");
-  const pixels = entries.flatMap(({ corners }) => corners.filter(Boolean));
-  const places = await placesOf(pixels);
-  if (!places.length) return;
-  change((all) => {
-    for (const { kind, index, corners } of entries) {
-      corners.forEach((corner, part) => corner && setPosition(kind, all[kind][index], part, places.shift()));
-    }
-  });
-}
-
-function keepMetres() {
-  moved.agree();
-  showMoved();
-}
-
-// Mends places that are all wrong in one way: axes that are swapped or turned, degrees in place of metres.
-async function mend(way) {
-  const whole = document_().points.filter(({ place }) => place.slice(0, 2).every((one) => typeof one === "number"));
-  let places = whole.map(({ place: [x, y] }) => (way === "swap" ? [y, x] : [x, -y]));
-  let world = null;
-  if (way === "latitude" || way === "longitude") {
-    const answer = await post("/map-places", { pairs: whole.map(({ place }) => place.slice(0, 2)), order: way, world: null }).catch((error) => trouble(error.message));
-    if (!answer) return;
-    ({ places, world } = answer);
-  }
-  const names = whole.map((point) => document_().points.indexOf(point));
-  change((all) => {
-    names.forEach((index, i) => all.points[index].place.splice(0, 2, ...places[i]));
-    if (world) all.world = world;
-  });
-}
-
 function setMap() {
-  const errors = layers.errors && viewName === "image" && look ? look.errors : null;
+  const errors = layers.errors && views.name === "image" && look ? look.errors : null;
   viewport.setMap(errors);
   byId("legend").hidden = !errors;
 }
@@ -244,12 +184,12 @@ const act = {
   addLine(index) {
     setTool("parallels");
     now.group = index;
-    show("image");
+    views.show("image");
     hint();
   },
   placeOnPlan(index) {
     now.picking = index;
-    show("plan");
+    views.show("plan");
   },
 };
 
@@ -296,21 +236,21 @@ function setTool(name) {
 
 function chooseTool(name) {
   setTool(name);
-  if (KINDS[name] && !KINDS[name].world && viewName !== "image") show("image");
+  if (KINDS[name] && !KINDS[name].world && views.name !== "image") views.show("image");
 }
 
 // A position of the view was clicked, touched, or confirmed by Enter.
 async function mark(position) {
   if (!within(position)) return;
-  if (viewName === "plan" && !view()?.fromWorld) {
-    if (view()) plan.click(position);
-    now.pending = plan.ends;
+  if (views.scaling) {
+    if (view()) views.plan.click(position);
+    now.pending = views.plan.ends;
     return refresh();
   }
   if (now.picking !== null) return place(position);
   if (now.tool === "select") return act.choose(null);
   const { count, open, world } = KINDS[now.tool];
-  if (!world && viewName !== "image") return trouble("Mark that in the image.");
+  if (!world && views.name !== "image") return trouble("Mark that in the image.");
   now.pending = [...now.pending, position];
   if (!open && now.pending.length === count) await finish();
   else refresh();
@@ -351,17 +291,17 @@ function place(position) {
   change((all) => {
     if (all.points[index]) all.points[index].place.splice(0, 2, ...metres(view().toWorld(position)));
   });
-  show("image");
+  views.show("image");
 }
 
 function cancel() {
   const { picking, pending, group, tool } = now;
-  if (picking !== null) show("image");
+  if (picking !== null) views.show("image");
   else if (!pending.length && group === null && tool !== "select") return setTool("select");
   else if (!pending.length && group === null) now.selected = null;
   if (!pending.length) now.group = null;
   Object.assign(now, { pending: [], picking: null, hover: null });
-  plan.ends = [];
+  views.plan.ends = [];
   refresh();
 }
 
@@ -370,94 +310,16 @@ function step(does) {
   Object.assign(now, NOTHING);
   const { selected } = now;
   if (selected && !document_()[selected.kind][selected.index]) now.selected = null;
-  if (viewName === "plan") show("plan");
+  if (views.name === "plan") views.show("plan");
   changed();
 }
 
-// ------------------------------------------------------------------------------------------------------------ views
-
-async function show(name) {
-  try {
-    if (name === "above") above = await fromAbove();
-    if (name === "plan") await plan.want(document_().plan);
-  } catch (error) {
-    return trouble(error.message);
-  }
-  const keep = name === viewName;
-  if (!keep) now.pending = [];
-  if (name !== "plan") plan.ends = [];
-  viewName = name;
-  now.cursor = null;
-  byId("where").textContent = "";
-  for (const button of byId("views").children) button.setAttribute("aria-pressed", button.dataset.view === name);
-  byId("frames").hidden = name === "plan" || begun.frames < 2;
-  const shown = view() || { picture: null, size: [800, 600] };
-  viewport.show(shown.picture, shown.size, keep);
-  setMap();
-  refresh();
-}
-
-async function fromAbove() {
-  const { low, high, cell_m, size, image } = await post("/above", { document: document_(), frame });
-  const picture = new Image();
-  picture.src = image;
-  await picture.decode();
-  return {
-    picture,
-    size,
-    toWorld: ([x, y]) => [low[0] + x * cell_m, high[1] - y * cell_m],
-    fromWorld: ([x, y]) => [(x - low[0]) / cell_m, (high[1] - y) / cell_m],
-  };
-}
-
-async function loadPlan(file) {
-  try {
-    await plan.load(file);
-  } catch (error) {
-    return trouble(`${file.name}: ${error.status ? error.message : "not an image that a browser shows"}`);
-  }
-  now.picking = null;
-  const known = document_().plan;
-  // A picture that had gone has its scale still; another one has to be scaled anew.
-  change((all) => { all.plan = known && !known.picture ? { ...known, picture: plan.loaded } : null; });
-  await show("plan");
-}
-
-async function planScaled(scaled) {
-  change((all) => { all.plan = scaled; });
-  now.pending = [];
+// The plan has its scale: places that are missing are clicked there, others in the image.
+async function placed() {
   const missing = document_().points.findIndex(({ place: [x, y] }) => x === null || y === null);
   if (missing >= 0) act.placeOnPlan(missing);
-  else await show(document_().points.length ? "plan" : "image");
+  else await views.show(document_().points.length ? "plan" : "image");
   if (now.tool === "select" && missing < 0) setTool("points");
-}
-
-function scaleAgain() {
-  plan.loaded = document_().plan.picture;
-  change((all) => { all.plan = null; });
-  show("plan");
-}
-
-function forgetPlan() {
-  plan.loaded = null;
-  change((all) => { all.plan = null; });
-  show("image");
-}
-
-async function turnTo(number) {
-  frame = number;
-  byId("frame").value = number + 1;
-  byId("frame-number").textContent = `${number + 1} of ${begun.frames}`;
-  try {
-    const bitmap = await createImageBitmap(await (await get("/frames/" + number)).blob());
-    if (frame !== number) return;
-    image.picture = bitmap;
-    stage.dataset.frame = number;
-    if (viewName === "image") viewport.show(bitmap, view().size, true);
-    else if (viewName === "above") await show("above");
-  } catch (error) {
-    trouble(error.message);
-  }
 }
 
 // ------------------------------------------------------------------------------------------------------------- files
@@ -514,7 +376,7 @@ function tell(position) {
 }
 
 const help = () => byId("help").showModal();
-const grabs = () => !now.pending.length && now.picking === null && !(viewName === "plan" && !view()?.fromWorld);
+const grabs = () => !now.pending.length && now.picking === null && !views.scaling;
 
 function choose({ kind, index, part }) {
   now.selected = { kind, index, part };
@@ -546,23 +408,16 @@ function listen() {
   on("save", save);
   on("merge", () => saving.join(document_()));
   on("theirs", () => saving.join(null));
-  on("keep-image", keepInImage);
-  on("keep-metres", keepMetres);
-  on("plan-again", scaleAgain);
-  on("plan-away", forgetPlan);
   on("ask", help);
   on("larger", () => viewport.zoom(1.5));
   on("smaller", () => viewport.zoom(1 / 1.5));
   on("whole", () => viewport.fit());
-  on("frame", () => turnTo(Number(byId("frame").value) - 1), "change");
-  for (const [id, does] of [["file", loadFile], ["plan", loadPlan]]) {
+  for (const [id, does] of [["file", loadFile], ["plan", (picture) => views.loadPlan(picture)]]) {
     on(id, (event) => {
       if (event.target.files[0]) does(event.target.files[0]);
       event.target.value = "";
     }, "change");
   }
-  for (const button of byId("views").children) button.addEventListener("click", () => show(button.dataset.view));
-  for (const button of byId("mend").children) button.addEventListener("click", () => mend(button.dataset.way));
   narrow.addEventListener("change", refresh);
   const does = { mark, put, choose, ended, tell, draw: drawAll, grabs, save, step, cancel, remove: act.remove, setTool, finish, help };
   new Pointer(stage, viewport, now, page, does);
@@ -577,19 +432,19 @@ async function begin() {
   saving = new Saving(begun, { refresh, trouble, wrong, replace });
   byId("title").textContent = `${begun.title} → ${begun.file}`;
   document.title = `${begun.title}: site`;
-  image.size = begun.size;
-  byId("frame").max = Math.max(begun.frames, 1);
+  cameraPanel = new CameraPanel({ document: document_, change, trouble, placesOf });
+  views = new Views(begun, viewport, now, { document: document_, change, trouble, placed, shown: () => (setMap(), refresh()) });
   byId("zones").replaceChildren(...begun.zones.map((value) => text("option", "", { value })));
   toolbar(byId("tools"), { choose: chooseTool, finish, cancel });
   switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
   legend(byId("legend"));
   listen();
   keyList(byId("keys"));
-  await show("image");
+  await views.show("image");
   setTool(begun.document.points.length ? "select" : "points");
   askLook(document_());
-  if (begun.frames) await turnTo(begun.frame);
-  plan.want(document_().plan).catch((error) => trouble(error.message));
+  if (begun.frames) await views.turnTo(begun.frame);
+  views.plan.want(document_().plan).catch((error) => trouble(error.message));
   stage.dataset.ready = "true";
 }
 

@@ -57,6 +57,8 @@ _SCRIPTS: Final = (
     "plan_view",
     "saving",
     "moved",
+    "views",
+    "camera_panel",
 )
 _FILES: Final = {
     "/": (_HERE, "site.html", HTML),

@@ -233,6 +233,7 @@ def test_two_windows_do_not_lose_each_others_work(open_page: Open, serve: Callab
     assert "saved by another window" in page.text("#conflict")
     assert [gate.name for gate in read_site(served.path).gates] == ["theirs"]
     page.browser.run("document.getElementById('merge').click()")
+    page.browser.until("document.getElementById('conflict').hidden")
     page.settle()
     assert "theirs" in page.text("#road")
     assert page.count(".points circle.handle") == 6

@@ -1,0 +1,75 @@
+// What is said of the camera: figures, warnings, what is missing, what a button can mend, and what moved with it.
+
+import { MARKED, setPosition } from "./kinds.js";
+import { MovedDrawings } from "./moved.js";
+import { figures, text } from "./panel.js";
+import { post } from "./server.js";
+
+const byId = (id) => document.getElementById(id);
+
+export class CameraPanel {
+  // `does` has `document`, `change`, `trouble`, and `placesOf` (pixels on the road).
+  constructor(does) {
+    Object.assign(this, { does, drawings: new MovedDrawings(), moved: [] });
+    byId("keep-image").addEventListener("click", () => this.keepInImage());
+    byId("keep-metres").addEventListener("click", () => this.keepMetres());
+    for (const button of byId("mend").children) button.addEventListener("click", () => this.mend(button.dataset.way));
+  }
+
+  show(look) {
+    const { message, camera, warnings } = look;
+    this.look = look;
+    byId("steps").hidden = Boolean(camera) || MARKED.some((kind) => this.does.document()[kind].length);
+    byId("message").textContent = message;
+    byId("message").hidden = !message;
+    for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
+    byId("warnings").replaceChildren(...warnings.map((words) => text("li", words)));
+    byId("figures-details").hidden = !camera;
+    if (camera) figures(byId("figures"), byId("figures-summary"), camera);
+    this.showMoved();
+  }
+
+  // Says that the camera has been calibrated again under gates, zones and lanes that were drawn before.
+  showMoved() {
+    const { entries, most } = this.drawings.compare(this.does.document(), this.look);
+    this.moved = entries;
+    byId("moved").hidden = !entries.length;
+    byId("moved-words").textContent = `The camera is another one now: ${entries.length} of what is drawn on the road ${entries.length > 1 ? "have" : "has"} moved by up to ${Math.round(most)} px in the image.`;
+  }
+
+  // Draws what has moved again where it was in the image, by the camera as it is now.
+  async keepInImage() {
+    const entries = this.moved;
+    const places = await this.does.placesOf(entries.flatMap(({ corners }) => corners.filter(Boolean)));
+    if (!places.length) return;
+    this.does.change((all) => {
+      for (const { kind, index, corners } of entries) {
+        corners.forEach((corner, part) => corner && setPosition(kind, all[kind][index], part, places.shift()));
+      }
+    });
+  }
+
+  keepMetres() {
+    this.drawings.agree();
+    this.showMoved();
+  }
+
+  // Mends places that are all wrong in one way: axes that are swapped or turned, degrees in place of metres.
+  async mend(way) {
+    const { points } = this.does.document();
+    const whole = points.flatMap(({ place }, i) => (place.slice(0, 2).every((one) => typeof one === "number") ? [i] : []));
+    const pairs = whole.map((i) => points[i].place.slice(0, 2));
+    let found = { places: pairs.map(([x, y]) => (way === "swap" ? [y, x] : [x, -y])) };
+    if (way === "latitude" || way === "longitude") {
+      try {
+        found = await post("/map-places", { pairs, order: way, world: null });
+      } catch (error) {
+        return this.does.trouble(error.message);
+      }
+    }
+    this.does.change((all) => {
+      whole.forEach((index, i) => all.points[index].place.splice(0, 2, ...found.places[i]));
+      if (found.world) all.world = found.world;
+    });
+  }
+}

@@ -1,0 +1,116 @@
+// What the stage shows: a frame of the footage, the road from above, or the plan.
+
+import { PlanView } from "./plan_view.js";
+import { get, post } from "./server.js";
+
+const byId = (id) => document.getElementById(id);
+const EMPTY = [800, 600]; // pixels of the stage where there is no picture yet
+
+export class Views {
+  // `now` is what the page is at; `does` has `document`, `change`, `trouble`, `shown` (another view is), `placed` (the plan
+  // has its scale).
+  constructor(begun, viewport, now, does) {
+    Object.assign(this, { begun, viewport, now, does, name: "image", frame: 0, above: null });
+    this.image = { picture: null, size: begun.size };
+    this.plan = new PlanView((scaled) => this.scaled(scaled), () => this.name === "plan" && this.show("plan"));
+    byId("frame").max = Math.max(begun.frames, 1);
+    byId("frame").addEventListener("change", () => this.turnTo(Number(byId("frame").value) - 1));
+    byId("plan-again").addEventListener("click", () => this.scaleAgain());
+    byId("plan-away").addEventListener("click", () => this.forgetPlan());
+    for (const button of byId("views").children) button.addEventListener("click", () => this.show(button.dataset.view));
+  }
+
+  // The view that is shown: picture, size, and `toWorld` and `fromWorld` where it has metres; null: nothing is there.
+  get current() {
+    if (this.name === "plan") return this.plan.view(this.does.document().plan);
+    return this.name === "above" ? this.above : this.image;
+  }
+
+  // Whether clicks tell the scale of the plan.
+  get scaling() {
+    return this.name === "plan" && !this.current?.fromWorld;
+  }
+
+  async show(name) {
+    try {
+      if (name === "above") this.above = await this.fromAbove();
+      if (name === "plan") await this.plan.want(this.does.document().plan);
+    } catch (error) {
+      return this.does.trouble(error.message);
+    }
+    const keep = name === this.name;
+    if (!keep) this.now.pending = [];
+    if (name !== "plan") this.plan.ends = [];
+    this.name = name;
+    this.now.cursor = null;
+    byId("where").textContent = "";
+    for (const button of byId("views").children) button.setAttribute("aria-pressed", button.dataset.view === name);
+    byId("frames").hidden = name === "plan" || this.begun.frames < 2;
+    const { picture, size } = this.current || { picture: null, size: EMPTY };
+    this.viewport.show(picture, size, keep);
+    this.does.shown();
+  }
+
+  async fromAbove() {
+    const { low, high, cell_m, size, image } = await post("/above", { document: this.does.document(), frame: this.frame });
+    const picture = new Image();
+    picture.src = image;
+    await picture.decode();
+    return {
+      picture,
+      size,
+      toWorld: ([x, y]) => [low[0] + x * cell_m, high[1] - y * cell_m],
+      fromWorld: ([x, y]) => [(x - low[0]) / cell_m, (high[1] - y) / cell_m],
+    };
+  }
+
+  async turnTo(number) {
+    this.frame = number;
+    byId("frame").value = number + 1;
+    byId("frame-number").textContent = `${number + 1} of ${this.begun.frames}`;
+    try {
+      const bitmap = await createImageBitmap(await (await get("/frames/" + number)).blob());
+      if (this.frame !== number) return;
+      this.image.picture = bitmap;
+      if (this.name === "image") this.viewport.show(bitmap, this.image.size, true);
+      else if (this.name === "above") await this.show("above");
+    } catch (error) {
+      this.does.trouble(error.message);
+    }
+  }
+
+  async loadPlan(file) {
+    try {
+      await this.plan.load(file);
+    } catch (error) {
+      return this.does.trouble(`${file.name}: ${error.status ? error.message : "not an image that a browser shows"}`);
+    }
+    this.now.picking = null;
+    const known = this.does.document().plan;
+    // A picture that had gone has its scale still; another one has to be scaled anew.
+    this.setPlan(known && !known.picture ? { ...known, picture: this.plan.loaded } : null);
+    await this.show("plan");
+  }
+
+  setPlan(plan) {
+    this.does.change((all) => { all.plan = plan; });
+  }
+
+  async scaled(plan) {
+    this.setPlan(plan);
+    this.now.pending = [];
+    await this.does.placed();
+  }
+
+  scaleAgain() {
+    this.plan.loaded = this.does.document().plan.picture;
+    this.setPlan(null);
+    this.show("plan");
+  }
+
+  forgetPlan() {
+    this.plan.loaded = null;
+    this.setPlan(null);
+    this.show("image");
+  }
+}
