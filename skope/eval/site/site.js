@@ -4,7 +4,9 @@
 import { CameraPanel } from "./camera_panel.js";
 import { keyList, legend, switches, toolbar } from "./controls.js";
 import { redraw, handlesOf } from "./drawing.js";
+import { edits, loadFile } from "./edits.js";
 import { History } from "./history.js";
+import { hintFor } from "./hints.js";
 import { Keys, handleOf } from "./keys.js";
 import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
 import { fill, footage, known, text } from "./panel.js";
@@ -20,7 +22,6 @@ const svg = byId("drawing");
 const viewport = new Viewport(stage, byId("canvas"), svg, byId("loupe"));
 
 const WAIT_MS = 120; // before the server is asked for what changed
-const CAMERA_NEEDED = "The camera is not calibrated yet: mark points with places, or a length and parallel lines, first.";
 
 let history; // of the document
 let begun; // what the server said at the start
@@ -81,23 +82,7 @@ function refresh() {
   byId("cancel").hidden = !pending.length && now.picking === null;
   byId("plan-tools").hidden = views.name !== "plan" || !document_().plan;
   stage.classList.toggle("selecting", tool === "select" && now.picking === null);
-  hint();
-}
-
-function hint() {
-  byId("hint").textContent = hintWords();
-}
-
-function hintWords() {
-  const { tool, picking, group, pending } = now;
-  if (views.name === "plan" && !view()) return document_().plan ? "The plan's picture is not there any more: load it again." : "Load a map, a plan or an aerial picture first.";
-  if (views.name === "plan" && !view().fromWorld) return views.plan.ends.length ? "Click the second of two points whose distance you know." : "Click the first of two points of the plan whose distance you know.";
-  if (picking !== null && document_().points[picking]) return `Click the place of point ${document_().points[picking].name || picking + 1} on the plan (Esc: type it instead).`;
-  if (tool === "select") return "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
-  if (KINDS[tool].world && !(look && look.camera) && views.name === "image") return CAMERA_NEEDED;
-  if (tool === "parallels" && group !== null && !pending.length) return "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
-  // What is still missing is said where the next click goes; on a phone the list is far below.
-  return (tool === "points" && document_().points.length && look && look.message) || KINDS[tool].hint;
+  byId("hint").textContent = hintFor(document_(), now, views, look);
 }
 
 function trouble(words) {
@@ -136,6 +121,7 @@ function setMap() {
 }
 
 const act = {
+  ...edits(now, { document: () => history.document, change, refresh }),
   choose(what) {
     now.selected = what;
     if (what) {
@@ -144,48 +130,10 @@ const act = {
     }
     refresh();
   },
-  edit(kind, index, edit) {
-    change((all) => edit(all[kind][index]));
-  },
-  remove(kind, index) {
-    Object.assign(now, { selected: null, group: null, picking: null });
-    change((all) => all[kind].splice(index, 1));
-  },
-  // A place as maps on the web give it, in degrees; it is kept in metres.
-  async fromMap(index, typed) {
-    if (!typed.trim()) return;
-    const others = document_().points.some(({ place }, i) => i !== index && typeof place[0] === "number");
-    try {
-      const { places: [place], world } = await post("/map-places", { text: typed, world: document_().world, others });
-      change((all) => {
-        all.points[index].place.splice(0, 2, ...place);
-        all.world = world;
-      });
-    } catch (error) {
-      now.refused = { kind: "points", index, field: "map", text: error.message, missing: false, typed };
-      refresh();
-    }
-  },
-  set(key, value) {
-    change((all) => { all[key] = value; });
-  },
-  forgetLens() {
-    change((all) => { delete all.known.lens; });
-  },
-  know(name, part, value) {
-    change((all) => {
-      const pair = all.known[name] || [null, null];
-      pair[part] = value;
-      if (part === 0 && value !== null && pair[1] === null && typeof value === "number") pair[1] = Number((0.02 * value).toPrecision(2));
-      if (pair.every((one) => one === null)) delete all.known[name];
-      else all.known[name] = pair;
-    });
-  },
   addLine(index) {
     setTool("parallels");
     now.group = index;
     views.show("image");
-    hint();
   },
   placeOnPlan(index) {
     now.picking = index;
@@ -324,18 +272,9 @@ async function placed() {
 
 // ------------------------------------------------------------------------------------------------------------- files
 
-async function loadFile(file) {
+async function load(file) {
   try {
-    const found = await post("/read", { name: file.name, text: await file.text() });
-    const other = found.points && document_().points.length && JSON.stringify(found.world ?? null) !== JSON.stringify(document_().world);
-    if (other) return trouble(`${file.name}: its places are counted from another origin than those that are marked: take these away first`);
-    change((all) => {
-      if (found.points) all.points.push(...found.points);
-      if (found.world) all.world = found.world;
-      if (found.camera) all.camera = found.camera;
-      if (found.lens) all.known.lens = found.lens;
-    });
-    trouble(found.said || "");
+    trouble(await loadFile(file, { document: document_, change }));
   } catch (error) {
     trouble(error.message);
   }
@@ -412,7 +351,7 @@ function listen() {
   on("larger", () => viewport.zoom(1.5));
   on("smaller", () => viewport.zoom(1 / 1.5));
   on("whole", () => viewport.fit());
-  for (const [id, does] of [["file", loadFile], ["plan", (picture) => views.loadPlan(picture)]]) {
+  for (const [id, does] of [["file", load], ["plan", (picture) => views.loadPlan(picture)]]) {
     on(id, (event) => {
       if (event.target.files[0]) does(event.target.files[0]);
       event.target.value = "";

@@ -59,6 +59,8 @@ _SCRIPTS: Final = (
     "moved",
     "views",
     "camera_panel",
+    "hints",
+    "edits",
 )
 _FILES: Final = {
     "/": (_HERE, "site.html", HTML),
