@@ -9,10 +9,9 @@ import numpy as np
 from skope.camera.camera_json import read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
-from skope.dataset.camera_of_file import read_camera
+from skope.dataset.camera_of_file import read_camera, sized
 from skope.errors import UserError
 from skope.eval.site.site_store import camera_dict, point_entry
-from skope.eval.site.solved_page import at_size
 from skope.files.atomic import write_text
 
 POINT_FILES: Final = (".otrfpts", ".csv")
@@ -60,7 +59,7 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         return {"points": points, **world, "said": "; ".join(file.said)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
-    lens = {"lens": lens_of(at_size(camera, size))}
+    lens = {"lens": lens_of(sized(camera, size, "the footage"))}
     if not posed:
         said = "the file tells the lens alone: mark points, or lengths and parallels, that tell where the camera hangs"
         return {**lens, "said": said}

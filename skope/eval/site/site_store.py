@@ -10,11 +10,12 @@ from typing import Any, Final
 from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
+from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
 from skope.eval.site.drawings import DRAWN
 from skope.eval.site.footage_time import read_time, time_texts
 from skope.eval.site.marks import KINDS, SIGMAS, entries_of, unique_names
-from skope.eval.site.solved_page import SolvedCamera, at_size
+from skope.eval.site.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site
@@ -164,7 +165,7 @@ def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
     assert site.camera is not None
     camera = site.camera.camera
     try:
-        at_size(camera, size)
+        sized(camera, size, "the footage")
     except UserError as error:
         raise UserError(f"{site.path}: {error}") from None
     return camera_dict(site.camera.known, camera)

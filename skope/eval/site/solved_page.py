@@ -15,6 +15,7 @@ from skope.camera.ground_plane import ground_places
 from skope.camera.left_out import LeftOutError, left_out_errors
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
+from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
 from skope.eval.site.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
 from skope.eval.site.drawings import Drawing, read_drawings, shapes
@@ -154,19 +155,8 @@ def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCam
     if not isinstance(value, dict):
         raise UserError("camera: expected an object")
     camera = Camera.from_dict(value, int(value.get("width", size[0])), int(value.get("height", size[1])))
-    camera = at_size(camera, size)
+    camera = sized(camera, size, "the footage")
     return GivenCamera(camera, _known(camera, value.get("covariance")))
-
-
-def at_size(camera: Camera, size: tuple[int, int]) -> Camera:
-    """A camera of images of the footage's size; a UserError where they have another shape."""
-    if (camera.width, camera.height) == size:
-        return camera
-    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
-        raise UserError(
-            f"camera: is of {camera.width}x{camera.height} pixels, the footage of {size[0]}x{size[1]}: other shapes"
-        )
-    return camera.resized(size)
 
 
 def _known(camera: Camera, value: Any) -> UncertainCamera | None:
