@@ -36,8 +36,10 @@ export class Pointer {
     const touch = event.pointerType === "touch";
     this.now.byTouch = touch;
     const free = this.does.grabs();
-    const grabbed = free ? this.nearest(event) : null;
-    const does = grabbed ? "drag" : touch && (this.now.tool !== "select" || !free) ? "aim" : "press";
+    // A finger is as wide as marks are apart on a phone: while it marks, it takes no handle along.
+    const marks = touch && this.now.tool !== "select";
+    const grabbed = free && !marks ? this.nearest(event) : null;
+    const does = grabbed ? "drag" : marks || (touch && !free) ? "aim" : "press";
     this.action = { does, grabbed, begin: event, moved: false };
     if (touch && does !== "press") this.viewport.magnify(event);
     if (grabbed) this.does.choose(grabbed);

@@ -175,6 +175,13 @@ def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
     page.browser.run("document.getElementById('finish').click()")
     page.settle()
     assert page.count("#road > .lanes") == 1
+    # A finger that marks takes nothing along, however near; under Choose it does.
+    page.tool("points")
+    page.touch(pixels_of(PLACES[:1])[0] + [10, 0])
+    page.settle()
+    assert page.count("#marks > .points") == 7
+    page.browser.run("document.getElementById('undo').click()")
+    page.settle()
     # Two fingers zoom.
     page.tool("select")
     before = page.browser.run("document.getElementById('drawing').viewBox.baseVal.width")
