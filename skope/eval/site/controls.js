@@ -34,25 +34,19 @@ export function keyList(list) {
   }));
 }
 
-// The buttons of all tools; `act` has what choosing one, finishing and cancelling do.
-export function toolbar(bar, act) {
+// The buttons of all tools; `choose` is told the name of one.
+export function toolbar(bar, choose) {
   const button = (name, words, key) => {
     const made = text("button", words, { type: "button", "data-tool": name, "aria-pressed": "false", title: `${words} (${key})` });
-    made.addEventListener("click", () => act.choose(name));
+    made.addEventListener("click", () => choose(name));
     return made;
   };
-  const finishing = text("button", "Finish", { type: "button", id: "finish", class: "main" });
-  finishing.addEventListener("click", act.finish);
-  const cancelling = text("button", "Cancel", { type: "button", id: "cancel" });
-  cancelling.addEventListener("click", act.cancel);
   bar.append(
     button("select", "Choose", "S"),
     text("span", "Mark"),
     ...MARKED.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
     text("span", "Draw"),
     ...DRAWN.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
-    finishing,
-    cancelling,
   );
 }
 

@@ -347,6 +347,8 @@ function listen() {
   on("save", save);
   on("merge", () => saving.join(document_()));
   on("theirs", () => saving.join(null));
+  on("finish", finish);
+  on("cancel", cancel);
   on("ask", help);
   on("larger", () => viewport.zoom(1.5));
   on("smaller", () => viewport.zoom(1 / 1.5));
@@ -374,7 +376,7 @@ async function begin() {
   cameraPanel = new CameraPanel({ document: document_, change, trouble, placesOf });
   views = new Views(begun, viewport, now, { document: document_, change, trouble, placed, shown: () => (setMap(), refresh()) });
   byId("zones").replaceChildren(...begun.zones.map((value) => text("option", "", { value })));
-  toolbar(byId("tools"), { choose: chooseTool, finish, cancel });
+  toolbar(byId("tools"), chooseTool);
   switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
   legend(byId("legend"));
   listen();

@@ -423,6 +423,27 @@ def test_when_the_footage_was_taken(open_page: Open) -> None:
     assert (site.time_zone, str(site.start)) == ("Europe/Berlin", "2026-11-26 10:00:00+01:00")
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_picture_stays_where_it_is_between_two_clicks(
+    open_page: Open, serve: Callable[..., Served], width: int
+) -> None:
+    page = open_page(serve(points=marked_points(4)), width)
+    top = "document.getElementById('stage').getBoundingClientRect().top"
+    places = []
+    for tool in ("select", "points", "lengths", "parallels", "lanes", "zones"):
+        page.tool(tool)
+        places.append(page.browser.run(top))
+        if tool != "select":
+            (page.click if width > 600 else page.touch)([300, 300])
+            page.settle()
+            places.append(page.browser.run(top))
+    assert not page.browser.run("document.getElementById('finish').hidden")
+    page.browser.run("document.getElementById('finish').click()")  # too early: that is said
+    page.browser.until("!document.getElementById('problem').hidden")
+    places.append(page.browser.run(top))
+    assert max(places) - min(places) < 1, places
+
+
 def test_on_a_phone_the_fields_of_a_new_point_are_in_sight(open_page: Open) -> None:
     page = open_page(width=390, height=844)
     page.tool("points")
