@@ -31,18 +31,20 @@ _TOGETHER: Final = 0.2
 def missing(document: Mapping[str, Any], marks: Marks) -> str:
     """What has to be marked or typed before points can tell a camera; empty where points are not what is missing."""
     evidence = marks.evidence
-    if evidence.lengths or evidence.parallels or evidence.beliefs or len(evidence.points) >= FEWEST:
+    # Three points have as many coordinates as a pose; a fourth is needed where the lens is not known.
+    needed = FEWEST - 1 if any("focal" in belief.of for belief in evidence.beliefs) else FEWEST
+    if evidence.lengths or evidence.parallels or len(evidence.points) >= needed:
         return ""
     marked = entries_of(document, "points")
     if not marked:
         return BEGIN
     good = len(evidence.points)
     unplaced = [i for i in range(len(marked)) if i not in marks.entries["points"].values()]
-    words = f"{good} of {FEWEST} points have their places. "
+    words = f"{good} of {needed} points have their places. "
     if unplaced:
         name = marked[unplaced[0]].get("name") or unplaced[0] + 1
         words += f"Type x and y of point {name} in metres"
-    left = FEWEST - good - len(unplaced)
+    left = needed - good - len(unplaced)
     if left > 0:
         words += (", then mark " if unplaced else "Mark ") + f"{_NUMBERS[left]} more"
         words += ", spread over the road: near and far, left and right"

@@ -143,6 +143,10 @@ def test_what_is_missing_is_said_point_by_point() -> None:
     message = look_at(points[:3])["message"]
     assert message.startswith("2 of 4 points have their places. Type x and y of point 2 in metres, then mark one more")
     assert look_at(marked_points(4))["message"] == ""
+    known = {"fov_deg": [65.9, 1.0]}  # with the lens known, three points tell a pose
+    assert look_at(marked_points(2), known=known)["message"].startswith("2 of 3 points")
+    assert look_at(marked_points(3), known=known)["camera"] is not None
+    assert look_at(marked_points(3), known={"height_m": [6.5, 0.1]})["message"].startswith("3 of 4 points")
 
 
 @pytest.mark.parametrize("way", [lambda x, y: (x, -y), lambda x, y: (y, x)])
