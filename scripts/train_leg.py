@@ -21,7 +21,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -49,13 +49,9 @@ MEASURING_S: Final = 150.0
 """Of a leg's time, for measuring and packing."""
 AT_ONCE: Final = 4
 """Datasets that are simulated side by side."""
-MINIATURE: Final = {
-    "frames": "1",
-    "size": "480x270",
-    "settings": ("min_size=120", "max_size=214", "batch_size=1", "bfloat16=false", "keypoint_regions=4"),
-    "round_s": 150.0,
-    "measuring_s": 150.0,
-}
+TINY_PLACES: Final = {"--frames": "1", "--size": "480x270"}
+TINY_SETTINGS: Final = ("min_size=120", "max_size=214", "batch_size=1", "bfloat16=false", "keypoint_regions=4")
+"""What --miniature sets otherwise."""
 
 
 @dataclass(frozen=True)
@@ -85,42 +81,48 @@ def read_legs(path: Path = HERE / "legs.toml") -> tuple[dict[str, Leg], dict[str
 
 
 class Places:
-    """Datasets that are simulated and drawn beside whatever else the machine does."""
+    """Datasets that are simulated and drawn beside whatever else the machine does, in their order."""
 
     def __init__(self, folder: Path, wanted: Mapping[str, str], workers: int) -> None:
-        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`, in their order."""
+        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`."""
         self._folder, self._workers = folder, workers
-        self._changed, self._drawing = threading.Condition(), threading.Lock()
+        self._changed = threading.Condition()
         self._running: set[subprocess.Popen[bytes]] = set()
         self._stopped = False
+        self._left = len(wanted)
         self.drawn: list[str] = []
         self.failed: list[str] = []
-        self._left = len(wanted)
-        self._pool = ThreadPoolExecutor(AT_ONCE)
-        for name, options in wanted.items():
-            self._pool.submit(self._make, name, options)
+        self._simulating = ThreadPoolExecutor(AT_ONCE)
+        simulated = {name: self._simulating.submit(self._simulate, name, text) for name, text in wanted.items()}
+        self._drawing = threading.Thread(target=self._draw, args=(simulated,), daemon=True)
+        self._drawing.start()
 
-    def _make(self, name: str, options: str) -> None:
-        out = self._folder / name
-        done = (out / CARD).is_file()
-        try:
-            if not done and not self._stopped:
-                share = str(max(1, self._workers // AT_ONCE))
-                self._skope(["gen", "simulate", "-q", *options.split(), "--no-depth", "--workers", share], out, "--out")
-                with self._drawing:
-                    self._skope(["gen", "render", "-q", "--workers", str(self._workers)], out)
-                done = True
-        finally:
+    def _simulate(self, name: str, options: str) -> None:
+        if not (self._folder / name / CARD).is_file():
+            share = str(max(1, self._workers // AT_ONCE))
+            words = [*options.split(), "--no-depth", "--workers", share, "--out", str(self._folder / name)]
+            self._skope("10", "gen", "simulate", "-q", *words)
+
+    def _draw(self, simulated: Mapping[str, Future[None]]) -> None:
+        """Draw one after the other what is simulated."""
+        for name, done in simulated.items():
+            try:
+                done.result()
+                if not (self._folder / name / CARD).is_file():
+                    self._skope("5", "gen", "render", "-q", "--workers", str(self._workers), str(self._folder / name))
+                to = self.drawn
+            except (subprocess.CalledProcessError, CancelledError):
+                to = self.failed
             with self._changed:
-                (self.drawn if done else self.failed).append(name)
+                to.append(name)
                 self._left -= 1
                 self._changed.notify_all()
 
-    def _skope(self, command: Sequence[str], folder: Path, flag: str | None = None) -> None:
-        """Run a command on a folder, kinder to the machine than the training."""
+    def _skope(self, niceness: str, *command: str) -> None:
+        """Run a command, kinder to the machine than the training."""
         if self._stopped:
-            raise RuntimeError("stopped")
-        whole = ["nice", "-n", "5", sys.executable, "-m", "skope", *command, *([flag] if flag else []), str(folder)]
+            raise CancelledError
+        whole = ["nice", "-n", niceness, sys.executable, "-m", "skope", *command]
         process = subprocess.Popen(whole)
         self._running.add(process)
         code = process.wait()
@@ -136,11 +138,12 @@ class Places:
             return [name for name in names if name in self.drawn]
 
     def stop(self) -> None:
-        """End what is being made."""
+        """End what is being made; what is half made goes on another time."""
         self._stopped = True
         for process in list(self._running):
             process.terminate()
-        self._pool.shutdown(cancel_futures=True)
+        self._simulating.shutdown(cancel_futures=True)
+        self._drawing.join()
 
 
 def placed(options: str, miniature: bool) -> str:
@@ -149,11 +152,11 @@ def placed(options: str, miniature: bool) -> str:
     if not miniature:
         return text
     words = text.split()
-    for flag, value in (("--frames", MINIATURE["frames"]), ("--size", MINIATURE["size"])):
+    for flag, value in TINY_PLACES.items():
         if flag in words:
-            words[words.index(flag) + 1] = str(value)
+            words[words.index(flag) + 1] = value
         else:
-            words += [flag, str(value)]
+            words += [flag, value]
     return " ".join(words)
 
 
@@ -161,15 +164,16 @@ def placed(options: str, miniature: bool) -> str:
 
 
 def train_round(
-    options: argparse.Namespace, leg: Leg, number: int, start: Path | str, data: Sequence[Path], seconds: float
+    options: argparse.Namespace, leg: Leg, number: int, start: Path, data: Sequence[Path], seconds: float
 ) -> Path:
     """Train on some datasets for so long; returns the mean weights."""
-    run, weights = options.out / f"round_{number}", options.out / f"round_{number}.safetensors"
+    run: Path = options.out / f"round_{number}"
+    weights = run.with_suffix(".safetensors")
     if weights.is_file():
         return weights
     settings = leg.settings
     if options.miniature:
-        settings = (*settings, *MINIATURE["settings"])
+        settings = (*settings, *TINY_SETTINGS)
     new = ["--recipe", str(HERE / "leg.toml"), "--init", str(start), "--seed", str(number)]
     new += [word for setting in settings for word in ("--set", setting)]
     if number > 1:
@@ -185,10 +189,12 @@ def train_round(
         pass
     if not resumable(run):
         note(options.out, f"round {number}", "ended before anything was saved")
-        return find_checkpoint(Path(start))
+        return start
     row = write_mean(run, weights)
     images = sum(len(open_dataset(folder).read("train").images) for folder in data)
-    note(options.out, f"round {number}", {**row, "images": images, "seconds": round(time.monotonic() - begun)})
+    seconds = round(time.monotonic() - begun)
+    visits = row["epochs"] * images + row["steps_of_the_last"] * row["batch_size"]
+    note(options.out, f"round {number}", {"images": images, "visits": visits, "seconds": seconds, **row})
     return weights
 
 
@@ -214,7 +220,7 @@ def write_mean(run: Path, out: Path) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------------------- measuring
 
 
-def measure(options: argparse.Namespace, forms: Mapping[str, Path | str], seconds: float) -> dict[str, Any]:
+def measure(options: argparse.Namespace, forms: Mapping[str, Path], seconds: float) -> dict[str, Any]:
     """Figures of the tests that are there, of each form of the weights."""
     _, tests = read_legs()
     commands, outs = [], {}
@@ -237,8 +243,24 @@ def measure(options: argparse.Namespace, forms: Mapping[str, Path | str], second
     found: dict[str, Any] = {}
     for (form, name), out in outs.items():
         if (out / "metrics.json").is_file():
-            found.setdefault(form, {})[name] = read_json(out / "metrics.json")["splits"]
+            splits = read_json(out / "metrics.json")["splits"]
+            found.setdefault(form, {})[name] = {split: in_short(figures) for split, figures in splits.items()}
     return found
+
+
+def in_short(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a split's figures those that legs are compared by."""
+    return {
+        "box_ap50": figures["coco"]["box_ap50"],
+        "keypoint_ap50": figures["coco"]["keypoint_ap50"],
+        "recall_at_precision": figures["recall_at_precision"],
+        "pck": figures["iou"]["0.6"]["pck"],
+        "boxes": {
+            iou: {name: at[name]["paper"] for name in ("box_precision", "box_recall")}
+            for iou, at in figures["iou"].items()
+        },
+        "ap50_of": {name: sizes["all"]["ap50"] for name, sizes in figures.get("categories", {}).items()},
+    }
 
 
 # ------------------------------------------------------------------------------------------------------------- packing
@@ -309,29 +331,27 @@ def run(options: argparse.Namespace) -> None:
     wanted |= {name: test["places"] for name, test in tests.items()}
     places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
     try:
-        start: Path | str = options.out / "start.safetensors" if options.state else leg.start
-        if options.state and not Path(start).is_file():
-            join(options.state, Path(start))
-        note(options.out, "start", str(start))
-        measuring_s = float(MINIATURE["measuring_s"]) if options.miniature else MEASURING_S
-        round_s = float(MINIATURE["round_s"]) if options.miniature else ROUND_S
+        start = options.out / "start.safetensors" if options.state else find_checkpoint(Path(leg.start))
+        if options.state and not start.is_file():
+            join(options.state, start)
+        note(options.out, "start", "the leg before" if options.state else leg.start)
         weights, number = start, 0
-        learning_ends = end - measuring_s
-        while (left := learning_ends - time.monotonic()) > (20 if options.miniature else LEAST_ROUND_S):
+        learning_ends = end - MEASURING_S
+        while (left := learning_ends - time.monotonic()) > LEAST_ROUND_S:
             places.wait_for(learnt[:2], learning_ends)
             here = places.wait_for(learnt, time.monotonic())
             left = learning_ends - time.monotonic()
             if not here or left <= 0:
                 break
             number += 1
-            seconds = left if left < 2 * round_s else round_s
+            seconds = left if left < 2 * ROUND_S else ROUND_S
             weights = train_round(options, leg, number, weights, [options.data / name for name in here], seconds)
         places.wait_for(list(tests), time.monotonic() + 5)
     finally:
         places.stop()
     note(options.out, "places", {"drawn": places.drawn, "failed": places.failed})
-    pack(find_checkpoint(Path(weights)), options.out / "state")
-    forms: dict[str, Path | str] = {"end": weights}
+    pack(weights, options.out / "state")
+    forms = {"end": weights}
     if options.measure_start:
         forms["start"] = start
     note(options.out, "figures", measure(options, forms, max(30.0, end - time.monotonic())))
@@ -362,7 +382,7 @@ def main() -> None:
         else:
             run(options)
     except UserError as error:
-        sys.exit(f"{parser.prog}: {error}")
+        parser.exit(2, f"{parser.prog}: {error}\n")
 
 
 if __name__ == "__main__":

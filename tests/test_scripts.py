@@ -16,9 +16,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+import torch
 
 from skope.camera.model import Camera
 from skope.dataset import coco
+from skope.detector.checkpoint import find_checkpoint, read_checkpoint
+from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose
 from tests.eval.cli.test_footage import numbered_video
@@ -131,6 +134,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
     Run("research/site_calibration.py", "--draws 1 --cameras 1", says="lengths and parallel lines alone"),
+    Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
@@ -207,8 +211,9 @@ def test_every_script_is_listed() -> None:
     assert sorted({run.script for run in RUNS}) == PYTHON
     files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
     others = {path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")}
-    assert others == {"reference.toml", "world.toml"}
-    for name in others:
+    recipes = {"leg.toml", "reference.toml", "world.toml"}
+    assert others == {*recipes, "legs.toml", "legs.jsonl"}
+    for name in recipes:
         assert choose(str(SCRIPTS / name), gpu=True, bfloat16=True).name == Path(name).stem
 
 
@@ -356,6 +361,53 @@ def test_recordings_of_the_reference_can_be_made(skope: Any, monkeypatch: pytest
         assert code == 0, error
     for training in reference.TRAININGS.values():
         assert set(training.datasets) <= set(reference.DATASETS)
+
+
+def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    leg = importlib.import_module("train_leg")
+    legs, tests = leg.read_legs()
+    assert list(legs) == [str(number) for number in range(1, len(legs) + 1)]
+    places = [text for one in legs.values() for text in one.places]
+    seeds = [text.split()[text.split().index("--seed") + 1] for text in places]
+    assert len(set(seeds)) == len(seeds), "no leg learns from the places of another"
+    for text in (*places, *(test["places"] for test in tests.values())):
+        for miniature in (False, True):
+            code, _, error = skope("gen", "simulate", *leg.placed(text, miniature).split(), "--help")
+            assert code == 0, error
+
+
+def test_weights_of_a_leg_travel_in_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, random_weights: Path
+) -> None:
+    """Joined they are the same but for 16 bits; a part that is missing or damaged is named."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    leg = importlib.import_module("train_leg")
+    monkeypatch.setattr(leg, "PART_BYTES", find_checkpoint(random_weights).stat().st_size // 5)
+    whole = find_checkpoint(random_weights)
+    leg.pack(whole, tmp_path / "parts")
+    parts = sorted(path.name for path in (tmp_path / "parts").iterdir())
+    assert len(parts) > 2
+    leg.join(tmp_path / "parts", tmp_path / "joined.safetensors")
+    (before, given), (after, back) = (read_checkpoint(path) for path in (whole, tmp_path / "joined.safetensors"))
+    assert before == after
+    assert given.keys() == back.keys()
+    for name, tensor in given.items():
+        assert back[name].dtype == tensor.dtype
+        if tensor.dim() > 1:
+            assert torch.equal(back[name], tensor.half().float())
+        else:
+            assert torch.equal(back[name], tensor)
+    second = tmp_path / "parts" / "part_02"
+    data = bytearray(second.read_bytes())
+    data[5] ^= 1
+    second.write_bytes(data)
+    with pytest.raises(UserError, match="part_02: damaged"):
+        leg.join(tmp_path / "parts", tmp_path / "again.safetensors")
+    second.unlink()
+    with pytest.raises(UserError, match="part_02: missing"):
+        leg.join(tmp_path / "parts", tmp_path / "again.safetensors")
+    assert not (tmp_path / "again.safetensors").exists()
 
 
 def understand_only(monkeypatch: pytest.MonkeyPatch) -> None:

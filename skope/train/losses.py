@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 from torchvision.models.detection import KeypointRCNN
-from torchvision.models.detection._utils import encode_boxes
+from torchvision.models.detection._utils import BoxCoder, encode_boxes
 from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.roi_heads import RoIHeads, keypointrcnn_loss
 from torchvision.models.detection.rpn import RegionProposalNetwork, concat_box_prediction_layers
@@ -107,16 +107,18 @@ def _proposals(
 
     Results of its convolutions become float32: decoded in bfloat16, boxes at 600 px would lie on a grid of 4 px.
     """
-    logits, offsets = ([each.float() for each in part] for part in rpn.head(list(features.values())))
-    anchors = rpn.anchor_generator(images, list(features.values()))
+    maps = list(features.values())
+    logits, offsets = ([each.float() for each in part] for part in rpn.head(maps))
     per_level = [math.prod(each.shape[1:]) for each in logits]
+    count = len(images.image_sizes)
     objectness, deltas = concat_box_prediction_layers(logits, offsets)
-    boxes = rpn.box_coder.decode(deltas.detach(), anchors).view(len(anchors), -1, 4)
-    proposals = _best_boxes(rpn, boxes, objectness.detach().view(len(anchors), -1), images.image_sizes, per_level)
+    objectness, deltas = objectness.view(count, -1), deltas.view(count, -1, 4)
+    (anchors,) = rpn.anchor_generator(ImageList(images.tensors[:1], images.image_sizes[:1]), maps)
+    proposals = _best_boxes(rpn, anchors, deltas.detach(), objectness.detach(), images.image_sizes, per_level)
 
     matcher, sampler = rpn.proposal_matcher, rpn.fg_bg_sampler
     labels, matched = assign(
-        anchors[0],
+        anchors,
         batch,
         low=matcher.low_threshold,
         high=matcher.high_threshold,
@@ -125,12 +127,8 @@ def _proposals(
     at, drawn = sample(labels, sampler.batch_size_per_image, sampler.positive_fraction)
     label = labels.gather(1, at).clamp(min=0)
     truth = _pick(batch.boxes, matched.gather(1, at))
-    error = _box_error(
-        _pick(deltas.view(len(anchors), -1, 4), at), truth, anchors[0][at], rpn.box_coder.weights, drawn & (label > 0)
-    )
-    sure = functional.binary_cross_entropy_with_logits(
-        objectness.view(len(anchors), -1).gather(1, at), (label > 0).float(), reduction="none"
-    )
+    error = _box_error(_pick(deltas, at), truth, anchors[at], rpn.box_coder.weights, drawn & (label > 0))
+    sure = functional.binary_cross_entropy_with_logits(objectness.gather(1, at), (label > 0).float(), reduction="none")
     number = drawn.sum()
     return proposals, {
         "loss_objectness": sure.where(drawn, 0.0).sum() / number,
@@ -139,13 +137,19 @@ def _proposals(
 
 
 def _best_boxes(
-    rpn: RegionProposalNetwork, boxes: Tensor, objectness: Tensor, sizes: Sequence[Size], per_level: list[int]
+    rpn: RegionProposalNetwork,
+    anchors: Tensor,
+    deltas: Tensor,
+    objectness: Tensor,
+    sizes: Sequence[Size],
+    per_level: list[int],
 ) -> list[Tensor]:
     """The boxes (P, 4) of each image that most likely hold something, none of them much the same as another."""
     best = rpn._get_top_n_idx(objectness, per_level)
+    boxes = _moved(anchors[best], _pick(deltas, best), rpn.box_coder)
     scores = objectness.gather(1, best).sigmoid()
     limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
-    boxes = torch.minimum(_pick(boxes, best).clamp(min=0), limits)
+    boxes = torch.minimum(boxes.clamp(min=0), limits)
     levels = torch.cat([torch.full((n,), i, device=boxes.device) for i, n in enumerate(per_level)])[best]
     large = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
     whole = large.all(dim=1).tolist()
@@ -253,6 +257,16 @@ def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[fl
     # Where nothing is counted the offset may be infinite, and infinity times nothing is not a number.
     wanted = wanted.where(counted[..., None], found.detach())
     return functional.smooth_l1_loss(found, wanted, beta=_BETA, reduction="none").sum(dim=2)
+
+
+def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:
+    """(B, S, 4) boxes moved by offsets, as torchvision decodes them."""
+    sides = boxes[..., 2:] - boxes[..., :2]
+    centres = boxes[..., :2] + 0.5 * sides
+    x, y, w, h = (part / weight for part, weight in zip(offsets.unbind(-1), coder.weights, strict=True))
+    centres = centres + torch.stack([x, y], dim=-1) * sides
+    halves = 0.5 * (torch.stack([w, h], dim=-1).clamp(max=coder.bbox_xform_clip).exp() * sides)
+    return torch.cat([centres - halves, centres + halves], dim=-1)
 
 
 def _pick(rows: Tensor, at: Tensor) -> Tensor:

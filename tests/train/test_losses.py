@@ -1,5 +1,7 @@
 """The losses of a batch equal torchvision's own, of which they are another arrangement."""
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 from torchvision.models.detection import KeypointRCNN
@@ -8,6 +10,7 @@ from skope import keypoints
 from skope.detector.build import DetectorConfig, build
 from skope.train.losses import Rules, detection_losses
 from skope.train.target_batch import KEY, Target
+from tests.train.conftest import shrink
 
 ALL = 1 << 20
 """More regions than there are: nothing is left to chance."""
@@ -26,6 +29,14 @@ def target(boxes: list[list[float]], labels: list[int], generator: torch.Generat
         "keypoints": points,
         KEY: torch.zeros(0, 4),
     }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_network() -> Iterator[None]:
+    """Small detectors for all of this module."""
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch, body="resnet18", heads=256)
+        yield
 
 
 @pytest.fixture(scope="module")
