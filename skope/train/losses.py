@@ -31,7 +31,7 @@ _BETA = 1 / 9
 
 
 @dataclass(frozen=True)
-class Rules:
+class LearningRules:
     """What a step learns from, besides what the model says."""
 
     regions: int
@@ -44,7 +44,7 @@ class Rules:
 
 
 def detection_losses(
-    model: KeypointRCNN, pixels: Sequence[Tensor], targets: Sequence[Target], rules: Rules
+    model: KeypointRCNN, pixels: Sequence[Tensor], targets: Sequence[Target], rules: LearningRules
 ) -> dict[str, Tensor]:
     """Take a batch through a model in training.
 
@@ -180,7 +180,7 @@ def _head_losses(
     proposals: list[Tensor],
     sizes: list[Size],
     batch: TargetBatch,
-    rules: Rules,
+    rules: LearningRules,
 ) -> dict[str, Tensor]:
     """The losses of the second stage: class, box and keypoints."""
     boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
@@ -203,7 +203,7 @@ def _head_losses(
 
 
 def _regions(
-    heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: Rules
+    heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LearningRules
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """What the second stage learns from: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
     lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
@@ -230,7 +230,7 @@ def _keypoint_loss(
     matched: Tensor,
     sizes: list[Size],
     batch: TargetBatch,
-    rules: Rules,
+    rules: LearningRules,
 ) -> Tensor:
     """The loss over vehicles with a labelled point, at most `keypoint_regions` of an image, drawn without preference.
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from skope.errors import UserError
 from skope.train.data import TrainingSample
 from skope.train.distributed import ProcessGroup
-from skope.train.losses import Rules, detection_losses
+from skope.train.losses import LearningRules, detection_losses
 from skope.train.recipe import Recipe
 from skope.train.run_folder import TrainingState
 
@@ -90,7 +90,7 @@ def _losses(
 ) -> Tensor:
     """(5,) the losses of some images, weighted as their share of the batch."""
     pixels = [sample.pixels.to(device, non_blocking=True) for sample in part]
-    rules = Rules(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
+    rules = LearningRules(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
         found = detection_losses(training.model, pixels, [sample.target for sample in part], rules)
     return torch.stack([found[name].float() for name in LOSSES]) * (len(part) / images)

@@ -8,7 +8,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import keypoints
 from skope.detector.build import DetectorConfig, build
-from skope.train.losses import Rules, detection_losses
+from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import KEY, Target
 from tests.train.conftest import shrink
 
@@ -69,7 +69,7 @@ def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tup
             plain = [{key: value for key, value in one.items() if key != KEY} for one in targets]
             losses = model([image.float() / 255 for image in pixels], plain)
         else:
-            losses = detection_losses(model, pixels, targets, Rules(ALL, None, 0.0))
+            losses = detection_losses(model, pixels, targets, LearningRules(ALL, None, 0.0))
         sum(losses.values()).backward()
         gradients = {key: value.grad.clone() for key, value in model.named_parameters() if value.grad is not None}
         found[name] = {key: value.detach() for key, value in losses.items()}, gradients
