@@ -34,7 +34,9 @@ export class CameraPanel {
     const { entries, most } = this.drawings.compare(this.does.document(), this.look);
     this.moved = entries;
     byId("moved").hidden = !entries.length;
-    byId("moved-words").textContent = `The camera is another one now: ${entries.length} of what is drawn on the road ${entries.length > 1 ? "have" : "has"} moved by up to ${Math.round(most)} px in the image.`;
+    const names = entries.map(({ kind, index }) => this.does.document()[kind][index].name);
+    const which = names.length > 3 ? `${names.slice(0, 2).join(", ")} and ${names.length - 2} more` : names.join(", ");
+    byId("moved-words").textContent = `The camera was calibrated again: ${which} moved by up to ${Math.round(most)} px in the image.`;
   }
 
   // Draws what has moved again where it was in the image, by the camera as it is now.

@@ -353,7 +353,7 @@ def test_gates_under_a_camera_that_is_calibrated_again(
         run(f"document.querySelectorAll('#marks .choose')[{index}].click()")
         page.fill(f"points:{index}:place.0", str(place[0] + 3))
     page.settle()
-    assert "moved by up to" in page.text("#moved-words")
+    assert "calibrated again: north moved by up to" in page.text("#moved-words")
     assert np.abs(gate_pixels(page) - before).max() > 10
     run(f"document.getElementById('keep-{kept}').click()")
     page.settle()
