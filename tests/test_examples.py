@@ -36,10 +36,11 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_files_of_the_own_road_can_be_made_again(tmp_path: Path) -> None:
     folder = ROOT / "examples" / "own_road"
     shutil.copytree(folder, tmp_path / "road")
-    for name in ("camera.yml", "empty.jpg"):
+    for name in ("camera.yml", "marks.csv", "empty.jpg"):
         (tmp_path / "road" / name).unlink()
     run(tmp_path, str(tmp_path / "road" / "make_files.py"))
     assert (tmp_path / "road" / "camera.yml").read_bytes() == (folder / "camera.yml").read_bytes()
+    assert (tmp_path / "road" / "marks.csv").read_bytes() == (folder / "marks.csv").read_bytes()
     made, kept = (cv2.imread(str(place / "empty.jpg")) for place in (tmp_path / "road", folder))
     assert made.shape == kept.shape  # houses and hedges there are others since the picture was made
 

@@ -1,4 +1,4 @@
-"""Make camera.yml and empty.jpg of this example: skope draws the road that a photograph would show.
+"""Make camera.yml, marks.csv and empty.jpg of this example: skope draws the road that a photograph would show.
 
 python make_files.py
 """
@@ -16,6 +16,8 @@ from skope.gen.simulation.simulate import simulate
 from skope.gen.site_files.site_file import read_site
 
 HERE = Path(__file__).parent
+SURVEYED = [(-7.4, 0.1), (17.3, 0.7), (0.1, 7.8), (-2.5, 8.2), (3.2, 5.6), (2.2, 32.8), (14.9, -5.3), (-8.3, -5.7)]
+"""Places on the road, metres east and north, as a surveyor would have them: what marks.csv has the pixels of."""
 
 
 def write_camera(camera: Camera, path: Path) -> None:
@@ -30,6 +32,12 @@ def write_camera(camera: Camera, path: Path) -> None:
     storage.release()
 
 
+def write_marks(camera: Camera, path: Path) -> None:
+    pixels = camera.project(np.array([(x, y, 0.0) for x, y in SURVEYED]))[0]
+    rows = [f"{u:.1f},{v:.1f},{x},{y},0" for (u, v), (x, y) in zip(pixels.tolist(), SURVEYED, strict=True)]
+    path.write_text("\n".join(["column,row,x,y,z", *rows]) + "\n")
+
+
 def emptied(recording: Recording) -> Recording:
     """The recording without anybody in it."""
     rows = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
@@ -41,6 +49,7 @@ if __name__ == "__main__":
     assert site.road
     camera = site.road.camera
     write_camera(camera, HERE / "camera.yml")
+    write_marks(camera, HERE / "marks.csv")
     plan = RecordingPlan(
         site=site, index=0, frames=1, interval=0.5, size=(camera.width, camera.height), fov_deg=0.0, seed=0
     )
