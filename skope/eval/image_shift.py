@@ -47,7 +47,8 @@ _WINDOW: Final = 15
 _THERE_AND_BACK_PX: Final = 0.3
 """A corner that is followed back must come out so near to where it was."""
 _FEWEST: Final = 12
-"""So many corners must move together, and this share of all that were followed."""
+"""So many corners must move together, and this share of all that the first picture has: what fills the image and
+drives by has few of them."""
 _LEAST_SHARE: Final = 0.3
 _ROUNDS: Final = 12
 _FLOOR_PX: Final = 0.03
@@ -129,7 +130,7 @@ class ImageMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class FollowedCorners:
     """Corners of one picture that were found in another one and move together with most others."""
 
     before: Array
@@ -165,14 +166,14 @@ class ReferencePicture:
             fit.x / shrunk, fit.y / shrunk, fit.turn, fit.sigma_px / shrunk, fit.sigma_turn, growth=fit.growth
         )
 
-    def followed(self, pixels: Pixels) -> Followed | None:
+    def followed(self, pixels: Pixels) -> FollowedCorners | None:
         """The corners that move together up to another picture; None as in `motion`."""
         fit = self._fit(pixels)
         if fit is None or fit.sigma_px > _VAGUE_PX:
             return None
         # Corners are at pixels that count their centres as whole numbers.
         before, after = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after))
-        return Followed(before, after, fit.spread / self._scale)
+        return FollowedCorners(before, after, fit.spread / self._scale)
 
     def _fit(self, pixels: Pixels) -> "_Fit | None":
         if pixels.shape[1::-1] != self.size:
@@ -189,7 +190,8 @@ class ReferencePicture:
         kept = good & home & near
         if kept.sum() < _FEWEST:
             return None
-        return _fitted(self._corners[kept].astype(np.float64), after[kept].astype(np.float64), self._even.shape)
+        least = max(_FEWEST, math.ceil(_LEAST_SHARE * len(self._corners)))
+        return _fitted(self._corners[kept].astype(float), after[kept].astype(float), self._even.shape, least)
 
     def _evened(self, pixels: Pixels) -> Pixels:
         """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
@@ -235,8 +237,8 @@ def _follow(
     return np.asarray(found, dtype=np.float32), np.asarray(status.ravel() == 1)
 
 
-def _fitted(before: Array, after: Array, shape: tuple[int, ...]) -> _Fit | None:
-    """The motion of most corners (N, 2): iterated least squares with Tukey's weights; None where too few agree."""
+def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> _Fit | None:
+    """The motion of most corners (N, 2), by least squares with Tukey's weights; None where fewer than `least` agree."""
     half = shape[1] / 2
     x, y = ((before + 0.5 - [half, shape[0] / 2]) / half).T
     way = after - before
@@ -254,7 +256,7 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...]) -> _Fit | None:
         spread = max(float(np.median(off)) / 1.1774, 0.01)  # the median of a Rayleigh distribution
         weight = np.clip(1 - (off / (5 * spread)) ** 2, 0, None) ** 2
     together = weight > 0
-    if together.sum() < max(_FEWEST, _LEAST_SHARE * len(way)):
+    if together.sum() < least:
         return None
     spread = max(math.sqrt(float((off[together] ** 2).mean() / 2)), 0.01)
     covariance = spread**2 * np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))

@@ -6,7 +6,7 @@ hidden or shaken meanwhile.
 """
 
 import base64
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -59,8 +59,13 @@ class Looks:
             yield image, pixels
 
 
-def changes(looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
-    """When the view changes for good, of looks with their times in seconds, which rise."""
+def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
+    """When the view changes for good, of looks with their times in seconds, which rise.
+
+    Args:
+        looks: Small pictures, as `Looks` takes them.
+        stays: Whether a camera that seems to be turned from a time on is so; else it is taken to sway.
+    """
     out: list[ViewChange] = []
     reference: Array | None = None
     pending: list[tuple[float, Array, float | None]] = []
@@ -80,9 +85,12 @@ def changes(looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
             pending = []
         pending.append((time_s, shown, moved))
         if len(pending) >= _LASTS:
-            began_s, reference, shift = pending[0]
-            out.append(ViewChange(began_s, cut=shift is None, shift=shift or 0.0))
+            began_s, shown, shift = pending[0]
             pending = []
+            if shift is not None and not stays(began_s):
+                continue
+            reference = shown
+            out.append(ViewChange(began_s, cut=shift is None, shift=shift or 0.0))
     return out
 
 
