@@ -1,6 +1,5 @@
 """How the camera of a video sways, and when it is moved for good: each frame is held against the first one."""
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.eval.image_shift import MOVED, ImageMotion, Pixels, ReferencePicture
-from skope.eval.inference.view_changes import EVERY_S, ViewChange, changes
+from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
 from skope.types import Array
@@ -20,10 +19,10 @@ keypoints are ten times as uncertain."""
 _STILL_WIDTH: Final = 640
 _RAYLEIGH_95: Final = 2.448
 """Within so many of these standard deviations 95% of shifts lie."""
-_AROUND_S: Final = 2.0
-"""Over so long before and after a change the image's middle place is compared."""
+_AROUND_S: Final = 3.0
+"""Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
 _FEWEST: Final = 3
-"""Frames that such a middle place needs."""
+"""Frames that such a mean needs."""
 
 
 class SwayWatch:
@@ -59,8 +58,11 @@ class SwayRecord:
     """Of the images, pixels."""
 
     def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
-        """When the view changes for good, as `changes` has it; not where the camera sways on around the same place."""
-        return [self._timed(change) for change in changes(looks, self._stays)]
+        """When the view changes for good: where the image's mean place does, and else as `changes` has it of looks.
+
+        Looks alone, which are half a second apart, may fall on one side of a sway again and again.
+        """
+        return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
 
     def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
         """How the camera sways around where it is at rest in each of its views; None: it stands still."""
@@ -92,37 +94,46 @@ class SwayRecord:
         rows = [nothing if one is None else (one.x, one.y, one.turn) for one in self.motions]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
-    def _around(self, time_s: float) -> tuple[Array, Array] | None:
-        """(2,) pixels each: the image's middle place before and after a time; None where too few frames tell it.
+    def _unmeasured(self, time_s: float) -> bool:
+        """Whether too few frames tell where the image lies from a time on."""
+        soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
+        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST
 
-        A look that shows a change comes up to half a second after it.
-        """
-        values = self._values[:, :2]
-        before = (self.times_s > time_s - EVERY_S - _AROUND_S) & (self.times_s < time_s - EVERY_S)
-        after = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
-        parts = [values[rows][np.isfinite(values[rows, 0])] for rows in (before, after)]
-        if min(map(len, parts)) < _FEWEST:
-            return None
-        one, other = (np.median(part, axis=0) for part in parts)
-        return one, other
+    def _moves(self) -> list[ViewChange]:
+        """Where the mean place of the image, over some seconds, has moved."""
+        known = np.isfinite(self._values[:, 0])
+        places, times = self._values[known, :2], self.times_s[known]
+        if not len(times):
+            return []
+        ends = np.searchsorted(times, times + _AROUND_S)
+        # Windows that the footage cuts short say less.
+        whole = (ends - np.arange(len(times)) >= _FEWEST) & (times + _AROUND_S <= times[-1] + 1e-6)
+        sums = np.concatenate([np.zeros((1, 2)), np.cumsum(places, axis=0)])
+        means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
+        out, begin = list[ViewChange](), 0
+        while begin < len(times) and whole[begin]:
+            away = np.linalg.norm(means - means[begin], axis=1) > MOVED * self.width
+            later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
+            if not len(later):
+                break
+            low = max(begin, int(np.searchsorted(times, times[later[0]] - _AROUND_S)))
+            at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
+            if whole[at]:
+                shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
+                if shift > MOVED:
+                    out.append(ViewChange(float(times[at]), cut=False, shift=shift))
+            begin = max(at, begin + 1)
+        return out
 
-    def _stays(self, time_s: float) -> bool:
-        """Whether the image lies elsewhere after a time: looks alone may fall on one side of a sway again and again."""
-        around = self._around(time_s)
-        return around is None or bool(np.linalg.norm(around[1] - around[0]) > 0.5 * MOVED * self.width)
 
-    def _timed(self, change: ViewChange) -> ViewChange:
-        """The change at the first frame that is nearer to where the image is afterwards."""
-        around = None if change.cut else self._around(change.time_s)
-        if around is None:
-            return change
-        values = self._values[:, :2]
-        window = np.flatnonzero(
-            (self.times_s > change.time_s - EVERY_S - 1e-6) & (self.times_s <= change.time_s + 1e-6)
-        )
-        nearer = np.linalg.norm(values[window] - around[1], axis=1) < np.linalg.norm(values[window] - around[0], axis=1)
-        after = list(itertools.takewhile(lambda k: nearer[k], reversed(range(len(window)))))
-        return replace(change, time_s=float(self.times_s[window[after[-1]]])) if after else change
+def _split(places: Array) -> int:
+    """Index at which places (N, 2) fall into two parts that lie each around a mean, with the least squares."""
+    count = np.arange(1, len(places))[:, None]
+    sums = np.cumsum(places, axis=0)
+    before, after = sums[:-1], sums[-1] - sums[:-1]
+    # The squares around two means are those around zero less these.
+    explained = (before**2 / count + after**2 / (len(places) - count)).sum(axis=1)
+    return 1 + int(explained.argmax())
 
 
 def motion_to_row(motion: ImageMotion | None) -> list[float] | None:

@@ -64,7 +64,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
 
     Args:
         looks: Small pictures, as `Looks` takes them.
-        stays: Whether a camera that seems to be turned from a time on is so; else it is taken to sway.
+        stays: Whether a camera that looks turned from a time on may be taken to be so; else it sways.
     """
     out: list[ViewChange] = []
     reference: Array | None = None
