@@ -130,7 +130,11 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
-    Run("research/site_calibration.py", "--draws 1 --cameras 1", says="lengths and parallel lines alone"),
+    Run(
+        "research/site_calibration.py",
+        "--draws 1 --cameras 1 --vehicle-draws 1 --vehicles 5",
+        says="mean over the cameras",
+    ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
