@@ -139,6 +139,8 @@ class FollowedCorners:
     """(N, 2) pixels."""
     sigma_px: float
     """Standard deviation of their way, an axis."""
+    all_before: Array
+    """(M, 2) all corners of the first picture, also those that were not found or move otherwise, pixels."""
 
 
 class ReferencePicture:
@@ -172,8 +174,8 @@ class ReferencePicture:
         if fit is None or fit.sigma_px > _VAGUE_PX:
             return None
         # Corners are at pixels that count their centres as whole numbers.
-        before, after = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after))
-        return FollowedCorners(before, after, fit.spread / self._scale)
+        before, after, every = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after, self._corners.astype(float)))
+        return FollowedCorners(before, after, fit.spread / self._scale, every)
 
     def _fit(self, pixels: Pixels) -> "_Fit | None":
         if pixels.shape[1::-1] != self.size:

@@ -77,7 +77,7 @@ class CameraMotion:
         """What remains uncertain of the camera in a frame: from frame to frame another error."""
         motion = self.frames.get(image_id)
         sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
-        return UncertainCamera(self.camera_in(camera, image_id), _TURNS, _covariance_of_turns(camera, sigmas))
+        return UncertainCamera(self.camera_in(camera, image_id), _TURNS, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
         """How well the camera at rest is known, which was calibrated somewhere in its sway."""
@@ -88,7 +88,7 @@ class CameraMotion:
             at = [whole.index(name) for name in names]
             covariance[np.ix_(at, at)] += known.covariance
         at = [whole.index(name) for name in _TURNS]
-        covariance[np.ix_(at, at)] += _covariance_of_turns(camera, self.sway)
+        covariance[np.ix_(at, at)] += covariance_of_turns(camera, self.sway)
         return UncertainCamera(camera, whole, covariance)
 
     def to_dict(self) -> dict[str, Any]:
@@ -145,13 +145,8 @@ def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
     return replace(camera, T_camera_world=T @ camera.T_camera_world)
 
 
-def _rotation(vector: Array) -> Array:
-    """(3, 3) rotation about a vector (3,) by as many radians as it is long."""
-    return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
-
-
-def _covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
-    """(3, 3) of pitch, roll and yaw, of standard deviations of x, y (pixels) and turn (radians) in the image."""
+def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
+    """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
     which = [PARAMETERS.index(name) for name in _TURNS]
     columns = []
     for step in np.diag(_STEPS):
@@ -160,3 +155,8 @@ def _covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> 
         columns.append((np.mod(away + np.pi, 2 * np.pi) - np.pi) / (2 * step.sum()))
     J = np.stack(columns, axis=1) * np.asarray(sigmas)
     return np.asarray(J @ J.T)
+
+
+def _rotation(vector: Array) -> Array:
+    """(3, 3) rotation about a vector (3,) by as many radians as it is long."""
+    return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
