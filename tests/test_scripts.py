@@ -74,6 +74,7 @@ RUNS: Final[Sequence[Run]] = (
         says="v.mp4                 track",
     ),
     Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
+    Run("research/camera_sway.py", "{road} --picture {photograph}", says="| 10 px | "),
     Run(
         "bench_predict.py",
         "{footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
@@ -173,6 +174,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> di
         "labels": dataset / "labels.json",
         "predictions": folder / "predictions.json",
         "road": folder / "road.json",
+        "photograph": ROOT / "docs" / "noon.jpg",
         "clip": folder / "clip",
         "footage": folder / "footage",
         "checkpoint": random_weights,
