@@ -76,9 +76,9 @@ class Linearised:
         held = normal[:, :m, :m] + np.eye(m)
         spread = np.linalg.slogdet(held)[1]
         held = held + damping[:, None, None] * np.eye(m)
-        inverse = np.linalg.inv(held)
-        shape_back = inverse @ normal[:, :m, m:]
-        shape_alone = (inverse @ (gradient[:, :m] + shape)[..., None])[..., 0]
+        of_shape = np.linalg.inv(held)
+        shape_back = of_shape @ normal[:, :m, m:]
+        shape_alone = (of_shape @ (gradient[:, :m] + shape)[..., None])[..., 0]
         across = np.swapaxes(normal[:, :m, m:], -1, -2)
         return Parts(
             information=normal[:, m:, m:] - across @ shape_back,
