@@ -91,7 +91,7 @@ SHARED = (
 )
 """What lies at the top of skope/."""
 EVAL = (
-    {"assignment"},
+    {"assignment", "image_shift"},
     {"box_links"},
     {"pose", "report"},
     {"inference"},

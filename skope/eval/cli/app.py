@@ -1,7 +1,7 @@
 """`skope eval`: measuring by itself, and its subcommands."""
 
 from skope.eval.cli.calibrate import calibrate_scores
-from skope.eval.cli.camera import camera
+from skope.eval.cli.camera import find_camera
 from skope.eval.cli.compare import compare_runs
 from skope.eval.cli.evaluate import evaluate_or_score
 from skope.eval.cli.pose import pose
@@ -18,6 +18,6 @@ app.command(name="calibrate")(calibrate_scores)
 app.command(name="predict")(predict)
 app.command(name="pose")(pose)
 app.command(name="track")(track)
-app.command(name="camera")(camera)
+app.command(name="camera")(find_camera)
 app.command(name="view")(view)
 app.command(name="site")(site)

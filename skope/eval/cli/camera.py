@@ -1,5 +1,6 @@
 """`skope eval camera`: a camera's focal length and pose, from vehicles or marked points."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, Formerly
 from skope.terminal.console import Console
 
 
-def camera(
+def find_camera(
     keypoints: KeypointOptions,
     console: Console,
     points: Annotated[
@@ -41,6 +42,23 @@ def camera(
     noise: NoiseOption = 0.0,
     score: ScoreOption = 0.9,
     sigma: SigmaOption = None,
+    refit: Annotated[
+        str | None,
+        data_option(
+            metavar="SOURCE",
+            help="Picture or video (FILE@SECONDS) of a camera that was turned: finds its new pose from --picture "
+            "with --points or --camera.",
+        ),
+    ] = None,
+    picture: Annotated[
+        str | None,
+        data_option(
+            metavar="SOURCE", help="Picture or video (FILE@SECONDS) in which --points were marked, for --refit."
+        ),
+    ] = None,
+    camera: Annotated[
+        Path | None, data_option(metavar=FILE, help="The old camera, for --refit, where its points are not at hand.")
+    ] = None,
     out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
     """Find a camera's focal length, height and tilt from vehicles on a level road, or all of it from marked points.
@@ -56,7 +74,11 @@ def camera(
     for name, value, most in (("--height", height, 200.0), ("--fov", fov, 170.0)):
         if value is not None and not 0.5 <= value <= most:
             raise UserError(f"{name}: expected a number from 0.5 to {most:g}, got {value:g}")
-    if points is not None:
+    if refit is not None:
+        lines = _refitted(keypoints, refit, picture, points, camera, size, out)
+    elif picture is not None or camera is not None:
+        raise UserError("--picture, --camera: are for --refit")
+    elif points is not None:
         if height is not None or fov is not None or length:
             raise UserError(
                 "--height, --fov and --length: help vehicles; beside points [calibration] of a site.toml says them"
@@ -80,9 +102,27 @@ def camera(
     for line in lines:
         console.result(line)
     if keypoints.folder:
-        picture = _picture(keypoints.folder, keypoints.keypoint_edition, out, console)
-        if picture is not None:
-            console.result(f"wrote {picture}: look whether the grid lies on the road, and the boxes on the vehicles")
+        drawn = _picture(keypoints.folder, keypoints.keypoint_edition, out, console)
+        if drawn is not None:
+            console.result(f"wrote {drawn}: look whether the grid lies on the road, and the boxes on the vehicles")
+
+
+def _refitted(
+    keypoints: KeypointOptions,
+    refit: str,
+    picture: str | None,
+    points: Path | None,
+    camera: Path | None,
+    size: str | None,
+    out: Path,
+) -> Iterator[str]:
+    from skope.eval.inference import refit_camera
+
+    if keypoints.folder or keypoints.annotations or keypoints.predictions:
+        raise UserError("--refit stands alone: no folder, --annotations or --predictions with it")
+    if picture is None or (points is None) == (camera is None):
+        raise UserError("--refit: needs --picture, and either --points or --camera")
+    return refit_camera.refit(picture, refit, points=points, camera=camera, size=size, out=out)
 
 
 def _picture(folder: Path, edition: int | None, camera: Path, console: Console) -> Path | None:

@@ -114,6 +114,8 @@ class SceneOptions(KeypointOptions):
         scene = self.read(console, self.camera, _ground(self.ground))
         if scene.left_out:
             console.result(scene.left_out)
+        if scene.motion:
+            console.result(f"{scene.file.name}: {scene.motion}")
         if scene.known:
             console.result(doubt(self.camera or scene.file.name, scene.known.ways_sigma()))
         if self.ground in _FITTED:

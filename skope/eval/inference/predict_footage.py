@@ -22,13 +22,15 @@ from skope.detector.device import choose_device
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.anonymize import blurred
+from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.eval.inference.view_changes import Looks, ViewChange, changes
+from skope.eval.inference.view_changes import Looks
+from skope.eval.pose.camera_motion import MOTION
 from skope.files.atomic import replacing
 from skope.files.output_folders import claim_output
 from skope.files.progress import Progress
@@ -109,7 +111,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
     predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least, batch_size=batch_size), console)
     _claim(job, predictor.files)
-    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look"))
+    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look", "motion"))
     images: list[Image] = []
     last_key, names = 1, list[int]()
     for row in progress.rows():
@@ -123,12 +125,17 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            looks = Looks()
-            for bare, found, key in found_in(job, predictor, last=last, last_key=last_key, names=names, looks=looks):
+            looks, sway = Looks(), _sway_watch(job, last)
+            watched = (looks, sway)
+            for bare, found, key in found_in(
+                job, predictor, last=last, last_key=last_key, names=names, watched=watched
+            ):
                 image = with_camera(bare, job.camera)
                 entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
                 look = looks.taken.pop(image.id, None)
-                progress.add({**entry, "skipped": list(job.footage.skipped), "key": key, "look": look})
+                motion = motion_to_row(sway.measured.pop(image.id, None))
+                skipped = list(job.footage.skipped)
+                progress.add({**entry, "skipped": skipped, "key": key, "look": look, "motion": motion})
                 images.append(image)
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
@@ -143,7 +150,9 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     written = [job.out / PREDICTIONS, job.out / FRAMES]
     seen = _Seen()
     coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
-    changed = _changes(job, progress)
+    record, looked = _watched(progress, images[0].width)
+    changed = record.view_changes(looked) if job.footage.clip else []
+    sways = record.motion(changed) if job.footage.clip else None
     for change in changed:
         console.result(f"{job.footage.name}: {change}; its parts count apart")
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
@@ -151,6 +160,9 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         info[FOLLOWED] = True
     if changed:
         info[CHANGES] = [asdict(change) for change in changed]
+    if sways:
+        info[MOTION] = sways.to_dict()
+        console.result(f"{job.footage.name}: {sways}")
     frames_file = AnnotationFile(
         images=tuple(images),
         annotations=(),
@@ -167,12 +179,19 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     return written
 
 
-def _changes(job: PredictJob, progress: Progress) -> list[ViewChange]:
-    """When a video shows another view."""
-    if job.footage.clip is None:
-        return []
+def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
+    """What measures the camera's sway, against the first frame also where a run goes on."""
+    if not last or job.footage.live:
+        return SwayWatch()
+    first = next(job.footage.frames(), None)
+    return SwayWatch(first[1] if first and job.footage.clip else None)
+
+
+def _watched(progress: Progress, width: int) -> tuple[SwayRecord, list[tuple[float, str]]]:
+    """The camera's motion in each frame, and the small pictures with their times."""
     looks = [(row["image"].get("time_s"), row["look"]) for row in progress.rows() if row["look"] is not None]
-    return changes([(float(time_s), look) for time_s, look in looks if time_s is not None])
+    timed = [(float(time_s), look) for time_s, look in looks if time_s is not None]
+    return record_of_rows(progress.rows(), width), timed
 
 
 @dataclass
@@ -217,14 +236,19 @@ def found_in(
     last: int = 0,
     last_key: int = 1,
     names: Sequence[int] = (),
-    looks: Looks | None = None,
+    watched: Sequence[Looks | SwayWatch] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
     """The frames after number `last`, with what is found in them, and whether the detector has seen them.
 
     `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of what it found there.
-    `looks` takes small pictures on the way.
+    `watched` look at the frames on the way.
     """
-    watch = looks.watch if looks else iter
+
+    def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        for one in watched:
+            frames = one.watch(frames)
+        return frames
+
     every = job.key_every
     if every == 1:
         each = predictor.each if job.footage.live else predictor.each_ahead

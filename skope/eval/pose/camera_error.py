@@ -11,14 +11,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.camera_json import is_camera_json, read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.solver import Poses
+from skope.files.json_files import read_json
 from skope.types import Array
 
+CALIBRATED: Final = "camera_calibrated"
+"""Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
 COVARIANCE: Final = "camera_covariance"
 """Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
 DISTANCE_SIGMA: Final = "camera_distance_sigma"
@@ -28,7 +31,17 @@ DISTANCE_SIGMA: Final = "camera_distance_sigma"
 def camera_info(path: Path) -> dict[str, Any]:
     """What frames say of how well the camera of a file is known, for their `info`."""
     known = read_uncertain_camera(path)
-    return {COVARIANCE: known.covariance_dict()} if known else {}
+    seconds = calibrated_seconds(path)
+    return {
+        **({COVARIANCE: known.covariance_dict()} if known else {}),
+        **({CALIBRATED: seconds} if seconds else {}),
+    }
+
+
+def calibrated_seconds(path: Path) -> dict[str, Any] | None:
+    """Of which part of which footage the camera of a file was calibrated: `source` and `seconds`; None: of any."""
+    told = read_json(path).get("calibrated") if is_camera_json(path) else None
+    return {key: told[key] for key in ("source", "seconds")} if isinstance(told, dict) and "seconds" in told else None
 
 
 def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:

@@ -13,6 +13,7 @@ from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import Evidence
 from skope.camera.left_out import LeftOutError, left_out_errors
 from skope.camera.point_files import read_points
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.pose.write_camera import camera_figures, write_camera
 from skope.site.site_file import read_site
@@ -81,6 +82,11 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
         if one.kind in _UNITS
     )
     yield from (f"warning: {words}" for words in (*marked.said, *found.warnings))
+
+
+def evidence_of(path: Path, size: str | None) -> Evidence:
+    """The marks of a file, as `camera_from_marks` takes them. Raises UserError."""
+    return _read(path, size).evidence
 
 
 _UNITS: Final = {"length": "m", "parallel lines": "deg", "vertical": "px"}
@@ -172,7 +178,7 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
     )
 
 
-def place_errors(found: SiteCalibration) -> str:
+def place_errors(found: UncertainCamera) -> str:
     """How well places on the road are known, at the worst of those that lie so far from the camera, in words."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
@@ -190,7 +196,7 @@ def place_errors(found: SiteCalibration) -> str:
     return f"places on the road lie within (90%) {', '.join(told)} from the camera{farthest}"
 
 
-def _seen_at(found: SiteCalibration, yaw: float, foot: Array, distance: float) -> Array:
+def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -> Array:
     """(N, 2) pixels of places at a distance from the camera's foot that the image shows."""
     angles = yaw + _ARC
     ring = np.column_stack([foot + distance * np.column_stack([np.cos(angles), np.sin(angles)]), np.zeros(len(angles))])

@@ -15,6 +15,8 @@ from skope.types import Array
 
 _POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
 """A pose changes by so much at most in a step: heights of the camera, radians."""
+_BARELY: Final = 1e-10
+"""Share of its trace by which a singular matrix is made regular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class Linearised:
         pose, rest = slice(0, 3), slice(3, None)
         own = self.normal[:, pose, pose]
         own = own + np.einsum("b,bii->bi", damping[vehicle], own)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
-        inverse = np.linalg.inv(own)
+        inverse = _inverses(own)
         pose_back = inverse @ self.normal[:, pose, rest]
         pose_alone = (inverse @ self.gradient[:, pose, None])[..., 0]
         across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
@@ -74,9 +76,9 @@ class Linearised:
         held = normal[:, :m, :m] + np.eye(m)
         spread = np.linalg.slogdet(held)[1]
         held = held + damping[:, None, None] * np.eye(m)
-        inverse = np.linalg.inv(held)
-        shape_back = inverse @ normal[:, :m, m:]
-        shape_alone = (inverse @ (gradient[:, :m] + shape)[..., None])[..., 0]
+        of_shape = np.linalg.inv(held)
+        shape_back = of_shape @ normal[:, :m, m:]
+        shape_alone = (of_shape @ (gradient[:, :m] + shape)[..., None])[..., 0]
         across = np.swapaxes(normal[:, :m, m:], -1, -2)
         return Parts(
             information=normal[:, m:, m:] - across @ shape_back,
@@ -109,6 +111,18 @@ class Parts:
         rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
         pose = -(self.pose_alone + np.einsum("bpi,bi->bp", self.pose_back, rest))
         return shape, np.clip(pose, -_POSE_STRIDE, _POSE_STRIDE)
+
+
+def _inverses(matrices: Array) -> Array:
+    """(B, 3, 3) inverses; where one of the matrices has none, all are taken to be a little larger along the diagonal.
+
+    That happens where a trial camera has all that is seen of a vehicle pull one way.
+    """
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        size = np.trace(matrices, axis1=-2, axis2=-1)
+        return np.asarray(np.linalg.inv(matrices + (_BARELY * size)[:, None, None] * np.eye(matrices.shape[-1])))
 
 
 def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:

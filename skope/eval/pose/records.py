@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
+from skope.eval.pose.camera_error import with_camera_error
+from skope.eval.pose.camera_motion import MOVED
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
 from skope.files.atomic import replacing
@@ -40,8 +42,13 @@ class Located:
 
 
 def locate_view(view: View, scene: Scene) -> Located:
-    """Work out the poses of the vehicles in one image of a scene; those that were followed there have none."""
-    camera, found = scene.camera_of(view.image), ~view.interpolated
+    """Work out the poses of the vehicles in one image of a scene; those that were followed there have none, nor
+    those that are seen after the camera was moved."""
+    image = view.image
+    camera, found = scene.camera_in(image), ~view.interpolated
+    moved = scene.moved_in(image)
+    if moved:
+        found = np.zeros_like(found)
     poses = locate(
         camera,
         view.found[found],
@@ -50,7 +57,9 @@ def locate_view(view: View, scene: Scene) -> Located:
         shapes=scene.shapes,
         cut=view.cut[found],
     )
-    return Located(view, camera, poses if found.all() else poses.among(found, INTERPOLATED))
+    # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
+    poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
+    return Located(view, camera, poses if found.all() else poses.among(found, MOVED if moved else INTERPOLATED))
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:

@@ -72,10 +72,11 @@ def sample(
     """
     if not scene.file.images:
         raise UserError(f"{scene.file.name}: no images")
+    scene = scene.calibrated_part()
     size = (scene.file.images[0].width, scene.file.images[0].height)
 
     def numbered_views() -> Iterator[tuple[View, NDArray[np.int64]]]:
-        return _numbered(scene.views(score=score, noise=noise, sigma_px=sigma_px))
+        return _numbered(map(scene.stilled, scene.views(score=score, noise=noise, sigma_px=sigma_px)))
 
     of_vehicle: dict[int, list[_Candidate]] = {}
     known, lower = True, list[Array]()

@@ -18,7 +18,8 @@ from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
-from skope.eval.pose.camera_error import camera_of_info
+from skope.eval.pose.camera_error import CALIBRATED, calibrated_seconds, camera_of_info
+from skope.eval.pose.camera_motion import CameraMotion, motion_of_info
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
@@ -87,6 +88,10 @@ class Scene:
     """Where the road is in single images, by their ids, of a file of several cameras."""
     known: UncertainCamera | None = None
     """How well the camera of all images is known; None: nothing says that."""
+    motion: CameraMotion | None = None
+    """How the camera sways around where it is calibrated; None: it stands still, as far as is known."""
+    moved: frozenset[int] = frozenset()
+    """Ids of images that another view than the calibrated one shows: they have no places in metres."""
 
     @property
     def shapes(self) -> Shapes:
@@ -108,6 +113,19 @@ class Scene:
             )
         return sized(camera, (image.width, image.height), image.file_name)
 
+    def camera_in(self, image: Image) -> Camera:
+        """The camera of an image as its sway has turned it then. Raises UserError as `camera_of` does."""
+        camera = self.camera_of(image)
+        return self.motion.camera_in(camera, image.id) if self.motion else camera
+
+    def sway_in(self, image: Image) -> UncertainCamera | None:
+        """What the camera's sway leaves uncertain of it in one image; None: it stands still."""
+        return self.motion.rest_in(self.camera_of(image), image.id) if self.motion else None
+
+    def moved_in(self, image: Image) -> bool:
+        """Whether the camera had been moved when the image was taken, so that its calibration says nothing."""
+        return image.id in self.moved
+
     def known_in(self, image: Image) -> UncertainCamera | None:
         """The camera of an image, as far as it is known how well; None: it is not."""
         return self.known.of_camera(self.camera_of(image)) if self.known else None
@@ -115,6 +133,23 @@ class Scene:
     def road_in(self, image: Image) -> Ground | None:
         """Where the road is in an image; None: unknown."""
         return self.roads.get(image.id, self.ground)
+
+    def calibrated_part(self) -> "Scene":
+        """The scene without the images of which the calibration does not hold."""
+        if not self.moved:
+            return self
+        kept = (image for image in self.file.images if not self.moved_in(image))
+        return replace(self, file=part_of(self.file, kept), moved=frozenset())
+
+    def stilled(self, view: View) -> View:
+        """A view with its keypoints where they would be if the camera did not sway."""
+        image = view.image
+        if self.motion is None or image.id not in self.motion.frames:
+            return view
+        found = view.found.copy()
+        found[..., :2] = self.motion.stilled(self.camera or image.camera, image, found[..., :2])
+        found[~np.isfinite(found).all(axis=-1)] = 0.0
+        return replace(view, found=found)
 
     def views(
         self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
@@ -246,34 +281,78 @@ def read_scene(
         file = replace(file, scheme=keypoints.scheme_of(keypoints.SCHEME, edition))
     results = read_inputs.stream_results(predictions, file) if predictions else None
     users = read_inputs.RoadUsersFile(predictions, file) if predictions else None
-    file, left_out = _of_one_view(file)
+    motion = motion_of_info(file.name, file.info)
     if camera is None:
-        road = None if ground is None else Ground(height=ground)
-        known = camera_of_info(file.name, file.info, file.images[0].camera if file.images else None)
-        return Scene(file, results, None, road, left_out, users, known=known)
-    read, posed = read_camera(camera, _size(file))
+        shown = file.images[0].camera if file.images else None
+        if shown is None:  # whose camera is still to be found
+            file, left_out = _longest_view(file)
+            road = None if ground is None else Ground(height=ground)
+            return Scene(file, results, None, road, left_out, users, motion=motion)
+        read, posed, known = None, True, camera_of_info(file.name, file.info, shown)
+        seconds = file.info.get(CALIBRATED)
+    else:
+        read, posed = read_camera(camera, _size(file))
+        shown, known, seconds = read, read_uncertain_camera(camera), calibrated_seconds(camera)
+    moved, left_out = _after_move(file, seconds)
+    if motion is not None:
+        known = motion.at_rest(shown, known)
     road = Ground(height=ground) if posed and ground is not None else None
-    return Scene(file, results, read, road, left_out, users, known=read_uncertain_camera(camera))
+    return Scene(file, results, read, road, left_out, users, known=known, motion=motion, moved=moved)
 
 
-def _of_one_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
-    """The images of the longest part of a video that shows one view, and what was left out, in words."""
+def _parts(file: AnnotationFile) -> NDArray[np.intp] | None:
+    """(N,) which of the views of a video each image shows, in order of time; None: all show one, as far as is known."""
     changes = file.info.get(CHANGES)
     times = [image.time_s for image in file.images]
     if not isinstance(changes, list) or not changes or None in times:
-        return file, None
-    seconds = np.array(times, dtype=np.float64)
+        return None
     try:
-        part = np.searchsorted([float(change["time_s"]) for change in changes], seconds, side="right")
+        begins = [float(change["time_s"]) for change in changes]
     except (KeyError, TypeError, ValueError):
         raise UserError(f"{file.name}: info.{CHANGES}: expected objects with time_s") from None
-    longest = int(np.bincount(part).argmax())
-    kept = np.flatnonzero(part == longest)
+    return np.asarray(np.searchsorted(begins, np.array(times, dtype=np.float64), side="right"))
+
+
+def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
+    """The images of the longest part of a video that shows one view, and what was left out, in words."""
+    part = _parts(file)
+    if part is None:
+        return file, None
+    kept = np.flatnonzero(part == int(np.bincount(part).argmax()))
+    begin, end = (file.images[i].time_s for i in (kept[0], kept[-1]))
     words = (
-        f"{file.name}: the view changes ({counted(len(changes), 'time')}); taken is the longest part, "
-        f"from {seconds[kept[0]]:.1f} to {seconds[kept[-1]]:.1f} s"
+        f"{file.name}: the view changes ({counted(len(file.info[CHANGES]), 'time')}); taken is the longest part, "
+        f"from {begin:.1f} to {end:.1f} s"
     )
     return part_of(file, (file.images[i] for i in kept)), words
+
+
+def _after_move(file: AnnotationFile, calibrated: object) -> tuple[frozenset[int], str | None]:
+    """Ids of the images of which a calibration does not hold, as they show another view, and that in words.
+
+    It is one of the view with which the footage begins, unless it says (`source`, `seconds`) that it is of another.
+    """
+    part = _parts(file)
+    if part is None:
+        return frozenset(), None
+    valid = part[0]
+    if isinstance(calibrated, Mapping) and calibrated.get("source") == file.info.get("source"):
+        try:
+            middle = float(np.mean([float(second) for second in calibrated["seconds"]]))
+        except (TypeError, ValueError):
+            raise UserError(f"{file.name}: calibrated.seconds: expected two numbers") from None
+        valid = part[
+            int(np.searchsorted([image.time_s or 0.0 for image in file.images], middle).clip(0, len(part) - 1))
+        ]
+    lost = frozenset(image.id for image, k in zip(file.images, part, strict=True) if k != valid)
+    if not lost:
+        return frozenset(), None
+    begin, end = ([change["time_s"] for change in [{"time_s": 0.0}, *file.info[CHANGES]]] + [None])[valid : valid + 2]
+    return lost, (
+        f"{file.name}: the view changes ({counted(len(file.info[CHANGES]), 'time')}): the camera's calibration holds "
+        f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}; {counted(len(lost), 'other image')} "
+        f"{'has' if len(lost) == 1 else 'have'} no metres (`skope eval camera --refit` finds a moved camera's pose)"
+    )
 
 
 def _size(file: AnnotationFile) -> tuple[int, int] | None:

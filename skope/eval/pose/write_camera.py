@@ -64,7 +64,7 @@ def from_vehicles(
         "vehicles": fit.vehicles,
         "sigma": sigma,
         "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
-        "calibrated": {"from": told},
+        "calibrated": {"from": told, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, besides)
     yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
@@ -77,6 +77,14 @@ def from_vehicles(
     yield f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%)"
     if folder is not None:
         yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
+
+
+def _part_of(scene: Scene) -> dict[str, Any]:
+    """The part of the footage that was taken, where the camera was moved in it."""
+    if not scene.left_out:
+        return {}
+    times = [image.time_s for image in scene.file.images]
+    return {"source": scene.file.info.get("source"), "seconds": [times[0], times[-1]]}
 
 
 def camera_figures(**values: tuple[float, float]) -> Iterator[str]:

@@ -1,13 +1,14 @@
 """Where people on foot and on two wheels stand: the bottom middle of a box, taken to the road."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
+from skope.eval.pose.camera_error import camera_errors
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.views import Scene
 from skope.schema import Image, RoadUser, RoadUserResult
@@ -84,7 +85,9 @@ def _in_image(
     points: list[GroundPoint | None] = [None] * len(found)
     road = scene.road_in(image)
     if road is not None and found:
-        points = ground_points(scene.camera_of(image), road, feet, spread)
+        camera = scene.camera_in(image)
+        points = [] if scene.moved_in(image) else ground_points(camera, road, feet, spread)
+        points = [_wider(point, scene, image) for point in points] or [None] * len(found)
     out = []
     for one, foot, point in zip(found, feet, points, strict=True):
         shown = point if foot[1] < image.height - _EDGE_PX else None
@@ -94,6 +97,15 @@ def _in_image(
             measured = None if one.interpolated else shown
             out.append(Sight(one.category_id, one.bbox, one.score, one.track_id, measured))
     return out
+
+
+def _wider(point: GroundPoint | None, scene: Scene, image: Image) -> GroundPoint | None:
+    """A place with what the camera's sway leaves uncertain."""
+    sway, road = scene.sway_in(image), scene.road_in(image)
+    if point is None or sway is None or road is None:
+        return point
+    added, _ = camera_errors(sway, np.array([[*point.place, point.height]]), np.zeros((1, 2)), road.slope)
+    return replace(point, covariance=point.covariance + added[0])
 
 
 def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array) -> list[GroundPoint | None]:

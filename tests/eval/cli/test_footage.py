@@ -694,16 +694,33 @@ def test_coordinates_may_be_of_any_size(skope: Any, away: tuple[float, float, fl
         assert float(other["speed"]) == pytest.approx(float(one["speed"]), abs=3e-3)
 
 
-def test_only_one_view_of_a_video_is_tracked(skope: Any) -> None:
-    """The longest: another one's camera is not known."""
+def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
+    """It is one of the view with which the footage begins, unless it says of which seconds it is."""
     file = drive(4, 5, speeds=(8.0, 3.0))
     changes = [{"time_s": 2.5, "cut": True, "shift": 0.0}]
     coco.write(Path("road.json"), replace(file, info={**file.info, CHANGES: changes}))
     code, out, error = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t")
     assert code == 0, error
-    assert "road: the view changes (1 time); taken is the longest part, from 0.0 to 2.4 s" in out
+    told = "road: the view changes (1 time): the camera's calibration holds from 0.0 s to 2.5 s; 7 other images have no"
+    assert told in out
+    assert "14 camera_moved" in out
     rows = list(csv.DictReader(Path("t/tracks.csv").read_text().splitlines()))
-    assert max(float(row["time_s"]) for row in rows) == pytest.approx(2.4)
+    measured = [float(row["time_s"]) for row in rows if row["measured"] in ("1", "True", "true")]
+    assert max(measured) == pytest.approx(2.4)
+    code, _, error = skope("eval", "pose", "--annotations", "road.json", "--noise", 1, "--out", "p")
+    assert code == 0, error
+    poses = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
+    assert {pose["refused"] for pose in poses if pose["time_s"] >= 2.5} == {"camera_moved"}
+    assert all(pose["refused"] is None for pose in poses if pose["time_s"] < 2.5)
+    later = {"source": None, "seconds": [2.6, 3.8]}
+    camera = {"width": CAMERA.width, "height": CAMERA.height, **CAMERA.to_dict(), "calibrated": later}
+    Path("later.json").write_text(json.dumps(camera))
+    call = ("--annotations", "road.json", "--noise", 1, "--camera", "later.json", "--out", "l")
+    code, out, error = skope("eval", "pose", *call)
+    assert code == 0, error
+    assert "holds from 2.5 s on; 13 other images" in out
+    poses = [json.loads(line) for line in Path("l/poses.jsonl").read_text().splitlines()]
+    assert {pose["refused"] for pose in poses if pose["time_s"] < 2.5} == {"camera_moved"}
     coco.write(Path("bad.json"), replace(file, info={**file.info, CHANGES: [{"cut": True}]}))
     code, _, error = skope("eval", "track", "--annotations", "bad.json", "--out", "u")
     assert (code, error) == (2, "skope: bad: info.view_changes: expected objects with time_s\n")

@@ -1,0 +1,284 @@
+"""How far a fixed camera's image has moved since another one: the one measurement of it.
+
+Coarsely, whole pictures of edges are held against each other, as light changes and edges of the background stay
+(phase correlation). Finely, corners of the first picture are followed into the other one from there (Lucas and Kanade's
+method; contrast is evened out before), and what most of them do together is the camera's: shift and turn in the image's
+middle. What a turned camera and its lens do besides grows with the square of the distance from there, and is fitted
+with them.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.types import Array
+
+Pixels = NDArray[np.uint8]
+
+COARSE_WIDTH: Final = 160
+"""Width of the pictures that are held against each other as a whole, pixels."""
+MOVED: Final = 0.006
+"""A view has moved by more than this share of the image's width, or has not."""
+_BLOCKS: Final = (6, 10)
+"""Rows and columns of blocks in which pictures are compared: traffic hides some of them, not all."""
+_BLOCK: Final = 0.6
+"""Correlation of edges from which two blocks show the same."""
+_BARE: Final = 0.3
+"""Deviation of edges, in that of the whole picture, under which a block shows nothing."""
+_SAME: Final = 0.2
+"""Share of the blocks that show the same from which two pictures show one view."""
+_AS_WELL: Final = 0.9
+"""A view that fits as well where it was, but for this factor, has not moved."""
+_STRONG: Final = 0.03
+"""Strength of edges, as a share of white, under which a picture is too even to tell."""
+
+_FINE_WIDTH: Final = 640
+"""Width of the pictures in which corners are followed, pixels at most."""
+_CORNERS: Final = 300
+_APART_PX: Final = 10.0
+"""Corners are so far apart at least, pixels of these pictures."""
+_WINDOW: Final = 15
+"""Side of what is followed around a corner, pixels."""
+_THERE_AND_BACK_PX: Final = 0.3
+"""A corner that is followed back must come out so near to where it was."""
+_FEWEST: Final = 12
+"""So many corners must move together, and this share of all that the first picture has: what fills the image and
+drives by has few of them."""
+_LEAST_SHARE: Final = 0.3
+_ROUNDS: Final = 12
+_FLOOR_PX: Final = 0.03
+"""Standard deviation that stays however many corners there are: pictures are interpolated in steps of 1/32 pixel, and
+all corners are off by that together."""
+_VAGUE_PX: Final = 0.5
+"""A shift whose standard deviation is larger, in pixels of these pictures, is not known."""
+
+
+# -------------------------------------------------------------------------------------------------- whole pictures
+
+
+def small_grey(pixels: Pixels) -> Pixels:
+    """A picture (H, W, 3) RGB as a small grey one, `COARSE_WIDTH` wide."""
+    height, width = pixels.shape[:2]
+    size = (COARSE_WIDTH, max(1, round(COARSE_WIDTH * height / width)))
+    grey = cv2.resize(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(grey, dtype=np.uint8)
+
+
+def edges(grey: Pixels) -> Array | None:
+    """(H, W) strength of edges of a small grey picture, of mean 0 and deviation 1; None where there are hardly any."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32) / 255, (0, 0), 1.0)
+    strength = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    if strength.mean() < _STRONG:
+        return None
+    root = np.sqrt(strength)  # lamps and white cars shall not decide
+    return np.asarray((root - root.mean()) / root.std(), dtype=np.float64)
+
+
+def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
+    """How far edges have moved from one picture to another, as shares of the width; None: they show different views."""
+    height, width = one.shape
+    if one.shape != other.shape:
+        return None
+    window = np.outer(np.hanning(height), np.hanning(width))
+    # OpenCV multiplies its inputs by the window in place.
+    (x, y), _ = cv2.phaseCorrelate(one.copy(), other.copy(), window)
+    back = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]])
+    aligned: Any = cv2.warpAffine(other, back, (width, height), flags=cv2.INTER_LINEAR)
+    here, there = (_agreement(one, picture) for picture in (other, aligned))
+    if max(here, there) < _SAME:
+        return None
+    return (0.0, 0.0) if here >= _AS_WELL * there else (x / width, y / width)
+
+
+def _agreement(one: Array, other: Array) -> float:
+    """Share of the blocks of two pictures, of those that show something, in which their edges correlate."""
+    rows, columns = (np.array_split(np.arange(size), parts) for size, parts in zip(one.shape, _BLOCKS, strict=True))
+    good = []
+    for block in itertools.product(rows, columns):
+        a, b = one[np.ix_(*block)], other[np.ix_(*block)]
+        a, b = a - a.mean(), b - b.mean()
+        if a.std() < _BARE and b.std() < _BARE:
+            continue
+        good.append((a * b).mean() >= _BLOCK * max(a.std() * b.std(), 1e-9))
+    return float(np.mean(good)) if good else 0.0
+
+
+# ---------------------------------------------------------------------------------------------------------- corners
+
+
+@dataclass(frozen=True)
+class ImageMotion:
+    """How an image has moved: what was at the image's middle is now beside it, and everything around it has turned."""
+
+    x: float
+    """Pixels to the right."""
+    y: float
+    """Pixels downwards."""
+    turn: float
+    """Radians, from x towards y: clockwise as one sees it."""
+    sigma_px: float
+    """Standard deviation of x and y each, pixels."""
+    sigma_turn: float
+    """Standard deviation of the turn, radians."""
+    growth: float = 0.0
+    """How much larger everything has become, as a share: a zoom."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedCorners:
+    """Corners of one picture that were found in another one and move together with most others."""
+
+    before: Array
+    """(N, 2) pixels."""
+    after: Array
+    """(N, 2) pixels."""
+    sigma_px: float
+    """Standard deviation of their way, an axis."""
+    all_before: Array
+    """(M, 2) all corners of the first picture, also those that were not found or move otherwise, pixels."""
+
+
+class ReferencePicture:
+    """A picture that others of the same camera are held against."""
+
+    def __init__(self, pixels: Pixels, width: int = _FINE_WIDTH) -> None:
+        """`pixels` (H, W, 3) RGB; corners are followed in pictures that are `width` pixels wide at most."""
+        self.size = (pixels.shape[1], pixels.shape[0])
+        self._scale = min(1.0, width / self.size[0])
+        self._edges = edges(small_grey(pixels))
+        self._even = self._evened(pixels)
+        found: Any = cv2.goodFeaturesToTrack(self._even, _CORNERS, 0.01, _APART_PX, blockSize=7)
+        self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
+
+    def motion(self, pixels: Pixels) -> ImageMotion | None:
+        """How the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows another view.
+
+        Raises ValueError where the sizes differ.
+        """
+        fit = self._fit(pixels)
+        if fit is None or fit.sigma_px > _VAGUE_PX:
+            return None
+        shrunk = self._scale
+        return ImageMotion(
+            fit.x / shrunk, fit.y / shrunk, fit.turn, fit.sigma_px / shrunk, fit.sigma_turn, growth=fit.growth
+        )
+
+    def followed(self, pixels: Pixels) -> FollowedCorners | None:
+        """The corners that move together up to another picture; None as in `motion`."""
+        fit = self._fit(pixels)
+        if fit is None or fit.sigma_px > _VAGUE_PX:
+            return None
+        # Corners are at pixels that count their centres as whole numbers.
+        before, after, every = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after, self._corners.astype(float)))
+        return FollowedCorners(before, after, fit.spread / self._scale, every)
+
+    def _fit(self, pixels: Pixels) -> "_Fit | None":
+        if pixels.shape[1::-1] != self.size:
+            raise ValueError(f"expected a picture of {self.size}, got {pixels.shape[1::-1]}")
+        there = edges(small_grey(pixels))
+        shift = coarse_shift(self._edges, there) if self._edges is not None and there is not None else None
+        if shift is None or len(self._corners) < _FEWEST:
+            return None
+        even = self._evened(pixels)
+        begin = (self._corners + np.array(shift) * self.size[0] * self._scale).astype(np.float32)
+        after, good = _follow(self._even, even, self._corners, begin)
+        back, home = _follow(even, self._even, after, self._corners)
+        near = np.linalg.norm(back - self._corners, axis=1) < _THERE_AND_BACK_PX
+        kept = good & home & near
+        if kept.sum() < _FEWEST:
+            return None
+        least = max(_FEWEST, math.ceil(_LEAST_SHARE * len(self._corners)))
+        return _fitted(self._corners[kept].astype(float), after[kept].astype(float), self._even.shape, least)
+
+    def _evened(self, pixels: Pixels) -> Pixels:
+        """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
+        size = tuple(max(1, round(side * self._scale)) for side in self.size)
+        grey: Any = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+        if size != self.size:
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        away = grey.astype(np.float32)
+        away -= cv2.GaussianBlur(away, (0, 0), 8.0)
+        contrast = np.sqrt(cv2.GaussianBlur(away * away, (0, 0), 8.0)) + 4.0
+        return np.asarray(np.clip(128 + 40 * away / contrast, 0, 255).round(), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What most corners do together, in pixels of the pictures in which they were followed."""
+
+    x: float
+    y: float
+    turn: float
+    growth: float
+    sigma_px: float
+    sigma_turn: float
+    spread: float
+    """Standard deviation of a corner's way around it, an axis."""
+    before: Array
+    after: Array
+
+
+def _follow(
+    one: Pixels, other: Pixels, points: NDArray[np.float32], begin: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        np.ascontiguousarray(points, dtype=np.float32),
+        np.ascontiguousarray(begin, dtype=np.float32).copy(),
+        winSize=(_WINDOW, _WINDOW),
+        maxLevel=2,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 0.003),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.asarray(found, dtype=np.float32), np.asarray(status.ravel() == 1)
+
+
+def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> _Fit | None:
+    """The motion of most corners (N, 2), by least squares with Tukey's weights; None where fewer than `least` agree."""
+    half = shape[1] / 2
+    x, y = ((before + 0.5 - [half, shape[0] / 2]) / half).T
+    way = after - before
+    middle = np.median(way, axis=0)
+    design = _design(x, y)
+    # A turned camera's shift grows towards the edges by about as much again; that of one that stands still does not.
+    bend = float(np.hypot(*middle)) + 1e-3
+    weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
+    for _ in range(_ROUNDS):
+        told = np.repeat(weight, 2)[:, None] * design
+        # What is known of the bend counts as much as a corner that is as uncertain as these.
+        normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
+        values = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), told.T @ way.ravel())
+        off = np.linalg.norm(way - (design @ values).reshape(-1, 2), axis=1)
+        spread = max(float(np.median(off)) / 1.1774, 0.01)  # the median of a Rayleigh distribution
+        weight = np.clip(1 - (off / (5 * spread)) ** 2, 0, None) ** 2
+    together = weight > 0
+    if together.sum() < least:
+        return None
+    spread = max(math.sqrt(float((off[together] ** 2).mean() / 2)), 0.01)
+    covariance = spread**2 * np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))
+    sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]) + _FLOOR_PX**2)
+    return _Fit(
+        x=float(values[0]),
+        y=float(values[1]),
+        turn=float(values[2]) / half,
+        growth=float(values[3]) / half,
+        sigma_px=sigma,
+        sigma_turn=math.sqrt(covariance[2, 2] + _FLOOR_PX**2) / half,
+        spread=spread,
+        before=before[together],
+        after=after[together],
+    )
+
+
+def _design(x: Array, y: Array) -> Array:
+    """(2N, 10) how ways follow from shift, turn, growth and the bend, in coordinates of half a width."""
+    one, none = np.ones_like(x), np.zeros_like(x)
+    across = [one, none, -y, x, x * x, y * y, x * y, none, none, none]
+    down = [none, one, x, y, none, none, none, x * x, y * y, x * y]
+    return np.stack([np.column_stack(across), np.column_stack(down)], axis=1).reshape(-1, len(across))

@@ -1,0 +1,155 @@
+"""How the camera of a video sways, and when it is moved for good: each frame is held against the first one."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.eval.image_shift import MOVED, ImageMotion, Pixels, ReferencePicture
+from skope.eval.inference.view_changes import ViewChange, changes
+from skope.eval.pose.camera_motion import CameraMotion
+from skope.schema import Image
+from skope.types import Array
+
+_STILL_PX: Final = 0.1
+"""A camera stands still whose image moves by less, one standard deviation an axis in a picture 640 pixels wide:
+keypoints are ten times as uncertain."""
+_STILL_WIDTH: Final = 640
+_RAYLEIGH_95: Final = 2.448
+"""Within so many of these standard deviations 95% of shifts lie."""
+_AROUND_S: Final = 3.0
+"""Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
+_FEWEST: Final = 3
+"""Frames that such a mean needs."""
+
+
+class SwayWatch:
+    """Measures how far the image of each frame of a video is from the first one's."""
+
+    def __init__(self, first: Pixels | None = None) -> None:
+        """`first`: the footage's first frame, where a run goes on after it."""
+        self.measured: dict[int, ImageMotion | None] = {}
+        """By the number of the frame; None: cannot be told."""
+        self._reference = None if first is None else ReferencePicture(first)
+
+    def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The frames as they come; single images, which have no times, are not measured."""
+        for image, pixels in frames:
+            if image.time_s is not None:
+                if self._reference is None:
+                    self._reference = ReferencePicture(pixels)
+                same = pixels.shape[1::-1] == self._reference.size
+                self.measured[image.id] = self._reference.motion(pixels) if same else None
+            yield image, pixels
+
+
+@dataclass(frozen=True, eq=False)
+class SwayRecord:
+    """The motion of all frames of a video, against the first one."""
+
+    numbers: tuple[int, ...]
+    """`Image.id` of each frame."""
+    times_s: Array
+    """(N,) rising."""
+    motions: tuple[ImageMotion | None, ...]
+    width: int
+    """Of the images, pixels."""
+
+    def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
+        """When the view changes for good: where the image's mean place does, and else as `changes` has it of looks.
+
+        Looks alone, which are half a second apart, may fall on one side of a sway again and again.
+        """
+        return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
+
+    def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
+        """How the camera sways around where it is at rest in each of its views; None: it stands still."""
+        part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
+        values = self._values
+        known = np.isfinite(values[:, 0])
+        for k in np.unique(part):
+            rows = (part == k) & known
+            if rows.any():
+                values[rows] -= np.median(values[rows], axis=0)
+        if not known.any():
+            return None
+        away = np.linalg.norm(values[known, :2], axis=1)
+        still = _STILL_PX * max(1.0, self.width / _STILL_WIDTH)
+        if np.percentile(away, 95) <= _RAYLEIGH_95 * still:
+            return None
+        frames = {
+            number: replace(motion, x=float(row[0]), y=float(row[1]), turn=float(row[2]))
+            for number, motion, row in zip(self.numbers, self.motions, values, strict=True)
+            if motion is not None
+        }
+        x, y, turn = np.sqrt((values[known] ** 2).mean(axis=0)).tolist()
+        return CameraMotion(frames, (x, y, turn))
+
+    @property
+    def _values(self) -> Array:
+        """(N, 3) x, y, turn; NaN where they are not known."""
+        nothing = (np.nan,) * 3
+        rows = [nothing if one is None else (one.x, one.y, one.turn) for one in self.motions]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def _unmeasured(self, time_s: float) -> bool:
+        """Whether too few frames tell where the image lies from a time on."""
+        soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
+        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST
+
+    def _moves(self) -> list[ViewChange]:
+        """Where the mean place of the image, over some seconds, has moved."""
+        known = np.isfinite(self._values[:, 0])
+        places, times = self._values[known, :2], self.times_s[known]
+        if not len(times):
+            return []
+        ends = np.searchsorted(times, times + _AROUND_S)
+        # Windows that the footage cuts short say less.
+        whole = (ends - np.arange(len(times)) >= _FEWEST) & (times + _AROUND_S <= times[-1] + 1e-6)
+        sums = np.concatenate([np.zeros((1, 2)), np.cumsum(places, axis=0)])
+        means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
+        out, begin = list[ViewChange](), 0
+        while begin < len(times) and whole[begin]:
+            away = np.linalg.norm(means - means[begin], axis=1) > MOVED * self.width
+            later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
+            if not len(later):
+                break
+            low = max(begin, int(np.searchsorted(times, times[later[0]] - _AROUND_S)))
+            at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
+            if whole[at]:
+                shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
+                if shift > MOVED:
+                    out.append(ViewChange(float(times[at]), cut=False, shift=shift))
+            begin = max(at, begin + 1)
+        return out
+
+
+def _split(places: Array) -> int:
+    """Index at which places (N, 2) fall into two parts that lie each around a mean, with the least squares."""
+    count = np.arange(1, len(places))[:, None]
+    sums = np.cumsum(places, axis=0)
+    before, after = sums[:-1], sums[-1] - sums[:-1]
+    # The squares around two means are those around zero less these.
+    explained = (before**2 / count + after**2 / (len(places) - count)).sum(axis=1)
+    return 1 + int(explained.argmax())
+
+
+def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
+    """JSON values of a frame's motion, not rounded."""
+    if motion is None:
+        return None
+    return [motion.x, motion.y, motion.turn, motion.sigma_px, motion.sigma_turn, motion.growth]
+
+
+def record_of_rows(rows: Iterable[dict[str, Any]], width: int) -> SwayRecord:
+    """What was measured, of rows with `image` and `motion` (by `motion_to_row`); images without times are left out."""
+    numbers, times, motions = [], [], list[ImageMotion | None]()
+    for row in rows:
+        if row["image"].get("time_s") is not None:
+            numbers.append(int(row["image"]["id"]))
+            times.append(float(row["image"]["time_s"]))
+            motions.append(None if row["motion"] is None else ImageMotion(*row["motion"]))
+    seconds: NDArray[np.float64] = np.array(times, dtype=np.float64)
+    return SwayRecord(tuple(numbers), seconds, tuple(motions), width)

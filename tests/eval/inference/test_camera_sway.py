@@ -1,0 +1,131 @@
+"""A camera that sways, is knocked, or stands still, in videos that are parts of a picture moved by known amounts."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from skope.eval.image_shift import ImageMotion
+from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
+from skope.eval.inference.view_changes import Looks, ViewChange
+from skope.eval.pose.camera_motion import CameraMotion
+from skope.schema import Image
+from tests.eval.test_image_shift import SIZE, picture, with_traffic
+
+FPS = 10.0
+
+
+def path(count: int, sway_px: float, period_s: float, bump_px: float = 0.0) -> list[tuple[float, float]]:
+    """Shifts of frames by a sway, and by a bump halfway."""
+    out = []
+    for k in range(count):
+        phase = 2 * math.pi * k / FPS / period_s
+        out.append((sway_px * math.sin(phase) + bump_px * (k >= count / 2), 0.4 * sway_px * math.sin(1.7 * phase)))
+    return out
+
+
+def recorded(shifts: list[tuple[float, float]]) -> tuple[SwayRecord, list[ViewChange], CameraMotion | None]:
+    rng = np.random.default_rng(0)
+
+    def frames() -> list[tuple[Image, Any]]:
+        out = []
+        for k, shift in enumerate(shifts):
+            H = np.eye(3)
+            H[:2, 2] = shift
+            image = Image(id=k + 1, file_name=f"{k}", width=SIZE[0], height=SIZE[1], time_s=k / FPS)
+            out.append((image, with_traffic(picture(H), rng, k)))
+        return out
+
+    watch, looks = SwayWatch(), Looks()
+    images = [image for image, _ in looks.watch(watch.watch(iter(frames())))]
+    rows = [
+        {"image": {"id": image.id, "time_s": image.time_s}, "motion": motion_to_row(watch.measured[image.id])}
+        for image in images
+    ]
+    record = record_of_rows(json.loads(json.dumps(rows)), SIZE[0])
+    times = {image.id: image.time_s or 0.0 for image in images}
+    changes = record.view_changes([(times[number], look) for number, look in looks.taken.items()])
+    return record, changes, record.motion(changes)
+
+
+def test_a_camera_that_stands_still_has_no_motion() -> None:
+    record, changes, motion = recorded([(0.0, 0.0)] * 20)
+    assert None not in record.motions
+    assert (changes, motion) == ([], None)
+
+
+@pytest.mark.parametrize(("sway_px", "period_s"), [(1.0, 1.3), (10.0, 1.3), (10.0, 0.52)])
+def test_a_sway_is_no_other_view_and_is_measured_from_its_middle(sway_px: float, period_s: float) -> None:
+    """Looks half a second apart see one side of a sway of 0.52 s again and again."""
+    shifts = path(52, sway_px, period_s)
+    _, changes, motion = recorded(shifts)
+    assert changes == []
+    assert motion is not None
+    found = np.array([(one.x, one.y) for one in motion.frames.values()])
+    assert found - np.median(found, axis=0) == pytest.approx(np.array(shifts) - np.median(shifts, axis=0), abs=0.2)
+    assert np.median(found, axis=0) == pytest.approx([0, 0], abs=1e-6)
+    assert motion.sway[0] == pytest.approx(np.std([x for x, _ in shifts]), rel=0.15)
+
+
+def test_a_bump_is_told_to_the_frame_and_each_part_has_its_own_rest() -> None:
+    shifts = path(78, 3.0, 1.3, bump_px=40.0)
+    _, (change,), motion = recorded(shifts)
+    assert not change.cut
+    assert change.time_s == pytest.approx(3.9)
+    assert change.shift * SIZE[0] == pytest.approx(40, abs=1.5)
+    assert motion is not None
+    assert motion.largest_px < 5
+
+
+def test_frames_that_cannot_be_told_have_none() -> None:
+    record = SwayRecord((1, 2, 3), np.arange(3.0), (None, None, None), 640)
+    assert record.motion([]) is None
+    moving = (ImageMotion(3, 0, 0, 0.1, 1e-4), None, ImageMotion(-3, 0, 0, 0.1, 1e-4))
+    motion = replace(record, motions=moving).motion([])
+    assert motion is not None
+    assert motion.frames.keys() == {1, 3}
+    assert motion.sway == pytest.approx((3, 0, 0))
+
+
+def write_video(path: Path, shifts: list[tuple[float, float]]) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, SIZE)
+    for shift in shifts:
+        H = np.eye(3)
+        H[:2, 2] = shift
+        writer.write(picture(H)[..., ::-1])
+    writer.release()
+    return path
+
+
+def test_predict_notes_the_sway_and_a_stopped_run_measures_from_the_same_frame(
+    skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shifts = path(14, 4.0, 1.3)
+    video = write_video(tmp_path / "mast.avi", shifts)
+    call = ("eval", "predict", video, "--checkpoint", random_run, "--min-size", 64, "--every-frame", "--batch-size", 1)
+    code, out, error = skope(*call, "--out", "whole")
+    assert code == 0, error
+    assert "mast: the camera sways by" in out
+    info = json.loads(Path("whole/frames.json").read_text())["info"]
+    read = CameraMotion.from_dict("mast", info["camera_motion"])
+    found = np.array([(one.x, one.y) for one in read.frames.values()])
+    assert found == pytest.approx(np.array(shifts) - np.median(shifts, axis=0), abs=0.35)
+    stop = SwayWatch.watch
+
+    def stopping(self: SwayWatch, frames: Any) -> Any:
+        for image, pixels in stop(self, frames):
+            if image.id > 8:
+                raise KeyboardInterrupt
+            yield image, pixels
+
+    monkeypatch.setattr(SwayWatch, "watch", stopping)
+    assert skope(*call, "--out", "parts")[0] != 0
+    monkeypatch.setattr(SwayWatch, "watch", stop)
+    code, _, error = skope(*call, "--out", "parts")
+    assert code == 0, error
+    assert Path("parts/frames.json").read_bytes() == Path("whole/frames.json").read_bytes()
