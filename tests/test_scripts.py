@@ -139,6 +139,7 @@ RUNS: Final[Sequence[Run]] = (
         "research/site_calibration.py",
         "--draws 1 --cameras 1 --vehicle-draws 1 --vehicles 5",
         says="mean over the cameras",
+        slow=True,
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),

@@ -8,8 +8,10 @@ from skope.errors import UserError
 from skope.eval.cli.checks import check_pixels, check_probability
 from skope.eval.cli.options import counts, data_option, output
 from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
-from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, Formerly
+from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, Formerly, panel
 from skope.terminal.console import Console
+
+turned = panel("A camera that was turned")
 
 
 def find_camera(
@@ -44,7 +46,7 @@ def find_camera(
     sigma: SigmaOption = None,
     refit: Annotated[
         str | None,
-        data_option(
+        turned(
             metavar="SOURCE",
             help="Picture or video (FILE@SECONDS) of a camera that was turned: finds its new pose from --picture "
             "with --points or --camera.",
@@ -52,12 +54,10 @@ def find_camera(
     ] = None,
     picture: Annotated[
         str | None,
-        data_option(
-            metavar="SOURCE", help="Picture or video (FILE@SECONDS) in which --points were marked, for --refit."
-        ),
+        turned(metavar="SOURCE", help="Picture or video (FILE@SECONDS) in which --points were marked, for --refit."),
     ] = None,
     camera: Annotated[
-        Path | None, data_option(metavar=FILE, help="The old camera, for --refit, where its points are not at hand.")
+        Path | None, turned(metavar=FILE, help="The old camera, for --refit, where its points are not at hand.")
     ] = None,
     out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
