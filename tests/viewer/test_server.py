@@ -1,11 +1,8 @@
 """The server gives its page, JSON and pictures to this machine's browser, and nothing to anyone else."""
 
 import json
-import os
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Callable
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
@@ -21,6 +18,7 @@ from skope.viewer.documents import Documents
 from skope.viewer.pictures import read_picture
 from skope.viewer.server import bound
 from tests.html_page import Page
+from tests.local_page import begun
 from tests.viewer.conftest import HOSTILE
 
 Serve = Callable[[Collection], int]
@@ -259,17 +257,7 @@ def test_a_dataset_without_images_is_refused(skope: Any, dataset: Path) -> None:
 
 
 def test_ctrl_c_ends_it_quietly(dataset: Path) -> None:
-    command = [sys.executable, "-m", "skope", "gen", "view", str(dataset), "--split", "easy,train", "--port", "0", "-q"]
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    assert process.stdout
-    line = process.stdout.readline()
+    process, line = begun("gen", "view", str(dataset), "--split", "easy,train")
     assert line.startswith("roads (easy, train): http://127.0.0.1:")
     port = int(line.rsplit(":", 1)[1].split("/")[0])
     assert json.loads(answer(port, "/index.json")[1])["names"]

@@ -1,10 +1,7 @@
 """`skope eval site` refuses in one line what it cannot begin with, and Ctrl-C ends it without anything written."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import urllib.request
 from pathlib import Path
 from typing import Any
@@ -12,6 +9,7 @@ from typing import Any
 import pytest
 
 from skope.site.write_site import save_site
+from tests.local_page import begun
 
 
 @pytest.mark.parametrize(
@@ -44,17 +42,7 @@ def test_marks_of_images_of_another_size_are_refused(skope: Any, image: Path) ->
 
 def test_ctrl_c_ends_it_and_nothing_is_written(image: Path) -> None:
     site = image.parent / "new.toml"
-    command = [sys.executable, "-m", "skope", "eval", "site", str(image), "--site", str(site), "--port", "0", "-q"]
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    assert process.stdout
-    line = process.stdout.readline()
+    process, line = begun("eval", "site", str(image), "--site", str(site))
     address = line.split(" ")[2]
     assert address.startswith("http://127.0.0.1:")
     with urllib.request.urlopen(address + "begin.json", timeout=20) as answer:
