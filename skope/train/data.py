@@ -38,14 +38,12 @@ class TrainingSample:
 
     Vehicles come first, with label 1; others follow, with labels from 2 and keypoints that are all v = 0."""
 
-    def to(self, device: torch.device) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Pixels as (3, H, W) float32 0..1 and target, on `device`."""
-        pixels = self.pixels.to(device, non_blocking=True).float() / 255
-        return pixels, {key: value.to(device, non_blocking=True) for key, value in self.target.items()}
-
     def pin_memory(self) -> "TrainingSample":
-        """The sample in pinned memory, from which a GPU can copy without waiting."""
-        return TrainingSample(self.name, self.pixels.pin_memory(), {k: v.pin_memory() for k, v in self.target.items()})
+        """The sample with its pixels in pinned memory, from which a GPU can copy without waiting.
+
+        Targets stay where they are: those of a batch are brought together before they go there.
+        """
+        return TrainingSample(self.name, self.pixels.pin_memory(), self.target)
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
         labelled = self._images[index]
         vehicles = vehicles_of(labelled.record, labelled.annotations, labelled.road_users, self._categories)
         sample = to_sample(labelled.record.file_name, labelled.pixels(), vehicles, self._supervise)
-        return sample.to(torch.device("cpu"))
+        return sample.pixels.float() / 255, sample.target
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 from torchvision.models.detection import KeypointRCNN
-from torchvision.models.detection._utils import BoxCoder, encode_boxes
+from torchvision.models.detection._utils import BoxCoder, Matcher, encode_boxes
 from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.roi_heads import RoIHeads, keypointrcnn_loss
 from torchvision.models.detection.rpn import RegionProposalNetwork, concat_box_prediction_layers
@@ -116,14 +116,8 @@ def _proposals(
     (anchors,) = rpn.anchor_generator(ImageList(images.tensors[:1], images.image_sizes[:1]), maps)
     proposals = _best_boxes(rpn, anchors, deltas.detach(), objectness.detach(), images.image_sizes, per_level)
 
-    matcher, sampler = rpn.proposal_matcher, rpn.fg_bg_sampler
-    labels, matched = assign(
-        anchors,
-        batch,
-        low=matcher.low_threshold,
-        high=matcher.high_threshold,
-        low_quality=matcher.allow_low_quality_matches,
-    )
+    sampler = rpn.fg_bg_sampler
+    labels, matched = _assigned(rpn.proposal_matcher, anchors, batch)
     at, drawn = sample(labels, sampler.batch_size_per_image, sampler.positive_fraction)
     label = labels.gather(1, at).clamp(min=0)
     truth = _pick(batch.boxes, matched.gather(1, at))
@@ -210,14 +204,7 @@ def _regions(
     padded = torch.nn.utils.rnn.pad_sequence(proposals, batch_first=True)
     boxes = torch.cat([padded, batch.boxes], dim=1)
     there = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
-    matcher = heads.proposal_matcher
-    labels, matched = assign(
-        boxes,
-        batch,
-        low=matcher.low_threshold,
-        high=matcher.high_threshold,
-        low_quality=matcher.allow_low_quality_matches,
-    )
+    labels, matched = _assigned(heads.proposal_matcher, boxes, batch)
     at, drawn = sample(labels.where(there, DISCARD), rules.regions, heads.fg_bg_sampler.positive_fraction)
     return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
 
@@ -249,6 +236,17 @@ def _keypoint_loss(
     maps = heads.keypoint_predictor(heads.keypoint_head(pooled)).float().contiguous()  # the loss takes no other layout
     loss: Tensor = keypointrcnn_loss(maps, [regions], [points], [torch.arange(len(regions), device=regions.device)])
     return loss
+
+
+def _assigned(matcher: Matcher, boxes: Tensor, batch: TargetBatch) -> tuple[Tensor, Tensor]:
+    """What `assign` finds by the thresholds of one of torchvision's matchers."""
+    return assign(
+        boxes,
+        batch,
+        low=matcher.low_threshold,
+        high=matcher.high_threshold,
+        low_quality=matcher.allow_low_quality_matches,
+    )
 
 
 def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[float], counted: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objec
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:
-    """Seed torch's global state, from which torchvision's samplers draw: a step is the same wherever a run resumes."""
+    """Seed torch's global state, from which a step draws its regions: it is the same wherever a run resumes."""
     own = () if processes.first else (processes.rank,)
     torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *own)).generate_state(1)[0]))
 
@@ -46,7 +46,7 @@ def train_on_batch(
         rate: Learning rate of this step.
         images: Number of images of the whole batch, of all processes.
         processes: The processes that learn together.
-        votes: Numbers of this process that are summed over all processes in the same message as the gradients.
+        votes: Numbers of this process that are summed over all processes in the same message as the losses.
 
     Returns:
         The losses of the whole batch by name, `loss` being their sum, and the sums of the votes.
