@@ -20,10 +20,11 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.roi_heads import RoIHeads, keypointrcnn_loss
 from torchvision.models.detection.rpn import RegionProposalNetwork, concat_box_prediction_layers
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
-from torchvision.ops import batched_nms, nms
+from torchvision.ops import batched_nms
 
 from skope import schema
 from skope.train.assignment import DISCARD, assign, sample
+from skope.train.suppression import unsuppressed
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
 
 _BETA = 1 / 9
@@ -144,25 +145,42 @@ def _best_boxes(
     scores = objectness.gather(1, best).sigmoid()
     limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
     boxes = torch.minimum(boxes.clamp(min=0), limits)
-    levels = torch.cat([torch.full((n,), i, device=boxes.device) for i, n in enumerate(per_level)])[best]
-    large = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
-    whole = large.all(dim=1).tolist()
+    there = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
+    counts = [min(count, rpn.pre_nms_top_n()) for count in per_level]
+    choose = _chosen_at_once if boxes.is_cuda else _chosen_in_turn
+    return choose(boxes, scores, there, counts, most=rpn.nms_thresh, first=rpn.post_nms_top_n())
+
+
+def _chosen_in_turn(
+    boxes: Tensor, scores: Tensor, there: Tensor, counts: list[int], *, most: float, first: int
+) -> list[Tensor]:
+    """The `first` best boxes of each image that overlap no better one of their level by more than `most`.
+
+    Args:
+        boxes: (B, N, 4) xyxy, level after level, each level's from the best to the worst.
+        scores: (B, N).
+        there: (B, N) bool; the others are left out.
+        counts: How many of the N boxes each level has.
+        most: Greatest IoU.
+        first: How many boxes of an image at most.
+    """
+    levels = torch.repeat_interleave(torch.arange(len(counts)), torch.tensor(counts)).to(boxes.device)
     kept = []
-    for i, complete in enumerate(whole):
-        mine = (boxes[i], scores[i], levels[i])
-        own, score, level = mine if complete else (each[large[i]] for each in mine)
-        keep = _unlike(own, score, level, rpn.nms_thresh)
-        kept.append(own[keep[: rpn.post_nms_top_n()]])
+    for own, score, mine in zip(boxes, scores, there, strict=True):
+        keep = batched_nms(own[mine], score[mine], levels[mine], most)
+        kept.append(own[mine][keep[:first]])
     return kept
 
 
-def _unlike(boxes: Tensor, scores: Tensor, levels: Tensor, most: float) -> Tensor:
-    """torchvision's `batched_nms`, on a GPU in the form that does not wait for it twice."""
-    if not boxes.is_cuda or not len(boxes):
-        kept: Tensor = batched_nms(boxes, scores, levels, most)
-    else:
-        kept = nms(boxes + (levels * (boxes.amax() + 1))[:, None], scores, most)
-    return kept
+def _chosen_at_once(
+    boxes: Tensor, scores: Tensor, there: Tensor, counts: list[int], *, most: float, first: int
+) -> list[Tensor]:
+    """As `_chosen_in_turn`, in a form that suits a GPU."""
+    levels = zip(torch.split(boxes, counts, dim=1), torch.split(there, counts, dim=1), strict=True)
+    stays = torch.cat([unsuppressed(*level, most) for level in levels], dim=1)
+    order = scores.masked_fill(~stays, -1.0).argsort(dim=1, descending=True, stable=True)
+    numbers = stays.sum(dim=1).clamp(max=first).tolist()
+    return [own[at[:number]] for own, at, number in zip(boxes, order, numbers, strict=True)]
 
 
 # --------------------------------------------------------------------------------------------------------------- heads
