@@ -23,8 +23,8 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms
 
 from skope import schema
+from skope.detector.suppression import not_overlapped
 from skope.train.assignment import DISCARD, assign, sample
-from skope.train.suppression import unsuppressed
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
 
 _BETA = 1 / 9
@@ -177,7 +177,7 @@ def _chosen_at_once(
 ) -> list[Tensor]:
     """As `_chosen_in_turn`, in a form that suits a GPU."""
     levels = zip(torch.split(boxes, counts, dim=1), torch.split(there, counts, dim=1), strict=True)
-    stays = torch.cat([unsuppressed(*level, most) for level in levels], dim=1)
+    stays = torch.cat([not_overlapped(*level, most) for level in levels], dim=1)
     order = scores.masked_fill(~stays, -1.0).argsort(dim=1, descending=True, stable=True)
     numbers = stays.sum(dim=1).clamp(max=first).tolist()
     return [own[at[:number]] for own, at, number in zip(boxes, order, numbers, strict=True)]

@@ -6,6 +6,7 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import keypoints
 from skope.detector.build import DetectorConfig, build
+from skope.train import losses
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import KEY, Target
 
@@ -73,3 +74,21 @@ def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tup
     for key, gradient in meant.items():
         # A bias that moves all places of a map alike has a gradient of nothing but rounding.
         assert (moved[key] - gradient).norm() <= 2e-4 * gradient.norm() + 1e-8, key
+
+
+@pytest.mark.parametrize("first", [20, 1000])
+def test_proposals_are_chosen_alike_at_once_and_in_turn(first: int) -> None:
+    draw = torch.Generator().manual_seed(7)
+    counts = [150, 150, 40]
+    centres = 40 * torch.randint(1, 6, (2, 340, 2), generator=draw) + 6 * torch.randn(2, 340, 2, generator=draw)
+    halves = 10 + 15 * torch.rand(2, 340, 2, generator=draw)
+    boxes = torch.cat([centres - halves, centres + halves], dim=2)
+    # Some scores are the same, on one level and on several.
+    levels = [torch.rand(2, count, generator=draw).round(decimals=2) for count in counts]
+    scores = torch.cat([level.sort(dim=1, descending=True)[0] for level in levels], dim=1)
+    there = torch.rand(2, 340, generator=draw) > 0.1
+    ways = (losses._chosen_in_turn, losses._chosen_at_once)
+    found = [choose(boxes, scores, there, counts, most=0.6, first=first) for choose in ways]
+    assert all(20 <= len(one) < 300 for one in found[0])
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)

@@ -8,9 +8,8 @@ from torch import Tensor
 from torchvision.models.detection._utils import BoxCoder
 from torchvision.models.detection.roi_heads import RoIHeads
 from torchvision.models.detection.rpn import RegionProposalNetwork
-from torchvision.ops import nms
 
-from skope.eval.inference.backends.suppression import not_overlapped, suppress_together
+from skope.eval.inference.backends.suppression import suppress_together
 
 SIZES = [(300, 500), (260, 420)]
 
@@ -70,12 +69,3 @@ def test_detections_are_those_of_torchvision(counts: tuple[int, int], score_thre
         model.roi_heads.postprocess_detections(logits, offsets, proposals, SIZES), expected, strict=True
     ):
         same(ours, theirs)
-
-
-def test_a_chain_of_regions_is_decided_in_order() -> None:
-    """Each overlaps the next one only: every other one stays, however long the chain is."""
-    left = torch.arange(41.0) * 4
-    boxes = torch.stack([left, torch.zeros(41), left + 10, torch.full((41,), 10.0)], dim=1)
-    kept = not_overlapped(boxes[None], torch.ones(1, 41, dtype=torch.bool), 0.3)[0]
-    assert torch.equal(torch.where(kept)[0], nms(boxes, torch.arange(41.0, 0, -1), 0.3))
-    assert kept.tolist() == [i % 2 == 0 for i in range(41)]

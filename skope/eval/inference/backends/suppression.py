@@ -1,9 +1,6 @@
 """Overlapping regions suppressed for all images of a batch together.
 
-torchvision suppresses them image by image, and on a GPU one region after another: for large images that takes longer
-than the backbone. Here a region stays if no better one that stays overlaps it; begun with all regions, that rule
-settles on what going through them in order would give, after as many rounds as the longest chain of regions that decide
-on each other (Cluster-NMS; Zheng et al., 2020).
+torchvision suppresses them image by image (skope/detector/suppression.py).
 """
 
 from collections.abc import Sequence
@@ -16,6 +13,8 @@ from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.roi_heads import RoIHeads
 from torchvision.models.detection.rpn import RegionProposalNetwork
 from torchvision.ops import clip_boxes_to_image
+
+from skope.detector.suppression import not_overlapped
 
 _LEAST_SIDE: Final = 1e-2
 """Detections that are narrower or lower are left out, as in torchvision, pixels."""
@@ -136,22 +135,3 @@ def _chosen(boxes: Tensor, scores: Tensor, kept: Tensor, most: int) -> tuple[lis
         [one[:count] for one, count in zip(best, counts, strict=True)],
         [one[:count] for one, count in zip(index, counts, strict=True)],
     )
-
-
-def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
-    """(G, P) whether a box stays, of groups of (G, P, 4) boxes, best first, of which only `good` ones count."""
-    area = (boxes[..., 2:] - boxes[..., :2]).prod(dim=-1)
-    common = torch.minimum(boxes[:, :, None, 2], boxes[:, None, :, 2])
-    common -= torch.maximum(boxes[:, :, None, 0], boxes[:, None, :, 0])
-    high = torch.minimum(boxes[:, :, None, 3], boxes[:, None, :, 3])
-    high -= torch.maximum(boxes[:, :, None, 1], boxes[:, None, :, 1])
-    common = common.clamp_(min=0).mul_(high.clamp_(min=0))
-    # Overlap is common / (a + b - common), which is above the limit where common is above its share of the sum.
-    overlaps = common * ((1 + most) / most) > area[:, :, None] + area[:, None]
-    overlaps = overlaps.triu_(diagonal=1)  # [g, i, j]: i is better than j
-    kept = good
-    while True:
-        now = good & ~(overlaps & kept[..., None]).any(dim=1)
-        if torch.equal(now, kept):
-            return kept
-        kept = now
