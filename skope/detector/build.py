@@ -52,12 +52,15 @@ class DetectorConfig:
     categories: tuple[str, ...] = schema.VEHICLE_ALONE
     """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
     Vehicles are label 1, and they alone have keypoints."""
+    box_passes: int = 1
+    """How often the box head looks at what is found: 2 lets it correct each box once more, from the box itself."""
 
     def __post_init__(self) -> None:
         keypoints.scheme_of(self.scheme, self.keypoint_edition)
         check_anchors(self.anchors)
         object.__setattr__(self, "categories", schema.checked_categories(self.categories))
         one_of("norm", self.norm, NORMS)
+        check_box_passes(self.box_passes)
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
         for name in ("min_size", "max_size"):
@@ -95,7 +98,7 @@ class DetectorConfig:
         return cls(**{**_UNNAMED, **values, **{name: tuple(value) for name, value in lists.items()}})
 
 
-_UNNAMED: Final[dict[str, Any]] = {"keypoint_edition": 1, "categories": schema.VEHICLE_ALONE}
+_UNNAMED: Final[dict[str, Any]] = {"keypoint_edition": 1, "categories": schema.VEHICLE_ALONE, "box_passes": 1}
 """Values of fields that a checkpoint leaves out: those of before there were others."""
 _LISTS: Final[dict[str, tuple[Any, ...]]] = {"anchors": ANCHORS, "categories": schema.VEHICLE_ALONE}
 """Fields that are lists in JSON, with the values of checkpoints that do not name them."""
@@ -108,7 +111,25 @@ def check_anchors(anchors: Sequence[int]) -> None:
         raise UserError(f"anchors: expected {len(ANCHORS)} rising sides from 4 pixels, got {list(anchors)}")
 
 
-def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointRCNN:
+def check_box_passes(passes: int) -> None:
+    """Raise a UserError unless the box head can look so often."""
+    if isinstance(passes, bool) or passes not in (1, 2):
+        raise UserError(f"box_passes: expected 1 or 2, got {passes!r}")
+
+
+class Detector(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
+    """torchvision's Keypoint R-CNN, and how often its box head looks; what it is called by torchvision looks once."""
+
+    box_passes: int = 1
+    """As in `DetectorConfig`."""
+
+
+def box_passes_of(model: KeypointRCNN) -> int:
+    """How often a model's box head looks: torchvision's own once."""
+    return model.box_passes if isinstance(model, Detector) else 1
+
+
+def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> Detector:
     """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for a config, with weights drawn from torch's random state.
 
     Args:
@@ -125,7 +146,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         norm_layer=functools.partial(norm, eps=config.norm_eps),
         trainable_layers=trainable_layers if config.norm == "frozen" else 5,
     )
-    return KeypointRCNN(
+    model = Detector(
         backbone,
         num_classes=1 + len(config.categories),  # 0 is the background
         num_keypoints=num_keypoints,
@@ -135,3 +156,5 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         rpn_post_nms_top_n_test=PROPOSALS,
         rpn_anchor_generator=AnchorGenerator(tuple((side,) for side in config.anchors), (ASPECTS,) * len(ANCHORS)),
     )
+    model.box_passes = config.box_passes
+    return model

@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.roi_heads import RoIHeads
 from torchvision.models.detection.transform import resize_boxes
+from torchvision.ops import clip_boxes_to_image
 
 from skope import keypoints, schema
 from skope.detections import Detections, RoadUserDetections
-from skope.detector.build import MAX_DETECTIONS
+from skope.detector.build import MAX_DETECTIONS, box_passes_of
 from skope.detector.heatmap_peaks import heatmap_peaks
 
 MIN_SCORE: Final = 0.05
@@ -70,6 +72,8 @@ def _found(
     if logits.shape[1] != 1 + len(categories):
         raise ValueError(f"categories: the network has {logits.shape[1] - 1}, got {', '.join(categories)}")
     rectangles, scores, labels = heads.postprocess_detections(logits, offsets, proposals, batch.image_sizes)
+    if box_passes_of(model) > 1 and any(len(label) for label in labels):
+        rectangles = _corrected(heads, features, rectangles, labels, batch.image_sizes)
     others = [RoadUserDetections()] * len(images)
     if len(categories) > 1:
         others = list(_road_users(images, batch.image_sizes, rectangles, scores, labels, categories))
@@ -82,6 +86,26 @@ def _found(
     for image, inner_size, found, users in zip(images, batch.image_sizes, of_image, others, strict=True):
         points = found[:, 5:].view(-1, keypoints.K, 3)
         yield replace(_in_image(image, inner_size, found[:, :4], found[:, 4], points), road_users=users)
+
+
+def _corrected(
+    heads: RoIHeads,
+    features: Mapping[str, torch.Tensor],
+    rectangles: Sequence[torch.Tensor],
+    labels: Sequence[torch.Tensor],
+    inner_sizes: Sequence[tuple[int, int]],
+) -> list[torch.Tensor]:
+    """The (N, 4) boxes of each image after another look of the box head at each, in pixels inside the network.
+
+    The head has seen a region about the vehicle; now it sees the vehicle's own box, and what is left is small
+    (Cascade R-CNN; Cai and Vasconcelos, 2018; here by one head).
+    """
+    _, offsets = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, rectangles, inner_sizes)))
+    label = torch.cat(list(labels))
+    own = offsets.view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label].float()
+    moved = heads.box_coder.decode_single(own, torch.cat(list(rectangles)))
+    of_image = torch.split(moved, [len(each) for each in rectangles])
+    return [clip_boxes_to_image(each, size) for each, size in zip(of_image, inner_sizes, strict=True)]
 
 
 def _road_users(

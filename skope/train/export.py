@@ -149,6 +149,8 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
             metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
         write_new(out, checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
+    if config.box_passes > 1:
+        console.say(f"{path}: without skope its box head looks once, not {config.box_passes} times: looser boxes")
     if to == "state_dict":
         write_new(out, _pickled(full_state(model)))
         console.say(torchvision_code(out, config))

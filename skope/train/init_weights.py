@@ -51,6 +51,7 @@ def initialise(
     seed: int,
     scheme: Scheme = keypoints.SKOPE33,
     anchors: tuple[int, ...] | None = None,
+    box_passes: int | None = None,
     categories: tuple[str, ...] = VEHICLE_ALONE,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """Build a detector with the weights from which training begins.
@@ -72,6 +73,7 @@ def initialise(
         seed: Draws what no file gives.
         scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
         anchors: Sides of the anchors of each level; None: those of the first weights.
+        box_passes: How often the box head looks; None: as with the first weights.
         categories: Names of what is to be found.
 
     Returns:
@@ -90,6 +92,7 @@ def initialise(
             scheme=scheme.name,
             keypoint_edition=scheme.edition,
             anchors=anchors or given.anchors,
+            box_passes=box_passes or given.box_passes,
             categories=categories,
         )
 

@@ -23,12 +23,15 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms
 
 from skope import schema
+from skope.detector.build import box_passes_of
 from skope.detector.suppression import not_overlapped
 from skope.train.assignment import DISCARD, assign, sample
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
 
 _BETA = 1 / 9
 """Error of a box's offset from which the loss grows linearly."""
+_LEAST_SIDE = 1.0
+"""Least side of a box that is looked at again, pixels inside the network."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,9 @@ def detection_losses(
     )
     features = model.backbone(images.tensors)
     proposals, found = _proposals(model.rpn, images, features, batch)
-    return {**found, **_head_losses(model.roi_heads, features, proposals, images.image_sizes, batch, rules)}
+    looks_again = box_passes_of(model) > 1
+    heads = _head_losses(model.roi_heads, features, proposals, images.image_sizes, batch, rules, looks_again)
+    return {**found, **heads}
 
 
 # -------------------------------------------------------------------------------------------------------------- images
@@ -193,25 +198,62 @@ def _head_losses(
     sizes: list[Size],
     batch: TargetBatch,
     rules: LearningRules,
+    looks_again: bool,
 ) -> dict[str, Tensor]:
-    """The losses of the second stage: class, box and keypoints."""
+    """The losses of the second stage: class, box and keypoints; the boxes' twice where it `looks_again`."""
     boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
     pooled = heads.box_roi_pool(features, list(boxes), sizes)
     logits, deltas = (each.float() for each in heads.box_predictor(heads.box_head(pooled)))
     label = labels.clamp(min=0).flatten()
     wrong = functional.cross_entropy(logits, label, reduction="none").view_as(drawn)
     own = deltas.view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label]
-    error = _box_error(
-        own.view_as(boxes), _pick(batch.boxes, matched), boxes, heads.box_coder.weights, drawn & (labels > 0)
-    )
+    offsets, truth, somebody = own.view_as(boxes), _pick(batch.boxes, matched), drawn & (labels > 0)
+    error = _box_error(offsets, truth, boxes, heads.box_coder.weights, somebody).sum()
+    if looks_again:
+        error = error + _second_look(heads, features, boxes, offsets.detach(), truth, labels, somebody, sizes)
     number = drawn.sum()
     return {
         "loss_classifier": wrong.where(drawn, 0.0).sum() / number,
-        "loss_box_reg": error.sum() / number,
+        "loss_box_reg": error / number,
         "loss_keypoint": _keypoint_loss(
             heads, features, boxes, labels.where(drawn, DISCARD), matched, sizes, batch, rules
         ),
     }
+
+
+def _second_look(
+    heads: RoIHeads,
+    features: dict[str, Tensor],
+    boxes: Tensor,
+    offsets: Tensor,
+    truth: Tensor,
+    labels: Tensor,
+    somebody: Tensor,
+    sizes: list[Size],
+) -> Tensor:
+    """Sum of the errors of the offsets that the box head finds from the boxes that it has found.
+
+    Args:
+        heads: The second stage.
+        features: The pyramid.
+        boxes: (B, S, 4) regions.
+        offsets: (B, S, 4) what the head has found from them.
+        truth: (B, S, 4) the boxes whose they are.
+        labels: (B, S) of whom they are.
+        somebody: (B, S) bool which of them are somebody's, and learnt from.
+        sizes: Of the images inside the network.
+    """
+    limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
+    moved = torch.minimum(_moved(boxes, offsets, heads.box_coder).clamp(min=0), limits)
+    found = moved[somebody]
+    found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + _LEAST_SIDE)], dim=1)
+    counts = somebody.sum(dim=1).tolist()
+    pooled = heads.box_roi_pool(features, list(torch.split(found, counts)), sizes)
+    _, deltas = heads.box_predictor(heads.box_head(pooled))
+    label = labels[somebody]
+    own = deltas.float().view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label]
+    everyone = torch.ones(1, len(label), dtype=torch.bool, device=label.device)
+    return _box_error(own[None], truth[somebody][None], found[None], heads.box_coder.weights, everyone).sum()
 
 
 def _regions(

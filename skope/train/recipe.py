@@ -7,14 +7,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
-from skope.detector.build import check_anchors
+from skope.detector.build import check_anchors, check_box_passes
 from skope.errors import UserError, one_of
 from skope.schema import VEHICLE_TYPES
 from skope.train import overrides
 from skope.train.augment import Augment
 
 SUPERVISE: Final = ("visible", "all")
-_ADDED: Final = ("anchors", "average", "cosine_to", "ignore_below")
+_ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below")
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
@@ -57,6 +57,8 @@ class Recipe:
     """Most that the long side has there; None: as the first weights have it, 640 if they do not say."""
     anchors: tuple[int, ...] | None
     """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
+    box_passes: int | None
+    """How often the box head looks at what is found, 1 or 2; None: as with the first weights."""
     ignore_below: float
     """Vehicles whose box has a shorter edge than this inside the network are neither learnt nor background, pixels."""
     trainable_layers: int
@@ -94,6 +96,8 @@ class Recipe:
             self._in_range(name, 0, 1)
         if self.anchors is not None:
             check_anchors(self.anchors)
+        if self.box_passes is not None:
+            check_box_passes(self.box_passes)
         self._in_range("trainable_layers", 0, 5)
         self._in_range("momentum", 0, 1)
         self._in_range("val_fraction", 0, 0.5)
@@ -167,6 +171,7 @@ _PAPER: Final[dict[str, Any]] = {
     "min_size": 800,
     "max_size": 1333,
     "anchors": None,
+    "box_passes": None,
     "ignore_below": 0.0,
     "trainable_layers": 3,
     "regions": 512,

@@ -195,6 +195,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         seed=config.seed,
         scheme=config.scheme,
         anchors=recipe.anchors,
+        box_passes=recipe.box_passes,
         categories=config.detector_categories,
     )
     model = placed(model, recipe, device)

@@ -19,7 +19,7 @@ from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints
 from skope.detector import weights
-from skope.detector.build import PROPOSALS, DetectorConfig, build
+from skope.detector.build import PROPOSALS, DetectorConfig, box_passes_of, build
 from skope.detector.checkpoint import checkpoint_name, find_checkpoint, load_weights, save_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.detector.device import choose_device
@@ -217,7 +217,9 @@ def test_the_newest_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
         find_checkpoint(tmp_path / "other")
 
 
-@pytest.mark.parametrize("field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}, *BAD_ANCHORS])
+@pytest.mark.parametrize(
+    "field", [{"norm": "x"}, {"norm_eps": -1.0}, {"min_size": 0}, {"max_size": 90}, {"box_passes": 3}, *BAD_ANCHORS]
+)
 def test_a_bad_config_names_its_field(field: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=next(iter(field))):
         DetectorConfig.from_dict({**config().to_dict(), **field})
@@ -269,6 +271,38 @@ def test_keypoints_on_boxes_have_no_bias(model: KeypointRCNN, monkeypatch: pytes
         assert points.shape == (2, keypoints.K, 3)
         assert points[1, :, 2] == pytest.approx(1 / (1 + np.exp(-2.0)))
     assert detect_on_boxes(model, image(), np.zeros((0, 4)), "cpu").shape == (0, keypoints.K, 3)
+
+
+class _ToTheRight(torch.nn.Module):
+    """In place of the box predictor: every box lies a tenth of its width further to the right."""
+
+    def forward(self, regions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        logits = torch.stack([torch.zeros(len(regions)), regions.mean(dim=1)], dim=1)
+        return logits, torch.tensor([1.0, 0, 0, 0]).repeat(len(regions), 2)
+
+
+def test_a_second_look_begins_at_the_box_that_was_found(
+    small_model: KeypointRCNN, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(small_model.roi_heads._modules, "box_predictor", _ToTheRight())
+    once, twice = [], []
+    for passes, found in ((1, once), (2, twice)):
+        monkeypatch.setattr(small_model, "box_passes", passes)
+        found += detect(small_model, [image(), image(80, 120)], "cpu", min_score=0.0, max_detections=20)
+    assert all(len(one.boxes_xyxy) for one in once)
+    for one, two, width in zip(once, twice, (128, 120), strict=True):
+        moved = one.boxes_xyxy.copy()
+        moved[:, [0, 2]] += 0.1 * (moved[:, 2] - moved[:, 0])[:, None]
+        assert np.allclose(two.boxes_xyxy, moved.clip(max=[width, 999, width, 999]), atol=1e-4)
+        assert np.array_equal(two.scores, one.scores)
+
+
+def test_how_often_the_box_head_looks_is_part_of_the_config(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "box_passes" not in config().to_dict(), "what older checkpoints lack is left out"
+    twice = replace(config(), box_passes=2)
+    assert DetectorConfig.from_dict(twice.to_dict()) == twice
+    shrink(monkeypatch)
+    assert [box_passes_of(build(one)) for one in (config(), twice)] == [1, 2]
 
 
 def test_torchvision_codes_and_decodes_continuous_coordinates() -> None:

@@ -2,7 +2,9 @@
 
 import pytest
 import torch
+from torch.nn.functional import smooth_l1_loss
 from torchvision.models.detection import KeypointRCNN
+from torchvision.ops import clip_boxes_to_image
 
 from skope import keypoints
 from skope.detector.build import DetectorConfig, build
@@ -74,6 +76,36 @@ def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tup
     for key, gradient in meant.items():
         # A bias that moves all places of a map alike has a gradient of nothing but rounding.
         assert (moved[key] - gradient).norm() <= 2e-4 * gradient.norm() + 1e-8, key
+
+
+class _Constant(torch.nn.Module):
+    """In place of the box predictor: the same offsets for every region."""
+
+    def forward(self, regions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.zeros(len(regions), 5), torch.tensor([0.5, -0.4, 0.3, 0.2]).repeat(len(regions), 5)
+
+
+def test_the_second_look_is_learnt_from_the_box_of_the_first(
+    model: KeypointRCNN, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heads = model.roi_heads
+    monkeypatch.setitem(heads._modules, "box_predictor", _Constant())
+    draw = torch.Generator().manual_seed(9)
+    corners = 20 + 40 * torch.rand(2, 6, 2, generator=draw)
+    boxes = torch.cat([corners, corners + 20], dim=2)
+    truth = boxes + 4 * torch.randn(2, 6, 4, generator=draw)
+    offsets = torch.randn(2, 6, 4, generator=draw)
+    labels = torch.tensor([[1, 0, 4, 1, 1, 0], [0, 0, 2, 1, 0, 1]])
+    somebody = (labels > 0) & (torch.rand(2, 6, generator=draw) > 0.2)
+    features = {str(level): torch.zeros(2, model.backbone.out_channels, 24 >> level, 32 >> level) for level in range(4)}
+    found = losses._second_look(heads, features, boxes, offsets, truth, labels, somebody, [(96, 128), (96, 128)])
+    expected = torch.tensor(0.0)
+    for own, offset, true in zip(boxes[somebody], offsets[somebody], truth[somebody], strict=True):
+        first = heads.box_coder.decode(offset[None], [own[None]])[0]
+        first = clip_boxes_to_image(first, (96, 128))
+        wanted = heads.box_coder.encode([true[None]], [first])[0][0]
+        expected += smooth_l1_loss(torch.tensor([0.5, -0.4, 0.3, 0.2]), wanted, beta=1 / 9, reduction="sum")
+    torch.testing.assert_close(found, expected)
 
 
 @pytest.mark.parametrize("first", [20, 1000])
