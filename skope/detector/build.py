@@ -126,7 +126,7 @@ class Detector(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
 
 def box_passes_of(model: KeypointRCNN) -> int:
     """How often a model's box head looks: torchvision's own once."""
-    return model.box_passes if isinstance(model, Detector) else 1
+    return int(getattr(model, "box_passes", 1))
 
 
 def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> Detector:
