@@ -19,7 +19,7 @@ from skope.camera.weighted_fit import SCALES, WeightedFit, fit_terms
 from skope.errors import UserError
 from skope.types import Array
 
-_LENGTHS: Final = (0.5, 1.0, 2.5)
+_LENGTHS: Final = (0.45, 0.7, 1.1, 2.6)
 _BENDS: Final = (0.0, -0.2)
 """Focal lengths, in widths of the image, and first coefficients of distortion that the search begins with."""
 _SAME: Final = 0.02

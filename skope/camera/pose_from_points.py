@@ -152,8 +152,8 @@ def _figures(camera: Camera) -> Array:
 def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit:
     """Levenberg and Marquardt's method on the distances in the image, over pose and (with `focal`) focal length."""
     middle, weight = xyz.mean(axis=0), 1e-3
+    residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
     for _ in range(200):
-        residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
         if not np.isfinite(jacobian).all():  # a point lies where the lens's picture ends
             break
         normal = jacobian.T @ jacobian
@@ -164,6 +164,7 @@ def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit
             fit, weight = moved, max(weight / 5, 1e-12)
             if done:
                 break
+            residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
         else:
             weight *= 5
             if weight > 1e9:
