@@ -26,9 +26,9 @@ from skope.errors import UserError
 from skope.types import Array
 
 SIZE = (1280, 720)
-LENS = Distortion("brown", (-0.05, 0.0, 0.0, 0.0))
+LENS = Distortion("brown", (-0.1, 0.0, 0.0, 0.0))
 CAMERA = Camera.looking([12.0, -30.0, 7.0], yaw=1.1, pitch_down=0.3, size=SIZE, fov=2 * math.atan(0.5), distortion=LENS)
-"""Its focal length is the image's width, as the prior has it."""
+"""Its focal length and its distortion are those that cameras are taken to have in the mean."""
 PIXELS = np.array([[200, 300], [1100, 330], [640, 420], [150, 650], [1150, 600], [600, 690], [900, 250], [420, 500.0]])
 
 
@@ -39,7 +39,13 @@ def on_road(pixels: Array, camera: Camera = CAMERA) -> Array:
 def known(*names: str, sigma: float = 1e-7) -> Belief:
     """That parameters are those of `CAMERA`."""
     yaw, pitch, roll = CAMERA.angles
-    values = dict(zip(PARAMETERS, [math.log(CAMERA.K[0, 0]), -0.05, *CAMERA.position, pitch, roll, yaw], strict=True))
+    values = dict(
+        zip(
+            PARAMETERS,
+            [math.log(CAMERA.K[0, 0]), LENS.coefficients[0], *CAMERA.position, pitch, roll, yaw],
+            strict=True,
+        )
+    )
     return Belief(names, np.array([values[name] for name in names]), sigma**2 * np.eye(len(names)))
 
 
