@@ -152,8 +152,16 @@ function arrows(group, kind, entry, polylines, unit) {
     const shaft = kind === "gates" ? line(points) : "";
     group.append(...rimmed(`${shaft}M${wing(0.5)}L${end.join(" ")}L${wing(-0.5)}`, "arrow"));
     const name = kind === "gates" ? `${i + 1}${entry.directions[i] ? ": " + entry.directions[i] : ""}` : "";
-    if (name) group.append(words([end[0] + 5 * unit, end[1] + 5 * unit], name, unit));
+    if (name) group.append(beyond(end, angle, name, unit));
   });
+}
+
+// Words beyond the end of an arrow, so that they do not lie on it or on the line that it leaves.
+function beyond([x, y], angle, text, unit) {
+  const [across, down] = [Math.cos(angle), Math.sin(angle)];
+  const made = words([x + 6 * across * unit, y + (4 + 11 * down) * unit], text, unit);
+  made.style.textAnchor = across > 0.4 ? "start" : across < -0.4 ? "end" : "middle";
+  return made;
 }
 
 function ofPending({ pending, tool, unit, cursor, hover }) {
