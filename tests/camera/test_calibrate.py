@@ -18,10 +18,11 @@ from skope.camera.evidence import (
     Vertical,
     marked_points,
 )
+from skope.camera.evidence_terms import EvidenceTerm
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import PARAMETERS, radius_of, values_of
-from skope.camera.weighted_fit import WeightedFit
+from skope.camera.weighted_fit import WeightedFit, fit_terms
 from skope.errors import UserError
 from skope.types import Array
 
@@ -134,6 +135,12 @@ def test_four_points_that_suit_two_cameras_give_the_likelier_one_and_hold_both()
     assert (np.abs(off) < 2 * np.sqrt(np.diag(found.covariance)[:5])).all()
     assert abs(off[4]) < 0.5
     assert "suit another camera too" in found.warnings[0]
+
+
+def test_where_no_weights_can_be_told_there_is_no_fit() -> None:
+    """As where a camera stands on its head and sees a mark where its lens ends."""
+    term = EvidenceTerm("point", "", lambda _: np.zeros(2), lambda _: np.array([[1.0, 2.0], [2.0, 1.0]]))
+    assert fit_terms([term], values_of(CAMERA), PARAMETERS, SIZE).cost == math.inf
 
 
 def test_a_wrong_point_is_named_and_left_out() -> None:
