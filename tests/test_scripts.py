@@ -143,6 +143,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
+    Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )
@@ -189,9 +190,9 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> di
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
     """Run a script of scripts/ in this process; returns exit code, standard output and standard error."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
 
     def call(name: str, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.syspath_prepend(str((SCRIPTS / name).parent))
         monkeypatch.setattr(sys, "argv", [str(SCRIPTS / name), *arguments])
         capsys.readouterr()
         code: Any = 0

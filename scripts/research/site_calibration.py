@@ -11,7 +11,7 @@ Run: python scripts/research/site_calibration.py --draws 100 --vehicle-draws 4
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -33,7 +33,8 @@ from skope.eval.pose.shape_model import Shapes, fleet_shapes
 
 SIZE = (1280, 720)
 FARTHEST_M = 60.0
-CAMERAS = (
+Cameras = Sequence[tuple[float, float, float, float, float]]
+CAMERAS: Cameras = (
     # fov, height, pitch, roll (degrees), k1
     (40.0, 6.0, 14.0, 0.5, -0.05),
     (60.0, 8.0, 20.0, -1.0, -0.12),
@@ -44,6 +45,16 @@ CAMERAS = (
     (30.0, 15.0, 20.0, 0.5, 0.02),
     (88.0, 7.0, 22.0, 1.0, -0.22),
 )
+
+
+def other_cameras(rng: np.random.Generator) -> Iterator[tuple[float, float, float, float, float]]:
+    """Eight cameras as unlike one another as those of roads are, whose images have road up to the far limit."""
+    for _ in CAMERAS:
+        fov, height = rng.uniform(30, 95), 4 * 4 ** rng.uniform()
+        pitch = rng.uniform(0.2, 0.4) * fov + math.degrees(math.atan(height / FARTHEST_M))
+        yield fov, height, min(pitch, 40.0), rng.normal(0, 1.5), rng.uniform(-0.3, 0.03)
+
+
 Array = np.ndarray
 
 
@@ -191,10 +202,10 @@ def held(camera: Camera, calibration: UncertainCamera, *, gauge: bool = False) -
 
 
 def draws(
-    make: Callable[[Camera, np.random.Generator], Evidence], cameras: int, count: int, gauge: bool = False
+    make: Callable[[Camera, np.random.Generator], Evidence], cameras: Cameras, count: int, gauge: bool = False
 ) -> Iterator[str]:
     """A line for each camera."""
-    for k, row in enumerate(CAMERAS[:cameras]):
+    for k, row in enumerate(cameras):
         rng = np.random.default_rng(k)
         shares, errors, refused = [], [], 0
         for _ in range(count):
@@ -210,11 +221,11 @@ def draws(
         yield f"  camera {k + 1}: {told}, {refused} refused"
 
 
-def together(cameras: int, count: int, vehicles: int) -> Iterator[str]:
+def together(cameras: Cameras, count: int, vehicles: int) -> Iterator[str]:
     """Each part and all of them, of the same draws; a line for each camera, and the means over the cameras."""
     parts = ("6 points", "lengths and parallel lines", "vehicles", "together")
     table: dict[str, list[float]] = {name: [] for name in parts}
-    for k, row in enumerate(CAMERAS[:cameras]):
+    for k, row in enumerate(cameras):
         rng = np.random.default_rng(200 + k)
         of_camera: dict[str, list[tuple[float, float]]] = {name: [] for name in parts}
         for _ in range(count):
@@ -253,11 +264,11 @@ def _told_by_vehicles(camera: Camera, rng: np.random.Generator, vehicles: int) -
         return None
 
 
-def found_wrong(count: int, cameras: int, draws: int) -> str:
+def found_wrong(count: int, cameras: Cameras, draws: int) -> str:
     """How often the wrong one of `count` points is left out, or named among those that may be wrong."""
     left_out = named = total = 0
     shares = []
-    for k, row in enumerate(CAMERAS[:cameras]):
+    for k, row in enumerate(cameras):
         rng = np.random.default_rng(100 + k)
         for _ in range(draws):
             camera = true_camera(*row, rng)
@@ -282,19 +293,22 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, default=len(CAMERAS))
     parser.add_argument("--vehicle-draws", type=int, default=4, help="draws of vehicles and of all together")
     parser.add_argument("--vehicles", type=int, default=25, help="vehicles of a draw")
+    parser.add_argument("--others", type=int, metavar="SEED", help="eight cameras drawn by this seed in their place")
     options = parser.parse_args()
+    cameras = CAMERAS if options.others is None else tuple(other_cameras(np.random.default_rng(options.others)))
+    cameras = cameras[: options.cameras]
     for count in (4, 6, 10):
         print(f"{count} points", flush=True)
         marked = partial(_marked, count)
-        for line in draws(marked, options.cameras, options.draws):
+        for line in draws(marked, cameras, options.draws):
             print(line, flush=True)
     for count in (6, 8):
-        print(found_wrong(count, options.cameras, options.draws), flush=True)
+        print(found_wrong(count, cameras, options.draws), flush=True)
     print("lengths and parallel lines alone", flush=True)
-    for line in draws(lengths_and_parallels, options.cameras, options.draws, gauge=True):
+    for line in draws(lengths_and_parallels, cameras, options.draws, gauge=True):
         print(line, flush=True)
     print("the same draws: each part, and all together", flush=True)
-    for line in together(options.cameras, options.vehicle_draws, options.vehicles):
+    for line in together(cameras, options.vehicle_draws, options.vehicles):
         print(line, flush=True)
 
 

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, terms_of
 from skope.camera.model import Camera
+from skope.camera.other_cameras import likely_cameras, spread_around
 from skope.camera.pose_from_points import FEWEST
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of
 from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, starts_of
@@ -26,6 +27,8 @@ _FREE: Final = ("x", "y", "yaw")
 """Where the world's origin and axes are, which points alone can say."""
 _SURPRISE: Final = 0.01
 """Residuals that are less likely than this widen the covariance."""
+_OTHER: Final = 0.05
+"""Probability of other cameras from which they are told of."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,11 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         judged = with_wrong_points(evidence, terms, fit, unknown)
         fit, outliers, doubts, spread = judged.fit, judged.wrong, judged.doubts, judged.spread
         terms = [term for term in terms if term.kind != "point" or term.name not in outliers]
+    elif start is None and len(evidence.points) >= FEWEST:
+        likely, chances = likely_cameras(evidence, terms, fit, unknown)
+        fit, spread = likely[0], spread_around(likely[0], likely[1:], chances[1:].tolist(), unknown)
+        if chances[0] < 1 - _OTHER:
+            doubts = ("the points suit another camera too: places are as uncertain as both leave them; mark more",)
     camera = camera_of(fit.at, evidence.size)
     excess = _excess(fit, len(evidence.parallels))
     covariance = excess**2 * fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]]) + spread

@@ -102,7 +102,7 @@ def fit_camera(
         raise UserError(f"control points: expected {FEWEST} or more, got {len(uv)}")
     if np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] < 1e-3:
         raise UserError("control points: they lie on one line")
-    tried = [K] if K is not None else [_centred(size, share * size[0]) for share in _FOCAL]
+    tried = [K] if K is not None else [centred(size, share * size[0]) for share in _FOCAL]
     fits = [fit for intrinsics in tried if (fit := _posed(uv, xyz, size, intrinsics, lens)) is not None]
     if not fits:
         raise UserError("control points: no camera sees them so; are some swapped?")
@@ -110,7 +110,8 @@ def fit_camera(
     return replace(_refined(best, uv, xyz, focal=K is None), fitted_focal=K is None)
 
 
-def _centred(size: tuple[int, int], focal: float) -> Array:
+def centred(size: tuple[int, int], focal: float) -> Array:
+    """(3, 3) intrinsics of a focal length in pixels, with the principal point in the image's middle."""
     return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
 
 
@@ -151,8 +152,10 @@ def _figures(camera: Camera) -> Array:
 def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit:
     """Levenberg and Marquardt's method on the distances in the image, over pose and (with `focal`) focal length."""
     middle, weight = xyz.mean(axis=0), 1e-3
+    residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
     for _ in range(200):
-        residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
+        if not np.isfinite(jacobian).all():  # a point lies where the lens's picture ends
+            break
         normal = jacobian.T @ jacobian
         step = np.linalg.solve(normal + weight * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual)
         moved = _measured(_moved(fit.camera, step.astype(np.float64), middle), uv, xyz)
@@ -161,6 +164,7 @@ def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit
             fit, weight = moved, max(weight / 5, 1e-12)
             if done:
                 break
+            residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
         else:
             weight *= 5
             if weight > 1e9:

@@ -90,7 +90,10 @@ def fit_terms(
     at, fit = begun.copy(), None
     for _ in range(rounds):
         camera = camera_of(at, size)
-        weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
+        try:
+            weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
+        except np.linalg.LinAlgError:  # a camera that sees a mark where its lens ends
+            return WeightedFit(at, math.inf, np.zeros((1, len(columns))))
 
         def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
             moved = at.copy()

@@ -15,6 +15,7 @@ import numpy as np
 
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, point_term
+from skope.camera.other_cameras import spread_around
 from skope.camera.pose_from_points import FEWEST, fit_camera
 from skope.camera.uncertain_camera import PARAMETERS, values_of
 from skope.camera.weighted_fit import SCALES, WeightedFit, best_fit, fit_terms
@@ -108,25 +109,15 @@ def _judged(
     best: _Hypothesis,
     found: Sequence[_Hypothesis],
 ) -> JudgedPoints:
-    columns = [PARAMETERS.index(name) for name in unknown]
     share = np.exp(np.array([one.log_odds - best.log_odds for one in found]))
     share /= share.sum()
     right = [term for i, term in enumerate(terms) if i not in best.wrong]
     fit = fit_terms(right, best.fit.at, unknown, evidence.size) if best.wrong else best.fit
-    spread = np.zeros((len(columns), len(columns)))
-    own = fit.covariance(SCALES[columns])
-    for one, weight in zip(found, share, strict=True):
-        if one is not best:
-            away = one.fit.at[columns] - fit.at[columns]
-            # Yaw is an angle: a turn more or less is none.
-            away = np.where(np.array(unknown) == "yaw", (away + math.pi) % (2 * math.pi) - math.pi, away)
-            spread += weight * (np.outer(away, away) + one.fit.covariance(SCALES[columns]) - own)
+    others = [(one.fit, weight) for one, weight in zip(found, share.tolist(), strict=True) if one is not best]
+    spread = spread_around(fit, [one for one, _ in others], [weight for _, weight in others], unknown)
     names = [point.name for point in evidence.points]
     wrong = tuple(names[i] for i in sorted(best.wrong))
-    # What other sets add is never negative, also where they know the camera better.
-    told, axes = np.linalg.eigh(spread / np.outer(SCALES[columns], SCALES[columns]))
-    axes = axes * SCALES[columns][:, None]
-    return JudgedPoints(fit, wrong, _doubts(names, best, found, share), (axes * np.maximum(told, 0)) @ axes.T)
+    return JudgedPoints(fit, wrong, _doubts(names, best, found, share), spread)
 
 
 def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:

@@ -20,12 +20,21 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
-from skope.site.marks import FARTHEST, checked_name
+from skope.site.mark_limits import (
+    FARTHEST,
+    KNOWN,
+    LENGTH_M,
+    LENGTH_SIGMA_M,
+    LENS,
+    SIGMA,
+    VERTICAL_M,
+    WIDEST_PX,
+    is_known,
+)
+from skope.site.marks import checked_name
 from skope.site.toml_table import TomlTable
 
 _Mark = TypeVar("_Mark")
-_WIDEST: Final = 1e5
-"""Largest column or row of a mark, pixels."""
 _LARGEST_PX: Final = 8192
 
 
@@ -62,14 +71,27 @@ class CalibrationMarks:
         whole = size or self.size
         if whole is None:
             raise UserError("calibration.size: missing: expected [width, height] of the images that were marked")
-        beliefs = [self.vehicles] if self.vehicles else []
-        if self.fov_deg:
-            beliefs.append(Belief.of_fov(*self.fov_deg, whole[0]))
-        if self.lens:
-            beliefs.append(Belief.of_lens(*self.lens["focal_px"], self.lens.get("k1")))
-        if self.height_m:
-            beliefs.append(Belief.of_height(*self.height_m))
-        return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, tuple(beliefs))
+        known = beliefs_of(whole[0], fov_deg=self.fov_deg, lens=self.lens, height_m=self.height_m)
+        beliefs = (self.vehicles, *known) if self.vehicles else known
+        return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, beliefs)
+
+
+def beliefs_of(
+    width: int,
+    *,
+    fov_deg: tuple[float, float] | None = None,
+    lens: Mapping[str, tuple[float, float]] | None = None,
+    height_m: tuple[float, float] | None = None,
+) -> tuple[Belief, ...]:
+    """What is known of a camera whose images are `width` pixels wide, as `CalibrationMarks` has it."""
+    out = []
+    if fov_deg:
+        out.append(Belief.of_fov(*fov_deg, width))
+    if lens:
+        out.append(Belief.of_lens(*lens["focal_px"], lens.get("k1")))
+    if height_m:
+        out.append(Belief.of_height(*height_m))
+    return tuple(out)
 
 
 def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
@@ -85,9 +107,9 @@ def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
         lengths=_rows(table, "lengths", _length, unknown),
         parallels=_rows(table, "parallels", _parallel, unknown),
         verticals=_rows(table, "verticals", _vertical, unknown),
-        fov_deg=_measured(table, "fov_deg", 2, 170),
+        fov_deg=_measured(table, "fov_deg", KNOWN["fov_deg"]),
         lens=_lens(table.table("lens"), unknown) if "lens" in table else None,
-        height_m=_measured(table, "height_m", 0.5, 1000),
+        height_m=_measured(table, "height_m", KNOWN["height_m"]),
         vehicles=_vehicles(table),
     )
     unknown += table.unread
@@ -128,8 +150,8 @@ def _point(row: TomlTable, name: str) -> MarkedPoint:
 def _length(row: TomlTable, name: str) -> MarkedLength:
     return MarkedLength(
         _pixels(row, "pixels", 2),
-        row.number("metres", low=0.01, high=1e4),
-        sigma_m=_sigma(row, "sigma_m", 0.05),
+        row.number("metres", low=LENGTH_M[0], high=LENGTH_M[1]),
+        sigma_m=_sigma(row, "sigma_m", LENGTH_SIGMA_M),
         sigma_px=_sigma(row, "sigma_px", MARKED_PX),
         name=name,
     )
@@ -149,15 +171,15 @@ def _ends(row: TomlTable, line: object) -> list[list[float]]:
         ends = one.matrix("line", 2, 2)
     except UserError:
         raise row.wrong("lines", "expected two pixels [column, row] for each line") from None
-    if max(abs(value) for end in ends for value in end) > _WIDEST or ends[0] == ends[1]:
-        raise row.wrong("lines", f"expected lines between two pixels within {_WIDEST:g}")
+    if max(abs(value) for end in ends for value in end) > WIDEST_PX or ends[0] == ends[1]:
+        raise row.wrong("lines", f"expected lines between two pixels within {WIDEST_PX:g}")
     return [list(end) for end in ends]
 
 
 def _vertical(row: TomlTable, name: str) -> Vertical:
     return Vertical(
         _pixels(row, "pixels", 2),
-        metres=row.number("metres", low=0.01, high=1000) if "metres" in row else None,
+        metres=row.number("metres", low=VERTICAL_M[0], high=VERTICAL_M[1]) if "metres" in row else None,
         sigma_m=_sigma(row, "sigma_m", 0.1),
         sigma_px=_sigma(row, "sigma_px", MARKED_PX),
         name=name,
@@ -168,33 +190,33 @@ def _pixels(row: TomlTable, key: str, count: int) -> np.ndarray[tuple[int, ...],
     """(count, 2) pixels; of one the key holds the pixel itself."""
     rows = [row.numbers(key, 2)] if count == 1 else row.matrix(key, count, 2)
     out = np.array(rows, dtype=np.float64)
-    if np.abs(out).max() > _WIDEST:
-        raise row.wrong(key, f"expected pixels within {_WIDEST:g}")
+    if np.abs(out).max() > WIDEST_PX:
+        raise row.wrong(key, f"expected pixels within {WIDEST_PX:g}")
     if count == 2 and (out[0] == out[1]).all():
         raise row.wrong(key, "its ends are one pixel")
     return out
 
 
 def _sigma(row: TomlTable, key: str, default: float) -> float:
-    return row.number(key, default, low=1e-4, high=1e3)
+    return row.number(key, default, low=SIGMA[0], high=SIGMA[1])
 
 
-def _measured(table: TomlTable, key: str, low: float, high: float) -> tuple[float, float] | None:
+def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
     """A value with its standard deviation, [value, sigma]."""
     if key not in table:
         return None
     value, sigma = table.numbers(key, 2)
-    if not low <= value <= high or not 1e-4 <= sigma <= high:
-        raise table.wrong(key, f"expected [value, standard deviation] from {low:g} to {high:g}")
+    if not is_known(value, sigma, limits):
+        raise table.wrong(key, f"expected [value, standard deviation] from {limits[0]:g} to {limits[1]:g}")
     return value, sigma
 
 
 def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
     """Raises UserError where it does not say a focal length."""
-    focal = _measured(table, "focal_px", 10, 1e5)
+    focal = _measured(table, "focal_px", LENS["focal_px"])
     if focal is None:
         raise table.wrong("focal_px", "missing: expected [value, standard deviation] in pixels")
-    k1 = _measured(table, "k1", -2, 2)
+    k1 = _measured(table, "k1", LENS["k1"])
     unknown += table.unread
     return {"focal_px": focal, **({"k1": k1} if k1 else {})}
 

@@ -5,12 +5,10 @@ from typing import Final
 
 from shapely import Polygon
 
+from skope.site.mark_limits import FARTHEST, LONGEST_NAME
 from skope.site.toml_table import TomlTable
 
 Outline = tuple[tuple[float, float], ...]
-FARTHEST: Final = 1e8
-"""Largest coordinate of a place, metres, or of a pixel."""
-_LONGEST_NAME: Final = 200
 _LANE_M: Final = (0.5, 50.0)
 
 
@@ -123,6 +121,6 @@ def read_name(row: TomlTable) -> str:
 
 def checked_name(row: TomlTable, key: str, name: str) -> str:
     """A name that people give: any script, but of one line, and not too long to be shown."""
-    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise row.wrong(key, f"expected a name of one line and up to {_LONGEST_NAME} letters")
+    if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
+        raise row.wrong(key, f"expected a name of one line and up to {LONGEST_NAME} letters")
     return name

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from skope.site.toml_table import TomlTable
 
-_ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)[NS]")
+ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
+"""A UTM zone: its number and half of the Earth."""
 _FARTHEST_M: Final = 1e8
 
 
@@ -24,7 +25,7 @@ def read_world(table: TomlTable, unknown: list[str]) -> Mapping[str, Any]:
         out["axes"] = table.text("axes")
     if "utm_zone" in table:
         out["utm_zone"] = table.text("utm_zone")
-        if not _ZONE.fullmatch(out["utm_zone"]):
+        if not ZONE.fullmatch(out["utm_zone"]):
             raise table.wrong("utm_zone", f'expected a zone like "32N", got {out["utm_zone"][:20]!r}')
     if "epsg" in table:
         code = table.number("epsg", low=1024, high=99999)

@@ -10,7 +10,7 @@ import pytest
 
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import Evidence, MarkedPoint
-from skope.camera.geographic import local_metres, utm_scale
+from skope.camera.geographic import local_metres, utm_metres, utm_scale
 from skope.camera.ground_plane import ground_places
 from skope.camera.left_out import left_out_errors
 from skope.camera.model import Camera
@@ -117,6 +117,22 @@ def test_utms_scale_is_that_of_its_own_formula() -> None:
     assert utm_scale(320_000, 4_500_000, south=True) == pytest.approx(1.0, abs=2e-5)
     # A meridian's arc and a parallel's in the projection, by its series: 0.9996 (1 + x^2 / 2 R^2) at 344 km.
     assert utm_scale(844_000, 5_673_000) == pytest.approx(0.9996 * (1 + (344 / 6384 / 0.9996) ** 2 / 2), abs=5e-6)
+
+
+@pytest.mark.parametrize(
+    ("zone", "south", "longitude", "latitude", "easting", "northing"),
+    [
+        (32, False, 8.40034, 49.00012, 456139.56951, 5427642.34716),
+        (33, False, 8.40034, 49.00012, 17434.86183, 5448487.73481),  # its neighbour's grid
+        (56, True, 151.2, -33.86, 333491.22992, 6251909.20605),
+        (1, False, 179.9, 10.0, 160097.00614, 1107010.39518),  # beyond where longitudes begin again
+    ],
+)
+def test_utms_grid_is_that_of_proj(
+    zone: int, south: bool, longitude: float, latitude: float, easting: float, northing: float
+) -> None:
+    """Numbers of PROJ 9 (pyproj 3.7, EPSG:4326 to EPSG:326xx and 327xx)."""
+    assert utm_metres(longitude, latitude, zone, south=south) == pytest.approx([easting, northing], abs=1e-4)
 
 
 def test_a_point_that_is_left_out_is_placed_by_the_others() -> None:

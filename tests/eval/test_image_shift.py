@@ -57,6 +57,17 @@ def test_a_shift_is_measured_to_a_fraction_of_a_pixel(shift: tuple[float, float]
     assert abs(motion.growth) < 2e-3
 
 
+def test_another_hour_and_weather_are_no_shift() -> None:
+    views = [read_image(DOCS / f"{name}.jpg") for name in ("noon", "low_sun", "fog", "rain_night")]  # of one camera
+    for one in views:
+        reference = ReferencePicture(one)
+        for other in views:
+            motion = reference.motion(other)
+            assert motion is not None
+            assert math.hypot(motion.x, motion.y) < 0.3
+            assert abs(motion.turn) < 5e-4
+
+
 @pytest.mark.parametrize("angles_deg", [(0.3, 0.0, 0.0), (0.5, -0.4, 0.6), (-2.0, 1.0, -1.5)])
 def test_a_turned_camera_shifts_and_turns_its_image_as_its_rays_do(angles_deg: tuple[float, float, float]) -> None:
     K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]])

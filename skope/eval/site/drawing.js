@@ -57,17 +57,21 @@ export function redraw(svg, page) {
   if (focused) svg.querySelector(`[data-handle="${focused}"]`)?.focus({ preventScroll: true });
 }
 
-function ofCamera({ look, layers, unit, view }) {
+function ofCamera(page) {
+  const { look, layers, unit, view } = page;
   const { drawn } = look;
   if (!drawn) return [];
   const out = [];
   if (layers.grid) {
     out.push(element("path", { class: "grid", d: lines(drawn.grid) }), ...rimmed(lines(drawn.horizon), "horizon"));
+    const names = namesOf(page).map(([at, text]) => boxOf(at, text, unit));
     let above = Infinity; // far away, labels would lie on one another
     for (const { at, text } of drawn.labels) {
-      if (above - at[1] < 17 * unit) continue;
+      const place = [at[0] + 4 * unit, at[1] - 3 * unit];
+      // With a mark's name on it, "10 m" would be read as something else.
+      if (above - at[1] < 17 * unit || names.some((name) => meet(name, boxOf(place, text, unit)))) continue;
       above = at[1];
-      out.push(words([at[0] + 4 * unit, at[1] - 3 * unit], text, unit));
+      out.push(words(place, text, unit));
     }
   }
   if (layers.posts) out.push(...rimmed(lines(drawn.posts), "posts"));
@@ -97,10 +101,23 @@ function ofEntry(kind, index, entry, page) {
   }
   if (kind === "points") residual(group, index, page);
   places.forEach((place, part) => place && group.append(...handle(kind, index, part, place, entry, page)));
-  const first = known(places)[0];
-  if (first && page.layers.names && entry.name) group.append(words([first[0] + 9 * page.unit, first[1] - 7 * page.unit], entry.name, page.unit));
+  const name = nameOf(places, entry, page);
+  if (name) group.append(words(...name, page.unit));
   return group;
 }
+
+// Where the name of an entry stands, and what it is; null where it has none.
+function nameOf(places, entry, { unit, layers }) {
+  const first = known(places)[0];
+  return first && layers.names && entry.name ? [[first[0] + 9 * unit, first[1] - 7 * unit], entry.name] : null;
+}
+
+const namesOf = (page) =>
+  known([...DRAWN, ...MARKED].flatMap((kind) => page.document[kind].map((entry, index) => nameOf(handlesOf(kind, index, entry, page), entry, page))));
+
+// Left, top, right and bottom of `words`, about.
+const boxOf = ([x, y], text, unit) => [x, y - 11 * unit, x + 8 * unit * text.length, y + 2 * unit];
+const meet = (one, other) => one[0] < other[2] && other[0] < one[2] && one[1] < other[3] && other[1] < one[3];
 
 function handle(kind, index, part, [x, y], entry, page) {
   const chosen = page.selected && page.selected.kind === kind && page.selected.index === index;
@@ -135,8 +152,16 @@ function arrows(group, kind, entry, polylines, unit) {
     const shaft = kind === "gates" ? line(points) : "";
     group.append(...rimmed(`${shaft}M${wing(0.5)}L${end.join(" ")}L${wing(-0.5)}`, "arrow"));
     const name = kind === "gates" ? `${i + 1}${entry.directions[i] ? ": " + entry.directions[i] : ""}` : "";
-    if (name) group.append(words([end[0] + 5 * unit, end[1] + 5 * unit], name, unit));
+    if (name) group.append(beyond(end, angle, name, unit));
   });
+}
+
+// Words beyond the end of an arrow, so that they do not lie on it or on the line that it leaves.
+function beyond([x, y], angle, text, unit) {
+  const [across, down] = [Math.cos(angle), Math.sin(angle)];
+  const made = words([x + 6 * across * unit, y + (4 + 11 * down) * unit], text, unit);
+  made.style.textAnchor = across > 0.4 ? "start" : across < -0.4 ? "end" : "middle";
+  return made;
 }
 
 function ofPending({ pending, tool, unit, cursor, hover }) {

@@ -6,9 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.geographic import local_metres
+from skope.camera.geographic import local_metres, utm_metres
 from skope.errors import UserError
-from skope.eval.site.marks import positions
+from skope.eval.site.document_values import positions
+from skope.site.world import ZONE
 
 _PAIR: Final = re.compile(
     r"\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([NSns]?)\s*[,;\s]\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([EWew]?)\s*"
@@ -38,15 +39,22 @@ def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
             )
         longitude, latitude = (round(float(v), 6) for v in np.median(degrees, axis=0))
         world = {"origin": {"longitude": longitude, "latitude": latitude}, "axes": "east, north"}
-    origin = world.get("origin")
-    about = positions([[origin.get("longitude"), origin.get("latitude")]], 2) if isinstance(origin, dict) else None
-    if about is None:
-        zone = world.get("utm_zone", "another map's metres")
-        raise UserError(f"the world is in UTM zone {zone}: type metres east and north of its origin")
-    metres = local_metres(degrees[:, 0], degrees[:, 1], (about[0][0], about[0][1]))
+    metres = _metres_in(world, degrees)
     if np.abs(metres).max() > _APART_M:
         raise UserError(f"lies more than {_APART_M / 1000:g} km from the other places; is the latitude first?")
     return {"places": np.round(metres, 3).tolist(), "world": world}
+
+
+def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
+    """(N, 2) metres from the origin of a world, of (N, 2) longitudes and latitudes."""
+    origin, zone = world.get("origin"), ZONE.fullmatch(str(world.get("utm_zone")))
+    told = origin if isinstance(origin, dict) else {}
+    if about := positions([[told.get("longitude"), told.get("latitude")]], 2):
+        return local_metres(degrees[:, 0], degrees[:, 1], (about[0][0], about[0][1]))
+    if zone and (about := positions([[told.get("easting"), told.get("northing")]], 2)):
+        grid = utm_metres(degrees[:, 0], degrees[:, 1], int(zone[1]), south=zone[2] == "S")
+        return grid - about[0]
+    raise UserError("where the world's (0, 0) is on the map is not known: type metres")
 
 
 def _typed(text: Any) -> Any:

@@ -6,7 +6,7 @@ a user typed that is no number is a text, and stays in the page until it is mend
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,15 +22,24 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
+from skope.eval.site.document_values import NO_NAME, entries_of, is_name, number, positions, unique_names
+from skope.site.calibration_marks import beliefs_of
+from skope.site.mark_limits import (
+    FARTHEST,
+    KNOWN,
+    LENGTH_M,
+    LENGTH_SIGMA_M,
+    LENS,
+    SIGMA,
+    VERTICAL_M,
+    WIDEST_PX,
+    is_known,
+)
 
 KINDS: Final = ("points", "lengths", "parallels", "verticals")
 """Lists of evidence in the document, in the order in which the solver has their residuals."""
 SIGMAS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
 """Standard deviations that a point may have of its own."""
-LONGEST_NAME: Final = 200
-NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
-_MOST: Final = 500
-"""Entries of a list that are taken: a person marks some dozens."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,80 +100,37 @@ def read_marks(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
 
 def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
     """What is known of the camera beforehand: `fov_deg` and `height_m`, each [value, standard deviation]."""
-    units = {"fov_deg": ("degrees", 2.0, 170.0), "height_m": ("metres", 0.5, 1000.0)}
-    beliefs, problems = [], []
-    for name, (unit, low, high) in units.items():
+    found: dict[str, tuple[float, float]] = {}
+    problems = []
+    for name, limits in KNOWN.items():
         pair = value.get(name) if isinstance(value, dict) else None
         if pair is None or pair == [None, None]:
             continue
-        found = positions([pair], 2)
-        if found and low <= found[0][0] <= high and 1e-4 <= found[0][1] <= high:
-            known, sigma = found[0]
-            beliefs.append(Belief.of_fov(known, sigma, width) if name == "fov_deg" else Belief.of_height(known, sigma))
+        rows = positions([pair], 2)
+        if rows and is_known(rows[0][0], rows[0][1], limits):
+            found[name] = (rows[0][0], rows[0][1])
         else:
-            text = f"expected {low:g} to {high:g} {unit}, and how exactly that is known"
+            unit = "degrees" if name == "fov_deg" else "metres"
+            text = f"expected {limits[0]:g} to {limits[1]:g} {unit}, and how exactly that is known"
             problems.append(Problem(kind="known", index=0, field=name, text=text))
     lens = value.get("lens") if isinstance(value, dict) else None
-    if lens is not None:
-        beliefs.append(_lens(lens))
-    return tuple(beliefs), problems
+    return beliefs_of(width, **found, lens=None if lens is None else _lens(lens)), problems
 
 
-def _lens(value: Any) -> Belief:
+def _lens(value: Any) -> dict[str, tuple[float, float]]:
     """What a camera file says of the lens, which the page shows and does not change."""
-    k1 = value.get("k1") if isinstance(value, dict) else None
-    rows = positions([value.get("focal_px"), *([] if k1 is None else [k1])], 2) if isinstance(value, dict) else None
-    if rows is None or min(rows[0]) <= 0 or min(row[1] for row in rows) <= 0:
+    given = {key: value[key] for key in LENS if value.get(key) is not None} if isinstance(value, dict) else {}
+    rows = positions(list(given.values()), 2)
+    lens = {key: (row[0], row[1]) for key, row in zip(given, rows or [], strict=False)}
+    if "focal_px" not in lens or not all(is_known(*lens[key], LENS[key]) for key in lens):
         raise UserError("known.lens: expected focal_px and k1, each [value, standard deviation]")
-    return Belief.of_lens(rows[0][0], rows[0][1], (rows[1][0], rows[1][1]) if k1 is not None else None)
+    return lens
 
 
-def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:
-    """A list of the document; a UserError where it is no list of objects."""
-    value = document.get(kind, [])
-    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value) or len(value) > _MOST:
-        raise UserError(f"{kind}: expected a list of up to {_MOST} objects")
-    return value
-
-
-def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A name for each entry, its own where no earlier one has it: messages of the solver name points."""
-    out: list[str] = []
-    for number, entry in enumerate(entries, start=1):
-        own = entry.get("name")
-        name = own.strip() if isinstance(own, str) and own.strip() else str(number)
-        plain, again = name, 2
-        while name in out:
-            name, again = f"{plain} ({again})", again + 1
-        out.append(name)
-    return out
-
-
-def is_name(value: Any) -> bool:
-    """Whether something is a name of one line, in any script, and not too long to be shown."""
-    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
-
-
-def number(value: Any) -> float | None:
-    """A finite number, or None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
-
-
-def positions(value: Any, width: int) -> list[list[float]] | None:
-    """Rows of `width` numbers each, or None for anything else."""
-    if not isinstance(value, list) or len(value) > _MOST:
-        return None
-    rows = []
-    for row in value:
-        if not isinstance(row, list) or len(row) != width:
-            return None
-        numbers = [number(one) for one in row]
-        if None in numbers:
-            return None
-        rows.append([one for one in numbers if one is not None])
-    return rows
+def _in_image(value: Any) -> list[list[float]] | None:
+    """Rows of column and row, no farther off than marks may be, or None for anything else."""
+    rows = positions(value, 2)
+    return None if rows is None or any(abs(one) > WIDEST_PX for row in rows for one in row) else rows
 
 
 class _Entry:
@@ -203,7 +169,7 @@ class _Entry:
 
     def pixels(self, field: str, count: int | None) -> list[list[float]] | None:
         """Positions in the image; None, with a problem noted, where they are not that many."""
-        rows = positions(self._value.get(field), 2)
+        rows = _in_image(self._value.get(field))
         if rows is None or (count is not None and len(rows) != count):
             self.wrong(field, "expected column and row in pixels, two numbers")
             return None
@@ -219,7 +185,7 @@ def _short(value: Any) -> str:
 
 
 def _point(entry: _Entry) -> MarkedPoint | None:
-    pixel = positions([entry.value("pixel")], 2)
+    pixel = _in_image([entry.value("pixel")])
     if pixel is None:
         entry.wrong("pixel", "expected column and row in pixels, two numbers")
     place = entry.value("place")
@@ -228,14 +194,14 @@ def _point(entry: _Entry) -> MarkedPoint | None:
     given: list[float] = []
     for axis, value in zip(wanted, values, strict=True):
         found = number(value)
-        if found is None or abs(found) > 1e8:
+        if found is None or abs(found) > FARTHEST:
             empty = value is None or value == ""
             entry.wrong(f"place.{axis}", "type it in metres" if empty else f"expected metres, got {_short(value)}",
                         missing=empty)  # fmt: skip
         else:
             given.append(found)
     usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
-    sigmas = {key: entry.number(key, 1e-4, 1000, "", default) for key, default in usual.items()}
+    sigmas = {key: entry.number(key, *SIGMA, "", default) for key, default in usual.items()}
     known = {key: sigma for key, sigma in sigmas.items() if sigma is not None}
     if pixel is None or len(given) < 3 or len(known) < len(sigmas):
         return None
@@ -243,8 +209,8 @@ def _point(entry: _Entry) -> MarkedPoint | None:
 
 
 def _length(entry: _Entry) -> MarkedLength | None:
-    pixels, metres = entry.pixels("pixels", 2), entry.number("metres", 0.1, 1000, "metres")
-    sigma = entry.number("sigma_m", 0.001, 100, "metres", 0.05)
+    pixels, metres = entry.pixels("pixels", 2), entry.number("metres", *LENGTH_M, "metres")
+    sigma = entry.number("sigma_m", *SIGMA, "metres", LENGTH_SIGMA_M)
     if pixels is None or metres is None or sigma is None:
         return None
     if math.dist(*pixels) < 1:
@@ -255,7 +221,7 @@ def _length(entry: _Entry) -> MarkedLength | None:
 
 def _parallels(entry: _Entry) -> ParallelLines | None:
     lines = entry.value("lines")
-    rows = [positions(line, 2) for line in lines] if isinstance(lines, list) else []
+    rows = [_in_image(line) for line in lines] if isinstance(lines, list) else []
     if not rows or any(row is None or len(row) != 2 for row in rows):
         entry.wrong("lines", "expected column and row in pixels for both ends of each line")
         return None
@@ -271,7 +237,7 @@ def _parallels(entry: _Entry) -> ParallelLines | None:
 def _vertical(entry: _Entry) -> Vertical | None:
     pixels = entry.pixels("pixels", 2)
     known = entry.value("metres") not in (None, "")
-    metres = entry.number("metres", 0.1, 200, "metres") if known else None
+    metres = entry.number("metres", *VERTICAL_M, "metres") if known else None
     if pixels is None or (known and metres is None):
         return None
     if math.dist(*pixels) < 1:

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from skope.eval.site.document_values import entries_of
 from skope.eval.site.drawings import DRAWN
-from skope.eval.site.marks import KINDS, entries_of
+from skope.eval.site.marks import KINDS
 
 
 def joined(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:

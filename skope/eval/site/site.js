@@ -8,7 +8,8 @@ import { edits, loadFile } from "./edits.js";
 import { History } from "./history.js";
 import { hintFor } from "./hints.js";
 import { Keys, handleOf } from "./keys.js";
-import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
+import { KINDS } from "./kinds.js";
+import { Marking } from "./marking.js";
 import { fill, footage, known, text } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { Saving } from "./saving.js";
@@ -42,6 +43,7 @@ const now = {
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
 const narrow = matchMedia("(max-width: 56rem)"); // as in site.css: the list is far below the picture
 let views;
+let marking; // what clicks on the picture do
 let cameraPanel;
 const view = () => views.current;
 const document_ = () => history.document;
@@ -55,7 +57,7 @@ const page = () => ({
   view: view() || { size: [1, 1] },
   layers,
   unit: 1 / viewport.scale,
-  planReady: Boolean(document_().plan && views.plan.view(document_().plan)),
+  planReady: views.planReady,
   residualOf: (kind, index) => (look ? look.residuals.find((one) => one.kind === kind && one.index === index) : undefined),
   problemsOf: (kind, index) => problems().filter((one) => one.kind === kind && one.index === index),
   warningsOf: (kind, index) => (look ? look.shapes.find((one) => one.kind === kind && one.index === index)?.warnings || [] : []),
@@ -131,7 +133,7 @@ const act = {
     refresh();
   },
   addLine(index) {
-    setTool("parallels");
+    marking.setTool("parallels");
     now.group = index;
     views.show("image");
   },
@@ -140,22 +142,6 @@ const act = {
     views.show("plan");
   },
 };
-
-// Puts a handle of an entry at a position of the view.
-async function put({ kind, index, part }, position, of) {
-  const entry = document_()[kind][index];
-  if (!entry) return;
-  if (view().fromWorld) {
-    const place = metres(view().toWorld(position));
-    if (kind === "points") change((all) => all.points[index].place.splice(0, 2, ...place), of);
-    else change((all) => setPosition(kind, all[kind][index], part, place), of);
-  } else if (!KINDS[kind].world) change((all) => setPosition(kind, all[kind][index], part, pixel(position)), of);
-  else {
-    const [place] = await placesOf([position]);
-    if (place) change((all) => setPosition(kind, all[kind][index], part, place), of);
-    else refresh();
-  }
-}
 
 // Where pixels lie on the road; an empty list, and words to the user, where one lies nowhere.
 async function placesOf(pixels) {
@@ -172,102 +158,13 @@ async function placesOf(pixels) {
   return [];
 }
 
-// ------------------------------------------------------------------------------------------------------------ tools
-
-const NOTHING = { pending: [], hover: null, group: null, picking: null };
-
-function setTool(name) {
-  Object.assign(now, NOTHING, { tool: name });
-  trouble("");
-  refresh();
-}
-
-function chooseTool(name) {
-  setTool(name);
-  if (KINDS[name] && !KINDS[name].world && views.name !== "image") views.show("image");
-}
-
-// A position of the view was clicked, touched, or confirmed by Enter.
-async function mark(position) {
-  if (!within(position)) return;
-  if (views.scaling) {
-    if (view()) views.plan.click(position);
-    now.pending = views.plan.ends;
-    return refresh();
-  }
-  if (now.picking !== null) return place(position);
-  if (now.tool === "select") return act.choose(null);
-  const { count, open, world } = KINDS[now.tool];
-  if (!world && views.name !== "image") return trouble("Mark that in the image.");
-  now.pending = [...now.pending, position];
-  if (!open && now.pending.length === count) await finish();
-  else refresh();
-}
-
-const within = ([x, y]) => Boolean(view()) && x >= 0 && y >= 0 && x <= view().size[0] && y <= view().size[1];
-
-async function finish() {
-  const kind = now.tool;
-  const { count, world } = KINDS[kind];
-  const drawn = now.pending;
-  if (drawn.length < count) return trouble(`A ${KINDS[kind].word.toLowerCase()} needs ${count} positions or more.`);
-  Object.assign(now, { pending: [], hover: null });
-  let positions = world ? [] : drawn.map(pixel);
-  if (world) positions = view().fromWorld ? drawn.map((position) => metres(view().toWorld(position))) : await placesOf(drawn);
-  if (!positions.length) return refresh();
-  if (kind === "parallels" && now.group !== null && document_().parallels[now.group]) {
-    now.selected = { kind, index: now.group, part: 0 };
-    return change((all) => all.parallels[now.group].lines.push(positions));
-  }
-  now.selected = { kind, index: document_()[kind].length, part: 0 };
-  if (kind === "parallels") now.group = now.selected.index;
-  change((all) => all[kind].push(made(kind, positions, all[kind])));
-  if (kind === "points" && page().planReady) act.placeOnPlan(now.selected.index);
-  else if (!now.byTouch) typeNext(kind, now.selected.index);
-}
-
-// What is marked is told at once: the field of its place or its length has the focus. A finger would get a keyboard
-// over the picture.
-function typeNext(kind, index) {
-  const way = { points: "place.0", lengths: "metres" }[kind];
-  if (way) document.querySelector(`[data-focus="${kind}:${index}:${way}"]`)?.focus({ preventScroll: true });
-}
-
-function place(position) {
-  const index = now.picking;
-  now.picking = null;
-  change((all) => {
-    if (all.points[index]) all.points[index].place.splice(0, 2, ...metres(view().toWorld(position)));
-  });
-  views.show("image");
-}
-
-function cancel() {
-  const { picking, pending, group, tool } = now;
-  if (picking !== null) views.show("image");
-  else if (!pending.length && group === null && tool !== "select") return setTool("select");
-  else if (!pending.length && group === null) now.selected = null;
-  if (!pending.length) now.group = null;
-  Object.assign(now, { pending: [], picking: null, hover: null });
-  views.plan.ends = [];
-  refresh();
-}
-
 function step(does) {
   if (!history[does]()) return;
-  Object.assign(now, NOTHING);
+  marking.drop();
   const { selected } = now;
   if (selected && !document_()[selected.kind][selected.index]) now.selected = null;
   if (views.name === "plan") views.show("plan");
   changed();
-}
-
-// The plan has its scale: places that are missing are clicked there, others in the image.
-async function placed() {
-  const missing = document_().points.findIndex(({ place: [x, y] }) => x === null || y === null);
-  if (missing >= 0) act.placeOnPlan(missing);
-  else await views.show(document_().points.length ? "plan" : "image");
-  if (now.tool === "select" && missing < 0) setTool("points");
 }
 
 // ------------------------------------------------------------------------------------------------------------- files
@@ -298,35 +195,12 @@ function replace(other) {
 
 // ---------------------------------------------------------------------------------------------------- mouse and keys
 
-// Says what lies at a position of the view.
-function tell(position) {
-  const [x, y] = position;
-  let words = "";
-  if (within(position) && view()) {
-    words = `column ${x.toFixed(1)}, row ${y.toFixed(1)}`;
-    if (view().toWorld) words = "x " + view().toWorld(position)[0].toFixed(2) + " m, y " + view().toWorld(position)[1].toFixed(2) + " m";
-    else if (look && look.errors) {
-      const { cell, columns, values } = look.errors;
-      const error = values[Math.floor(y / cell) * columns + Math.floor(x / cell)];
-      words += error === null || error === undefined ? ": no road, or too far away" : `: a place there is known to ${error} m (90%)`;
-    }
-  }
-  byId("where").textContent = words;
-}
-
 const help = () => byId("help").showModal();
 const grabs = () => !now.pending.length && now.picking === null && !views.scaling;
 
 function choose({ kind, index, part }) {
   now.selected = { kind, index, part };
   refresh();
-}
-
-// The second press of two ends what is drawn; it is no further position.
-function ended() {
-  if (!now.pending.length || !KINDS[now.tool].open) return;
-  now.pending = now.pending.slice(0, -1);
-  finish();
 }
 
 svg.addEventListener("focusin", ({ target }) => {
@@ -347,8 +221,8 @@ function listen() {
   on("save", save);
   on("merge", () => saving.join(document_()));
   on("theirs", () => saving.join(null));
-  on("finish", finish);
-  on("cancel", cancel);
+  on("finish", () => marking.finish());
+  on("cancel", () => marking.cancel());
   on("ask", help);
   on("larger", () => viewport.zoom(1.5));
   on("smaller", () => viewport.zoom(1 / 1.5));
@@ -360,7 +234,9 @@ function listen() {
     }, "change");
   }
   narrow.addEventListener("change", refresh);
-  const does = { mark, put, choose, ended, tell, draw: drawAll, grabs, save, step, cancel, remove: act.remove, setTool, finish, help };
+  const does = { choose, draw: drawAll, grabs, save, step, remove: act.remove, help };
+  does.tell = (position) => marking.tell(position, look?.errors);
+  for (const name of ["mark", "put", "ended", "cancel", "setTool", "finish"]) does[name] = (...told) => marking[name](...told);
   new Pointer(stage, viewport, now, page, does);
   new Keys(stage, viewport, now, page, does);
   new ResizeObserver(() => viewport.move(0, 0)).observe(stage);
@@ -374,15 +250,17 @@ async function begin() {
   byId("title").textContent = `${begun.title} → ${begun.file}`;
   document.title = `${begun.title}: site`;
   cameraPanel = new CameraPanel({ document: document_, change, trouble, placesOf });
+  const placed = () => marking.placed();
   views = new Views(begun, viewport, now, { document: document_, change, trouble, placed, shown: () => (setMap(), refresh()) });
+  marking = new Marking(now, views, { document: document_, change, refresh, trouble, placesOf, ...act });
   byId("zones").replaceChildren(...begun.zones.map((value) => text("option", "", { value })));
-  toolbar(byId("tools"), chooseTool);
+  toolbar(byId("tools"), (name) => marking.chooseTool(name));
   switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
   legend(byId("legend"));
   listen();
   keyList(byId("keys"));
   await views.show("image");
-  setTool(begun.document.points.length ? "select" : "points");
+  marking.setTool(begun.document.points.length ? "select" : "points");
   askLook(document_());
   if (begun.frames) await views.turnTo(begun.frame);
   views.plan.want(document_().plan).catch((error) => trouble(error.message));

@@ -49,6 +49,7 @@ _SCRIPTS: Final = (
     "server",
     "history",
     "kinds",
+    "marking",
     "viewport",
     "drawing",
     "panel",

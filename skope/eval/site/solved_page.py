@@ -18,10 +18,11 @@ from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
 from skope.eval.site.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
+from skope.eval.site.document_values import positions
 from skope.eval.site.drawings import Drawing, read_drawings, shapes
 from skope.eval.site.error_map import error_map, values
 from skope.eval.site.footage_time import read_time
-from skope.eval.site.marks import KINDS, Marks, Problem, positions, read_marks
+from skope.eval.site.marks import KINDS, Marks, Problem, read_marks
 from skope.eval.site.overlays import overlays
 from skope.types import Array
 

@@ -26,6 +26,12 @@ export class Views {
     return this.name === "above" ? this.above : this.image;
   }
 
+  // Whether places can be clicked on the plan.
+  get planReady() {
+    const { plan } = this.does.document();
+    return Boolean(plan && this.plan.view(plan));
+  }
+
   // Whether clicks tell the scale of the plan.
   get scaling() {
     return this.name === "plan" && !this.current?.fromWorld;

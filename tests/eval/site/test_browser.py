@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from skope.eval.site.frames import SiteFrames
+from skope.eval.site.overlays import overlays
 from skope.site.site_file import read_site
 from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
 
@@ -530,6 +531,16 @@ def test_a_gate_at_the_edge_is_warned_of_in_its_row(open_page: Open, serve: Call
     page.settle()
     assert "never on both sides" in page.text("#road .warnings")
     assert page.text("#road .bad") == "warning"
+
+
+def test_no_word_of_the_grid_is_covered_by_the_name_of_a_mark(open_page: Open, serve: Callable[..., Served]) -> None:
+    at, text = overlays(CAMERA)["labels"][0].values()  # "10 m", which a "7" in front of it makes "70 m"
+    named = [{"name": "7", "pixels": [at, [at[0] + 60, at[1]]], "metres": None}]
+    shown = "[...document.querySelectorAll('.camera text')].map((one) => one.textContent)"
+    page = open_page(serve(points=marked_points(), lengths=named))
+    assert text not in page.browser.run(shown)
+    page.browser.run("document.evaluate(\"//label[contains(., 'names')]/input\", document).iterateNext().click()")
+    assert text in page.browser.run(shown)
 
 
 def test_a_length_and_parallel_lines_tell_a_camera_without_places(open_page: Open) -> None:

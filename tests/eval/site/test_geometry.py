@@ -11,11 +11,12 @@ from skope.camera.evidence import Evidence, marked_points
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.errors import UserError
+from skope.eval.site.document_values import unique_names
 from skope.eval.site.drawings import read_drawings, shapes
 from skope.eval.site.error_map import error_map
 from skope.eval.site.from_above import seen_from_above
 from skope.eval.site.gate_checks import gate_warnings
-from skope.eval.site.marks import read_marks, unique_names
+from skope.eval.site.marks import read_marks
 from skope.eval.site.merge import joined
 from skope.eval.site.overlays import box, horizon, overlays
 from skope.eval.site.plan import plan_scale

@@ -173,6 +173,10 @@ def test_degrees_in_place_of_metres_are_said_and_taken_as_metres(serve: Serve) -
     assert found["world"]["origin"]["latitude"] == pytest.approx(50.0002, abs=1e-4)
 
 
+UTM_WORLD = {"origin": {"easting": 389917.833, "northing": 5819690.797}, "utm_zone": "33N"}
+"""Its origin is at 52.5162 degrees north, by PROJ."""
+
+
 @pytest.mark.parametrize(
     ("text", "world", "said"),
     [
@@ -183,7 +187,9 @@ def test_degrees_in_place_of_metres_are_said_and_taken_as_metres(serve: Serve) -
         ("52.5163", None, "like 49.00012"),
         ("95, 13", None, "from -90 to 90"),
         ("13.3777, 52.5163", {"origin": {"longitude": 13.3777, "latitude": 52.5162}}, "is the latitude first?"),
-        ("52.5, 13.4", {"origin": {"easting": 1.0, "northing": 2.0}, "utm_zone": "33N"}, "UTM zone 33N"),
+        ("52.5163, 13.3777", UTM_WORLD, None),
+        ("53.5163, 13.3777", UTM_WORLD, "is the latitude first?"),
+        ("52.5163, 13.3777", {"origin": {"easting": 1.0, "northing": 2.0}}, "type metres"),
     ],
 )
 def test_a_place_as_maps_give_it(text: str, world: Any, said: str | None) -> None:

@@ -1,0 +1,86 @@
+"""Few points may suit several cameras: one that is near with a wide lens, and one that is far with a long one.
+
+The search goes to one of them; how likely each is follows from the evidence under it (Laplace's approximation), and
+where several are likely, the covariance of the likeliest holds the others too.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from skope.camera.evidence import Evidence
+from skope.camera.evidence_terms import EvidenceTerm
+from skope.camera.model import Distortion
+from skope.camera.pose_from_points import centred, fit_camera
+from skope.camera.uncertain_camera import PARAMETERS, values_of
+from skope.camera.weighted_fit import SCALES, WeightedFit, fit_terms
+from skope.errors import UserError
+from skope.types import Array
+
+_LENGTHS: Final = (0.45, 0.7, 1.1, 2.6)
+_BENDS: Final = (0.0, -0.2)
+"""Focal lengths, in widths of the image, and first coefficients of distortion that the search begins with."""
+_SAME: Final = 0.02
+"""Cameras that differ by less are one, in `SCALES`."""
+
+
+def likely_cameras(
+    evidence: Evidence, terms: Sequence[EvidenceTerm], fit: WeightedFit, unknown: Sequence[str]
+) -> tuple[list[WeightedFit], Array]:
+    """All cameras that suit the evidence, the likeliest first, and (C,) the probability of each.
+
+    Args:
+        evidence: With four points or more.
+        terms: Its terms.
+        fit: One such camera.
+        unknown: Names of the parameters that are.
+    """
+    scales = SCALES[[PARAMETERS.index(name) for name in unknown]]
+    fits = [fit, *(fit_terms(terms, at, unknown, evidence.size) for at in _starts(evidence))]
+    fits = sorted((one for one in fits if math.isfinite(one.cost)), key=lambda one: -one.log_evidence(scales))
+    apart: list[WeightedFit] = []
+    for one in fits:
+        if all((np.abs(_between(one, other, PARAMETERS)) > _SAME * SCALES).any() for other in apart):
+            apart.append(one)
+    odds = np.array([one.log_evidence(scales) for one in apart])
+    chance = np.exp(odds - odds.max())
+    return apart, chance / chance.sum()
+
+
+def spread_around(
+    own: WeightedFit, others: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
+) -> Array:
+    """(P, P) what other cameras, likely as `chances` say, add to the covariance around one of them; never negative."""
+    columns = [PARAMETERS.index(name) for name in unknown]
+    scales = SCALES[columns]
+    spread = np.zeros((len(columns), len(columns)))
+    for one, chance in zip(others, chances, strict=True):
+        away = _between(one, own, unknown)
+        spread += chance * (np.outer(away, away) + one.covariance(scales) - own.covariance(scales))
+    # Others may know the camera better in some way: that takes nothing off.
+    told, axes = np.linalg.eigh(spread / np.outer(scales, scales))
+    axes = axes * scales[:, None]
+    return np.asarray((axes * np.maximum(told, 0)) @ axes.T)
+
+
+def _between(one: WeightedFit, other: WeightedFit, names: Sequence[str]) -> Array:
+    """(P,) by what parameters of two cameras differ; yaw is an angle: a turn more or less is none."""
+    away = (one.at - other.at)[[PARAMETERS.index(name) for name in names]]
+    return np.where(np.array(names) == "yaw", (away + math.pi) % (2 * math.pi) - math.pi, away)
+
+
+def _starts(evidence: Evidence) -> list[Array]:
+    """Values of `PARAMETERS` of cameras with several lenses that see the points where they are marked, or near."""
+    uv, places = [point.pixel for point in evidence.points], [point.place for point in evidence.points]
+    out = []
+    for bend in _BENDS:
+        lens = Distortion("brown", (bend, 0.0, 0.0, 0.0)) if bend else Distortion()
+        for length in _LENGTHS:
+            K = centred(evidence.size, length * evidence.size[0])
+            try:
+                out.append(values_of(fit_camera(uv, places, evidence.size, K=K, distortion=lens).camera))
+            except UserError:
+                continue
+    return out
