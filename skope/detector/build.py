@@ -117,7 +117,7 @@ def check_box_passes(passes: int) -> None:
         raise UserError(f"box_passes: expected 1 or 2, got {passes!r}")
 
 
-class Detector(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
+class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
     """torchvision's Keypoint R-CNN, and how often its box head looks; what it is called by torchvision looks once."""
 
     box_passes: int = 1
@@ -129,7 +129,7 @@ def box_passes_of(model: KeypointRCNN) -> int:
     return int(getattr(model, "box_passes", 1))
 
 
-def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> Detector:
+def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointNetwork:
     """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for a config, with weights drawn from torch's random state.
 
     Args:
@@ -146,7 +146,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         norm_layer=functools.partial(norm, eps=config.norm_eps),
         trainable_layers=trainable_layers if config.norm == "frozen" else 5,
     )
-    model = Detector(
+    model = KeypointNetwork(
         backbone,
         num_classes=1 + len(config.categories),  # 0 is the background
         num_keypoints=num_keypoints,

@@ -8,7 +8,7 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHe
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, KeypointRCNNPredictor
 from torchvision.models.resnet import Bottleneck, ResNet
 
-from skope.detector.build import Detector
+from skope.detector.build import KeypointNetwork
 
 
 def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) -> None:
@@ -28,8 +28,8 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
             made = getattr(resnet, body)(norm_layer=norm_layer)
         return _resnet_fpn_extractor(made, trainable_layers)
 
-    def network(backbone: nn.Module, *, num_classes: int, num_keypoints: int, **options: object) -> Detector:
-        return Detector(
+    def network(backbone: nn.Module, *, num_classes: int, num_keypoints: int, **options: object) -> KeypointNetwork:
+        return KeypointNetwork(
             backbone,
             box_head=TwoMLPHead(backbone.out_channels * 7 * 7, heads),
             box_predictor=FastRCNNPredictor(heads, num_classes),
@@ -39,7 +39,7 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
         )
 
     patch.setattr("skope.detector.build.resnet_fpn_backbone", backbone)
-    patch.setattr("skope.detector.build.Detector", network)
+    patch.setattr("skope.detector.build.KeypointNetwork", network)
 
 
 @pytest.fixture

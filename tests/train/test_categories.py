@@ -16,7 +16,7 @@ from skope import boxes, schema
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
 from skope.detector import activation_ranges
-from skope.detector.build import Detector, DetectorConfig, build
+from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import MIN_SCORE, detect
 from skope.errors import UserError
@@ -372,7 +372,7 @@ def test_other_forms_have_as_many_classes(
     # Of torchvision's own size: these lines build the whole network.
     with monkeypatch.context() as whole:
         whole.setattr("skope.detector.build.resnet_fpn_backbone", resnet_fpn_backbone)
-        whole.setattr("skope.detector.build.Detector", Detector)
+        whole.setattr("skope.detector.build.KeypointNetwork", KeypointNetwork)
         save_weights(tmp_path / "whole.safetensors", build(FOUR), FOUR, {})
         export(tmp_path / "whole.safetensors", "state_dict", tmp_path / "it's.pth", console=Console())
     names: dict[str, Any] = {}
