@@ -83,7 +83,7 @@ SHARED = (
     {"camera", "terminal"},
     {"schema", "site"},
     {"dataset", "detections", "pictures"},
-    {"detector", "metrics", "page"},
+    {"detector", "metrics", "page", "traffic"},
     {"viewer"},
     {"gen", "train", "eval"},
     {"api", "cli"},

@@ -19,6 +19,7 @@ from skope.site.marks import Gate, Lane, OccluderMark, Zone, read_gate, read_lan
 from skope.site.plan_picture import PlanPicture, read_plan
 from skope.site.site_camera import OwnCamera, read_camera
 from skope.site.toml_table import TomlTable
+from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
 
 _Part = TypeVar("_Part")
@@ -46,6 +47,8 @@ class SiteParts:
     """Where the world's (0, 0) is on a map, as `read_world` has it; None: not said."""
     plan: PlanPicture | None
     """A picture of the road from above; None: there is none."""
+    traffic: TrafficSettings
+    """By what rules traffic is counted and measured."""
     unknown: tuple[str, ...]
     """Keys in these parts that mean nothing here."""
 
@@ -100,15 +103,17 @@ def read_parts(table: TomlTable) -> SiteParts:
     """The parts of a site file that everything shares. Raises UserError naming file and key."""
     unknown: list[str] = []
     zone = _time_zone(table)
+    gates = _named(table, "gates", read_gate, unknown)
     return SiteParts(
         calibration=read_marks(table.table("calibration"), unknown) if "calibration" in table else None,
-        gates=_named(table, "gates", read_gate, unknown),
+        gates=gates,
         zones=_named(table, "zones", read_zone, unknown),
         lanes=_named(table, "lanes", read_lane, unknown),
         time_zone=zone.key if zone else None,
         start=_start(table, zone),
         world=read_world(table.table("world"), unknown) if "world" in table else None,
         plan=read_plan(table.table("plan"), unknown) if "plan" in table else None,
+        traffic=read_traffic(table.table("traffic"), tuple(gate.name for gate in gates), unknown),
         unknown=tuple(unknown),
     )
 
