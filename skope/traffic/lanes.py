@@ -65,6 +65,17 @@ class LaneMap:
         inside = np.isfinite(share[best, column])
         return np.where(inside, best, _NONE), away[best, column], ways[best, column]
 
+    def along(self, lane: int, places: Array) -> Array:
+        """(M,) how far along the lane of this index places (M, 2) lie, metres from its begin."""
+        line = self._lines[lane]
+        step = np.diff(line, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        away = places[:, None] - line[None, :-1]
+        t = (np.einsum("mki,ki->mk", away, step) / length).clip(0, length)
+        beside = np.linalg.norm(away - (t / length)[..., None] * step, axis=2)
+        k = beside.argmin(axis=1)
+        return np.asarray((np.cumsum(length) - length)[k] + t[np.arange(len(places)), k])
+
     def lane_at(self, place: Array, covariance: Array) -> tuple[str, float]:
         """Name of the lane at a place (2,), "" where there is none, and the probability that it is right."""
         index, away, way = self.indices(place[None])
