@@ -134,10 +134,12 @@ def _between(
         i, j = (_row(path, time_s) for path, time_s in zip((one, other), _in_order(times, reached), strict=True))
     else:
         return None
-    angle = float(angle_deg(one.facing[i], other.facing[j]))
-    if not close and angle < REAR_END_DEG:
+    # Two that turn one behind the other head elsewhere at any moment, but not at any place.
+    ways_deg = _angle_of_ways(one, other, i, j)
+    if not close and ways_deg < REAR_END_DEG:
         return None  # one behind the other: that is a gap
-    area = by_area(one, other, float(one.times_s[i])) if angle >= REAR_END_DEG else None
+    angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
+    area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
     low, high, probability = _spread(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
     swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
     return Conflict(
@@ -215,6 +217,13 @@ def _pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment |
 def _in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, float]:
     """The times of the two that were asked for, of those of the first and the second who got there."""
     return times[::-1] if reached.swapped else times
+
+
+def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> float:
+    """Degrees between the ways of two, where the way of one is nearest to where the other one is."""
+    here = int(np.linalg.norm(one.place - other.place[j], axis=1).argmin())
+    there = int(np.linalg.norm(other.place - one.place[i], axis=1).argmin())
+    return float(min(angle_deg(one.facing[here], other.facing[j]), angle_deg(one.facing[i], other.facing[there])))
 
 
 def _row(path: FootprintPath, time_s: float) -> int:

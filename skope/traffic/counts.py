@@ -112,8 +112,10 @@ def expected(crossings: Sequence[GateCrossing], lane: str = ALL, class_name: str
 def _in_lane(crossing: GateCrossing, lane: str) -> float:
     if lane == ALL:
         return 1.0
-    # What is not in its own lane is in one beside it; which one is not told here: each has a half.
-    return crossing.lane_probability if crossing.lane == lane else (1 - crossing.lane_probability) / 2
+    if crossing.lane == lane:
+        return crossing.lane_probability
+    # Who is not in the lane that it is counted in is in one beside it, or in none: each has a half.
+    return (1 - crossing.lane_probability) / 2 if crossing.lane else 0.0
 
 
 def _of_class(crossing: GateCrossing, class_name: str) -> float:

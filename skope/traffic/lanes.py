@@ -45,7 +45,7 @@ class LaneMap:
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
-        self._lines = [np.array(lane.line) for lane in lanes]
+        self._lines = [_without_repeats(np.array(lane.line)) for lane in lanes]
         self._half = np.array([(lane.width or _WIDTH_M) / 2 for lane in lanes])
 
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
@@ -80,12 +80,18 @@ class LaneMap:
         """Name of the lane at a place (2,), "" where there is none, and the probability that it is right."""
         index, away, way = self.indices(place[None])
         if index[0] == _NONE:
-            return "", 0.0
+            return "", 1.0
         across = np.array([-way[0, 1], way[0, 0]])
         sigma = math.sqrt(max(1e-12, float(across @ covariance @ across)))
         half = float(self._half[index[0]])
         inside = at_most((half - away[0]) / sigma) - at_most((-half - away[0]) / sigma)
         return self.lanes[index[0]].name, inside
+
+
+def _without_repeats(line: Array) -> Array:
+    """A line (N, 2) without points that are the one before; one of a single place lies in it twice, a bit apart."""
+    kept = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
+    return kept if len(kept) > 1 else np.stack([kept[0], kept[0] + [1e-3, 0]])
 
 
 def _from_line(line: Array, places: Array) -> tuple[Array, Array]:

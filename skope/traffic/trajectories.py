@@ -101,7 +101,7 @@ class Trajectory:
         times = np.atleast_1d(times_s)
         rows = columns.reshape(len(columns), -1)
         out = np.stack([np.interp(times, self.times_s, rows[:, k]) for k in range(rows.shape[1])], axis=1)
-        return np.asarray(out.reshape(*np.shape(times_s), *columns.shape[1:]))
+        return np.asarray(out.reshape((*np.shape(times_s), *columns.shape[1:])))
 
     def class_probability(self, name: str) -> float:
         """Probability that it is of the class `name`.

@@ -1,0 +1,93 @@
+"""`skope eval traffic`: counts, movements, speeds and conflicts from tracks."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skope.detector import weights
+from skope.errors import UserError
+from skope.eval.cli.options import data_option, output
+from skope.files.output_folders import claim_output
+from skope.terminal.command_options import DIR, FILE, SITE_FILE, TRAFFIC
+from skope.terminal.console import Console
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteFile
+
+
+def traffic(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="TRACKS",
+            help="Folder that `skope eval track` wrote; or a video or folder of images, tracked first.",
+        ),
+    ],
+    console: Console,
+    site: Annotated[
+        Path, data_option(metavar=FILE, help="Site file with gates, zones, lanes and settings (docs/own-road.md).")
+    ] = SITE_FILE,
+    start: Annotated[
+        str | None,
+        data_option(
+            metavar="TIME", help="When the footage begins, as 2026-11-26T10:00:00.", show_default="as the site says"
+        ),
+    ] = None,
+    checkpoint: Annotated[
+        Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
+    ] = Path(weights.DEFAULT),
+    out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
+) -> None:
+    """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
+    from skope.site.site_file import read_site
+    from skope.traffic.measure import measure
+    from skope.traffic.observation import FOOTAGE, read_observation
+    from skope.traffic.read_tracks import ROAD_USERS_CSV, TRACKS_CSV, read_trajectories
+    from skope.traffic.write_report import write_report
+
+    read = read_site(site)
+    for key in read.unknown:
+        console.warn(f"{site}: {key}: unknown; not used")
+    begins = _start(start, read)
+    folder = Path(source)
+    options = {"start": None if begins is None else begins.isoformat()}
+    if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
+        names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
+        inputs = [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
+        tracks, observation = read_trajectories(folder), read_observation(folder)
+        claim_output(out, "skope eval traffic", [*inputs, site], options)
+    else:
+        from skope.eval.tracking.track_for_traffic import track_footage
+
+        folder = track_footage(source, read, checkpoint, out, options, console)
+        tracks, observation = read_trajectories(folder), read_observation(folder)
+    report = measure(tracks, observation, read, begins)
+    for path in write_report(out, report, tracks=source, revision=read.revision):
+        console.result(f"wrote {path}")
+    for line in _table(report):
+        console.result(line)
+    for line in report.refused:
+        console.result(f"note: {line}")
+
+
+def _start(text: str | None, site: "SiteFile") -> datetime | None:
+    """The time that `--start` gives, in the site's zone where it has none of its own.
+
+    Raises UserError where it is none, or has no zone at all.
+    """
+    if text is None:
+        return None
+    from zoneinfo import ZoneInfo
+
+    try:
+        start = datetime.fromisoformat(text)
+    except ValueError:
+        raise UserError(f"--start: expected a time like 2026-11-26T10:00:00, got {text!r:.40}") from None
+    zone = ZoneInfo(site.time_zone) if site.time_zone else None
+    if start.tzinfo is None and zone is None:
+        raise UserError(f"--start: {text} has no zone, as 2026-11-26T10:00:00+01:00 has, and {site.path} no time_zone")
+    if start.tzinfo is None:
+        return start.replace(tzinfo=zone)
+    return start.astimezone(zone) if zone else start
