@@ -51,6 +51,8 @@ class TrafficReport:
     counts: tuple[Count, ...]
     movements: tuple[Movement, ...]
     turning: tuple[TurningCount, ...]
+    turning_total: tuple[TurningCount, ...]
+    """The matrix of the whole footage."""
     sections: tuple[SectionPass, ...]
     speeds: tuple[SpeedGroup, ...]
     headways: tuple[Headway, ...]
@@ -81,6 +83,7 @@ def measure(
     spans = observation.spans
     footage_s = (max(0.0, float(spans[0, 0])), float(spans[-1, 1])) if len(spans) else (0.0, 0.0)
     intervals = clock_intervals(begin, *footage_s, settings.interval_minutes)
+    whole = ClockInterval(begin_s=footage_s[0] - 1.0, end_s=footage_s[1] + 1.0, begin=None, end=None)
     crossed = crossings(trajectories, site.gates, lanes, settings)
     moved = movements(crossed, settings)
     sections = section_passes(moved)
@@ -99,6 +102,7 @@ def measure(
         counts=tuple(counts(crossed, site.gates, [lane.name for lane in site.lanes], intervals, observation, settings)),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings)),
+        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings)),
         sections=tuple(sections),
         speeds=tuple(speeds),
         headways=tuple(headways(crossed, observation)),

@@ -117,11 +117,12 @@ def _events(report: TrafficReport) -> _Table:
             where = one.gate, one.direction_name, one.lane
             yield one.time_s, ("gate", one.sigma_s, *_who(one.trajectory), *where, *tail)
         for visit in report.visits:
-            for event, time_s, dwell in (("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)):
+            borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
+            for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
                 if not math.isnan(time_s):
                     place = visit.trajectory.at(visit.trajectory.place, time_s).tolist()
                     where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None)
-                    yield time_s, (event, visit.sigma_s, *_who(visit.trajectory), *where)
+                    yield time_s, (event, sigma, *_who(visit.trajectory), *where)
         for change in report.lane_changes:
             place = change.place.tolist()
             where = (change.from_lane, change.to_lane, change.to_lane, *place, *(None,) * 5, change.probability, None)
@@ -323,8 +324,17 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
         "camera_common_sigma": observation.common_sigma,
         "interval_level": 0.9,
         "trajectories": len(report.trajectories),
-        "joined": [list((one.number, *one.joined)) for one in report.trajectories if one.joined],
+        "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,
+        "turning": [
+            {
+                "from": list(one.origin),
+                "to": list(one.destination),
+                "count": one.count,
+                **({} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}),
+            }
+            for one in report.turning_total
+        ],
         "conflicts_by_ttc": {"count": len(likely), "low": sure.low, "high": sure.high},
         "hard_brakings": len(report.brakings),
         "refused": list(report.refused),

@@ -26,13 +26,18 @@ class ZoneVisit:
     """Seconds; NaN where it ends inside."""
     seen_s: tuple[float, float]
     """From when to when it is seen inside."""
-    sigma_s: float
-    """Standard deviation of the dwell time, seconds; NaN where there is none."""
+    sigmas_s: tuple[float, float]
+    """Standard deviations of the two times, seconds; NaN for one that is not seen."""
 
     @property
     def dwell_s(self) -> float:
         """Seconds from entering to leaving; NaN where one of the two is not seen."""
         return self.leave_s - self.enter_s
+
+    @property
+    def dwell_sigma_s(self) -> float:
+        """Standard deviation of the dwell time, seconds; NaN where there is none."""
+        return math.hypot(*self.sigmas_s)
 
 
 def inside(polygon: Array, places: Array) -> NDArray[np.bool_]:
@@ -85,7 +90,6 @@ def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[Zon
     out = []
     for enter_s, leave_s in zip(enters, leaves, strict=True):
         seen = (first[0] if math.isnan(enter_s) else enter_s, first[1] if math.isnan(leave_s) else leave_s)
-        sigmas = [_sigma_s(trajectory, time_s) for time_s in (enter_s, leave_s)]
         out.append(
             ZoneVisit(
                 trajectory=trajectory,
@@ -93,7 +97,7 @@ def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[Zon
                 enter_s=enter_s,
                 leave_s=leave_s,
                 seen_s=seen,
-                sigma_s=math.hypot(*sigmas),
+                sigmas_s=(_sigma_s(trajectory, enter_s), _sigma_s(trajectory, leave_s)),
             )
         )
     return out

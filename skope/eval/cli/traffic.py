@@ -2,19 +2,21 @@
 
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from skope.detector import weights
 from skope.errors import UserError
-from skope.eval.cli.options import data_option, output
+from skope.eval.cli.options import FastMachineOptions, data_option, output
 from skope.files.output_folders import claim_output
 from skope.terminal.command_options import DIR, FILE, SITE_FILE, TRAFFIC
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteFile
+
+_COMMAND: Final = "skope eval traffic"
 
 
 def traffic(
@@ -25,7 +27,7 @@ def traffic(
             help="Folder that `skope eval track` wrote; or a video or folder of images, tracked first.",
         ),
     ],
-    console: Console,
+    *,
     site: Annotated[
         Path, data_option(metavar=FILE, help="Site file with gates, zones, lanes and settings (docs/own-road.md).")
     ] = SITE_FILE,
@@ -39,12 +41,15 @@ def traffic(
         Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
     ] = Path(weights.DEFAULT),
     out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
+    hardware: FastMachineOptions,
+    console: Console,
 ) -> None:
     """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
     from skope.site.site_file import read_site
     from skope.traffic.measure import measure
     from skope.traffic.observation import FOOTAGE, read_observation
     from skope.traffic.read_tracks import ROAD_USERS_CSV, TRACKS_CSV, read_trajectories
+    from skope.traffic.report_text import report_lines
     from skope.traffic.write_report import write_report
 
     read = read_site(site)
@@ -57,16 +62,16 @@ def traffic(
         names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
         inputs = [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
         tracks, observation = read_trajectories(folder), read_observation(folder)
-        claim_output(out, "skope eval traffic", [*inputs, site], options)
+        claim_output(out, _COMMAND, [*inputs, site], options)
     else:
-        from skope.eval.tracking.track_for_traffic import track_footage
+        from skope.eval.cli.tracked_footage import tracked_footage
 
-        folder = track_footage(source, read, checkpoint, out, options, console)
+        folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
         tracks, observation = read_trajectories(folder), read_observation(folder)
     report = measure(tracks, observation, read, begins)
     for path in write_report(out, report, tracks=source, revision=read.revision):
         console.result(f"wrote {path}")
-    for line in _table(report):
+    for line in report_lines(report):
         console.result(line)
     for line in report.refused:
         console.result(f"note: {line}")
