@@ -14,14 +14,15 @@ from typing import Any, Final
 import numpy as np
 
 from skope.traffic.trajectories import Trajectory
-from skope.types import Array
 
 _LONGEST_S: Final = 8.0
 """Who is not seen for longer is somebody else."""
 _OVERLAP_S: Final = 0.6
 """A track goes on by its box for half a second when another one has already begun."""
 _SWERVE: Final = 1.5
-"""Standard deviation of the acceleration of somebody who is not seen, m/s^2."""
+"""Standard deviation of the acceleration of somebody who is not seen, along and across, m/s^2."""
+_UNEVEN: Final = 1.5
+"""And of how far it deviates from an even one meanwhile, m/s^2."""
 _MOST_M: Final = 8.0
 """Largest standard deviation of where somebody should be that still says who begins there, metres."""
 _STRANGER: Final = 2e-5
@@ -80,26 +81,21 @@ def _likelihood(before: Trajectory, after: Trajectory) -> float:
         return 0.0
     before = kept
     gap = float(after.times_s[0] - before.times_s[-1])
-    meant = before.place[-1] + before.velocity[-1] * gap
-    back = after.place[0] - after.velocity[0] * gap
-    sigma_v = math.hypot(float(before.speed_sigma[-1]), _SWERVE * gap / 2)
+    # Whoever speeds up, brakes or turns evenly goes as far as at the mean of the two velocities.
+    missing = after.place[0] - before.place[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
+    sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
+    sigma_v = math.hypot(sigma_v, _UNEVEN * gap / 4)
     spread = before.covariance[-1] + after.covariance[0] + (sigma_v * gap) ** 2 * np.eye(2)
     if math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) > _MOST_M:
         return 0.0
-    # Seen from both ends: the way between has to fit the speeds before and after.
-    away = (_squared(after.place[0] - meant, spread) + _squared(back - before.place[-1], spread)) / 2
     turned = after.velocity[0] - before.velocity[-1]
-    slack = 0.25 + float(before.speed_sigma[-1]) ** 2 + float(after.speed_sigma[0]) ** 2 + (_SWERVE * gap) ** 2
-    total = away + float(turned @ turned) / slack
+    slack = float(before.speed_sigma[-1]) ** 2 + float(after.speed_sigma[0]) ** 2 + 0.25 + (_SWERVE * gap) ** 2
+    total = float(missing @ np.linalg.solve(spread, missing)) + float(turned @ turned) / slack
     if before.length and after.length:
         sigma = math.sqrt(2) * _SIZE_SIGMA * (before.length + after.length) / 2
         total += ((before.length - after.length) / sigma) ** 2
     density = 1 / (2 * math.pi * math.sqrt(max(1e-12, float(np.linalg.det(spread)))))
     return density * math.exp(-total / 2) if total < 16 else 0.0
-
-
-def _squared(away: Array, spread: Array) -> float:
-    return float(away @ np.linalg.solve(spread, away))
 
 
 _COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")

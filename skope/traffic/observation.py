@@ -35,7 +35,7 @@ class Observation:
     def spans(self) -> Array:
         """(S, 2) begin and end of the times without a gap, seconds.
 
-        A frame stands for half a usual step around it, so that a footage lasts as long as its frames are shown.
+        A frame stands for a usual step from its time on, so that a footage lasts as long as its frames are shown.
         """
         if len(self.times_s) == 0:
             return np.zeros((0, 2))
@@ -44,7 +44,7 @@ class Observation:
         cuts = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * usual))
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
-        return np.stack([begins - usual / 2, ends + usual / 2], axis=1)
+        return np.stack([begins, ends + usual], axis=1)
 
     def seconds_in(self, begin_s: float, end_s: float) -> float:
         """How many seconds from `begin_s` to `end_s` were observed."""
