@@ -30,6 +30,10 @@ class Observation:
     common_sigma: float | None = None
     """Relative standard deviation that all distances and speeds share, from the camera's calibration; None: nothing
     says how well the camera is known."""
+    eye: tuple[float, float, float] | None = None
+    """Where the camera hangs, world, metres; None: not known."""
+    road_sigma_m: float = 0.0
+    """By how much vehicles stand above and below the plane that the road is taken for, one standard deviation."""
 
     @property
     def spans(self) -> Array:
@@ -64,6 +68,8 @@ class Observation:
             "times_s": [round(float(time), 4) for time in self.times_s],
             "moved_times_s": [round(float(time), 4) for time in moved_s],
             "common_sigma": self.common_sigma,
+            "eye": self.eye,
+            "road_sigma_m": self.road_sigma_m,
         }
 
 
@@ -80,14 +86,31 @@ def read_observation(folder: Path) -> Observation:
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object")
     check_version(path, document.get("version"), _VERSION)
-    values = document.get("times_s")
-    if not isinstance(values, list) or not all(type(value) in (int, float) for value in values):
-        raise UserError(f"{path}: times_s: expected a list of numbers")
-    times = np.array(values, dtype=np.float64)
-    if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+    times = _numbers(path, document, "times_s")
+    if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")
-    sigma = document.get("common_sigma")
-    if sigma is not None and (type(sigma) not in (int, float) or not 0 <= sigma < 1):
-        raise UserError(f"{path}: common_sigma: expected a number from 0 to 1, or null")
+    for name in ("common_sigma", "road_sigma_m"):
+        sigma = document.get(name)
+        if sigma is not None and (type(sigma) not in (int, float) or not 0 <= sigma < 1):
+            raise UserError(f"{path}: {name}: expected a number from 0 to 1, or null")
+    eye = None if document.get("eye") is None else _numbers(path, document, "eye")
+    if eye is not None and len(eye) != 3:
+        raise UserError(f"{path}: eye: expected three numbers")
     source = document.get("source")
-    return Observation(times_s=times, source=source if isinstance(source, str) else "", common_sigma=sigma)
+    return Observation(
+        times_s=times,
+        source=source if isinstance(source, str) else "",
+        common_sigma=document.get("common_sigma"),
+        eye=None if eye is None else (float(eye[0]), float(eye[1]), float(eye[2])),
+        road_sigma_m=document.get("road_sigma_m") or 0.0,
+    )
+
+
+def _numbers(path: Path, document: dict[str, Any], name: str) -> Array:
+    values = document.get(name)
+    if not isinstance(values, list) or not all(type(value) in (int, float) for value in values):
+        raise UserError(f"{path}: {name}: expected a list of numbers")
+    numbers = np.array(values, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        raise UserError(f"{path}: {name}: expected finite numbers")
+    return numbers

@@ -11,21 +11,35 @@ import numpy as np
 from skope.errors import UserError
 from skope.schema import CATEGORIES
 from skope.site.traffic_settings import CLASSES
+from skope.traffic.observation import Observation
+from skope.traffic.place_errors import place_covariance, speed_sigma
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
 
 TRACKS_CSV: Final = "tracks.csv"
 ROAD_USERS_CSV: Final = "road_users.csv"
-_SHARED: Final = ("track", "time_s", "x", "y", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed")
+_SHARED: Final = (
+    "track",
+    "time_s",
+    "x",
+    "y",
+    "z",
+    "heading_deg",
+    "vx",
+    "vy",
+    "measured",
+    "sigma_position",
+    "sigma_speed",
+)
 _OF_VEHICLES: Final = (*_SHARED, "length", "width", "class", "class_confidence", "flags")
 _OF_OTHERS: Final = (*_SHARED, "category")
 Rows = list[dict[str, str]]
 
 
-def read_trajectories(folder: Path) -> list[Trajectory]:
+def read_trajectories(folder: Path, observation: Observation) -> list[Trajectory]:
     """The trajectories in a folder that `skope eval track` wrote, by their numbers.
 
-    All of them are confirmed: tracks that are not are not in the files.
+    All of them are confirmed: tracks that are not are not in the files. `observation` is that of the folder.
 
     Raises:
         UserError: A file is missing or wrong; the message names file, line and column.
@@ -35,10 +49,10 @@ def read_trajectories(folder: Path) -> list[Trajectory]:
     path = folder / TRACKS_CSV
     if not path.is_file():
         raise UserError(f"{path}: no such file; `skope eval track FOLDER --out {folder}` makes it")
-    found = [_vehicle(path, rows) for rows in _tracks(path, _OF_VEHICLES)]
+    found = [_vehicle(path, rows, observation) for rows in _tracks(path, _OF_VEHICLES)]
     others = folder / ROAD_USERS_CSV
     if others.is_file():
-        found += [_other(others, rows) for rows in _tracks(others, _OF_OTHERS)]
+        found += [_other(others, rows, observation) for rows in _tracks(others, _OF_OTHERS)]
     return found
 
 
@@ -77,23 +91,24 @@ def _numbers(path: Path, rows: Rows, name: str, *, empty: bool = False) -> Array
     return out
 
 
-def _columns(path: Path, rows: Rows) -> dict[str, Any]:
+def _columns(path: Path, rows: Rows, observation: Observation) -> dict[str, Any]:
     """What vehicles and other road users have alike, by the names of `Trajectory`."""
     column = {name: _numbers(path, rows, name, empty=name == "heading_deg") for name in _SHARED}
     if (np.diff(column["time_s"]) <= 0).any():
         raise UserError(f"{path}: line {rows[0]['line']}: time_s: expected times that rise along the track")
+    place = np.stack([column["x"], column["y"]], axis=1)
+    velocity = np.stack([column["vx"], column["vy"]], axis=1)
     return {
         "times_s": column["time_s"],
-        "place": np.stack([column["x"], column["y"]], axis=1),
-        "velocity": np.stack([column["vx"], column["vy"]], axis=1),
+        "place": place,
+        "velocity": velocity,
         "heading": np.radians(column["heading_deg"]),
-        # The file has the standard deviation in the worst direction only: it is taken for all.
-        "covariance": column["sigma_position"][:, None, None] ** 2 * np.eye(2),
-        "speed_sigma": column["sigma_speed"],
+        "covariance": place_covariance(place, column["z"], column["sigma_position"], observation),
+        "speed_sigma": speed_sigma(place, velocity, column["z"], column["sigma_speed"], observation),
     }
 
 
-def _vehicle(path: Path, rows: Rows) -> Trajectory:
+def _vehicle(path: Path, rows: Rows, observation: Observation) -> Trajectory:
     first = rows[0]
     if first["class"] not in CLASSES:
         raise UserError(f"{path}: line {first['line']}: class: expected one of {', '.join(CLASSES)}")
@@ -109,11 +124,11 @@ def _vehicle(path: Path, rows: Rows) -> Trajectory:
         length=float(length),
         width=float(width),
         flags=tuple(first["flags"].split()),
-        **_columns(path, rows),
+        **_columns(path, rows, observation),
     )
 
 
-def _other(path: Path, rows: Rows) -> Trajectory:
+def _other(path: Path, rows: Rows, observation: Observation) -> Trajectory:
     first = rows[0]
     if first["category"] not in CATEGORIES[1:]:
         raise UserError(f"{path}: line {first['line']}: category: expected one of {', '.join(CATEGORIES[1:])}")
@@ -123,7 +138,7 @@ def _other(path: Path, rows: Rows) -> Trajectory:
         class_name=first["category"],
         class_confidence=1.0,
         measured=_numbers(path, rows, "measured") > 0,
-        **_columns(path, rows),
+        **_columns(path, rows, observation),
     )
 
 

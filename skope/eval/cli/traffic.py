@@ -61,13 +61,15 @@ def traffic(
     if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
         names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
         inputs = [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
-        tracks, observation = read_trajectories(folder), read_observation(folder)
+        observation = read_observation(folder)
+        tracks = read_trajectories(folder, observation)
         claim_output(out, _COMMAND, [*inputs, site], options)
     else:
         from skope.eval.cli.tracked_footage import tracked_footage
 
         folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
-        tracks, observation = read_trajectories(folder), read_observation(folder)
+        observation = read_observation(folder)
+        tracks = read_trajectories(folder, observation)
     report = measure(tracks, observation, read, begins)
     for path in write_report(out, report, tracks=source, revision=read.revision):
         console.result(f"wrote {path}")
