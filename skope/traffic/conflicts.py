@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import REAR_END_DEG, angle_deg, deceleration_to_avoid, times_to_collision
 from skope.traffic.encroachment import Encroachment, by_area, by_places, near
+from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, overlap, paths
-from skope.traffic.normal_distribution import LEVEL
+from skope.traffic.normal_distribution import LEVEL, Z
 from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory, wandering
 from skope.types import Array
 
@@ -50,7 +51,7 @@ class Conflict:
     ttc_high_s: float
     """Between these it lies with 90%; infinite: perhaps there is none."""
     probability: float
-    """Probability that the time to collision is within the limit; NaN where there is none."""
+    """Probability that the time to collision is within the limit and both are road users; NaN where there is none."""
     drac_ms2: float
     """Largest deceleration rate to avoid a crash, m/s^2; NaN where there is no collision ahead."""
     pet_places_s: float
@@ -138,6 +139,8 @@ def _between(
     ways_deg = _angle_of_ways(one, other, i, j)
     if not close and ways_deg < REAR_END_DEG:
         return None  # one behind the other: that is a gap
+    if not close and not _surely(one, other, i, j, settings.pet_s):
+        return None
     angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
     area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
     low, high, probability = _spread(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
@@ -198,7 +201,8 @@ def _spread(
     horizon = 4 * max(settings.ttc_s, _HORIZON_S)
     drawn = np.sort(times_to_collision(one, other, index, horizon, (shifts[0], shifts[1]), (speeds[0], speeds[1])))
     tail = round(_SAMPLES * (1 - LEVEL) / 2)
-    return float(drawn[tail]), float(drawn[-1 - tail]), float((drawn <= settings.ttc_s).mean())
+    both = event_probability(one.trajectory) * event_probability(other.trajectory)
+    return float(drawn[tail]), float(drawn[-1 - tail]), both * float((drawn <= settings.ttc_s).mean())
 
 
 def _pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None, rows: tuple[int, int]) -> float:
@@ -224,6 +228,20 @@ def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> 
     here = int(np.linalg.norm(one.place - other.place[j], axis=1).argmin())
     there = int(np.linalg.norm(other.place - one.place[i], axis=1).argmin())
     return float(min(angle_deg(one.facing[here], other.facing[j]), angle_deg(one.facing[i], other.facing[there])))
+
+
+def _surely(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:
+    """Whether one gets where the other was also if places are off by what they may be, and they are smaller by that."""
+    shrunk = []
+    for path, row in ((one, i), (other, j)):
+        spread = path.trajectory.at(path.trajectory.covariance, float(path.times_s[row]))
+        sides = path.facing[row], np.array([-path.facing[row, 1], path.facing[row, 0]])
+        size = [
+            max(0.1, extent - 2 * Z * math.sqrt(max(0.0, float(side @ spread @ side))))
+            for extent, side in zip(path.size, sides, strict=True)
+        ]
+        shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), _STEP_S))
+    return by_places(shrunk[0], shrunk[1], most_s + 1.0) is not None
 
 
 def _row(path: FootprintPath, time_s: float) -> int:

@@ -127,7 +127,9 @@ def _in_lane(
         if not trajectory.confirmed or trajectory.category == "pedestrian":
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
-        slow = standing(trajectory.speed, settings.queue_speed_kmh / _KMH, settings.queue_end_kmh / _KMH)
+        begin, end = settings.queue_speed_kmh / _KMH, settings.queue_end_kmh / _KMH
+        # A speed that is not known so well is no sign of standing.
+        slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
         there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
         if not len(there):
             continue

@@ -11,6 +11,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import deceleration_to_avoid, times_to_collision
 from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.encroachment import by_area, by_places
+from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, corners, meeting, overlap
 from skope.traffic.joining import joined
 from skope.traffic.trajectories import Trajectory
@@ -56,7 +57,7 @@ def test_one_behind_the_other() -> None:
     assert one.ttc_low_s < one.ttc_s < one.ttc_high_s
     assert one.ttc_high_s - one.ttc_low_s == pytest.approx(2 * 1.645 * math.hypot(0.1, 0.5 * math.sqrt(2) * 0.2 / 2)
                                                            / 10, rel=0.5)  # fmt: skip
-    assert one.probability == 1.0
+    assert one.probability == pytest.approx(event_probability(slow) * event_probability(fast))
 
 
 def crossing(late_s: float) -> tuple[Trajectory, Trajectory]:
