@@ -17,6 +17,8 @@ _FINE: Final = 10
 """Between two moments it is looked at so many more."""
 _AROUND_S: Final = 10.0
 """Before and after the two are nearest, their areas are looked at for so long."""
+_BATCH: Final = 10
+"""So many steps of time between the two are looked at together."""
 _COARSE: Final = 5
 """First it is looked at every so many-th moment whether ways come near each other at all."""
 
@@ -57,19 +59,20 @@ def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroa
 def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: bool) -> Encroachment | None:
     step_s = float(first.times_s[1] - first.times_s[0])
     reach = first.radius + second.radius
-    for late in range(round(most_s / step_s) + 1):
-        begin = max(first.ticks[0], second.ticks[0] - late)
-        end = min(first.ticks[-1], second.ticks[-1] - late) + 1
-        if begin >= end:
-            continue
-        rows = np.arange(begin, end) - first.ticks[0]
-        columns = rows + first.ticks[0] + late - second.ticks[0]
-        close = np.linalg.norm(first.place[rows] - second.place[columns], axis=1) < reach
-        rows, columns = rows[close], columns[close]
-        meets = overlap(first.corners[rows], second.corners[columns])
-        if meets.any():
-            k = int(np.flatnonzero(meets)[0])
-            return _finer(first, second, first.times_s[rows[k]], second.times_s[columns[k]], step_s, swapped)
+    rows = np.arange(len(first.ticks))
+    shift = int(first.ticks[0] - second.ticks[0])
+    every = np.arange(round(most_s / step_s) + 1)
+    # Some of the times at once, the least ones first: mostly one batch is enough, or nobody is near at all.
+    for late in np.split(every, range(_BATCH, len(every), _BATCH)):
+        i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
+        there = (j >= 0) & (j < len(second.ticks))
+        i, j = i[there], j[there]
+        close = ((first.place[i] - second.place[j]) ** 2).sum(axis=1) < reach**2
+        i, j = i[close], j[close]
+        meets = np.flatnonzero(overlap(first.corners[i], second.corners[j])) if len(i) else i
+        if len(meets):
+            k = meets[(j[meets] - i[meets]).argmin()]
+            return _finer(first, second, first.times_s[i[k]], second.times_s[j[k]], step_s, swapped)
     return None
 
 

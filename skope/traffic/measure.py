@@ -63,6 +63,8 @@ class TrafficReport:
     brakings: tuple[HardBraking, ...]
     refused: tuple[str, ...]
     """What could not be measured, or should be distrusted, and why: a sentence each."""
+    metres: bool = True
+    """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
 
 
 def measure(
@@ -80,10 +82,8 @@ def measure(
     begin = local_start(site) if start is None else start
     trajectories = joined([one for one in tracks if one.confirmed])
     lanes = LaneMap(site.lanes)
-    spans = observation.spans
-    footage_s = (max(0.0, float(spans[0, 0])), float(spans[-1, 1])) if len(spans) else (0.0, 0.0)
-    intervals = clock_intervals(begin, *footage_s, settings.interval_minutes)
-    whole = ClockInterval(begin_s=footage_s[0] - 1.0, end_s=footage_s[1] + 1.0, begin=None, end=None)
+    whole = whole_footage(observation)
+    intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
     crossed = crossings(trajectories, site.gates, lanes, settings)
     moved = movements(crossed, settings)
     sections = section_passes(moved)
@@ -115,6 +115,13 @@ def measure(
     )
 
 
+def whole_footage(observation: Observation) -> ClockInterval:
+    """From the first to the last frame."""
+    spans = observation.spans
+    begin_s, end_s = (float(spans[0, 0]), float(spans[-1, 1])) if len(spans) else (0.0, 0.0)
+    return ClockInterval(begin_s=begin_s, end_s=end_s, begin=None, end=None)
+
+
 def _refused(
     site: SiteParts,
     start: datetime | None,
@@ -130,7 +137,7 @@ def _refused(
     if not site.lanes:
         yield "no queues and lane changes, headways over the whole width of a gate: the site has no lanes"
     if start is None:
-        yield "intervals count from the beginning of the footage: neither the site (start) nor --start says when it was"
+        yield "intervals count from the footage's beginning: neither start in the site nor --begins says when that was"
     if observation.common_sigma is None:
         yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
     if len(observation.spans) > 1:

@@ -33,7 +33,9 @@ class ReportTable:
 
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
-    """The tables by their names."""
+    """The tables by their names; without metres those of counts and movements alone."""
+    if not report.metres:
+        return {"events": _events(report), "counts": _counts(report), "turning": _turning(report)}
     return {
         "events": _events(report),
         "trajectories": _trajectories(report),
@@ -79,9 +81,9 @@ def _who(one: Trajectory) -> Row:
 def _events(report: TrafficReport) -> ReportTable:
     def rows() -> Iterator[tuple[float, Row]]:
         for one in report.crossings:
-            speed = one.speed * _KMH, one.speed_sigma * _KMH
-            times = one.front_s, one.rear_s, None
-            tail = (*one.place.tolist(), *speed, *times, one.probability, one.doubt)
+            place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
+            ends = (one.speed * _KMH, one.speed_sigma * _KMH, one.front_s, one.rear_s)
+            tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
             where = one.gate, one.direction_name, one.lane
             yield one.time_s, ("gate", one.sigma_s, *_who(one.trajectory), *where, *tail)
         for visit in report.visits:

@@ -22,6 +22,8 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         )
     if report.turning:
         yield from text_table(["from", "to", "count", "there were"], _movements(report), "ll")
+    if not report.metres:
+        return
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
     others = len(report.conflicts.conflicts) - len(likely)
     yield (
