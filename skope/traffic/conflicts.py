@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.site.marks import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import REAR_END_DEG, angle_deg, deceleration_to_avoid, times_to_collision
 from skope.traffic.encroachment import Encroachment, by_area, by_places, near
@@ -15,6 +16,7 @@ from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, overlap, paths
 from skope.traffic.normal_distribution import LEVEL, Z
 from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory, wandering
+from skope.traffic.zones import inside
 from skope.types import Array
 
 _STEP_S: Final = 0.1
@@ -42,6 +44,8 @@ class Conflict:
     """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
     place: Array
     """(2,) the middle between the two then, metres."""
+    zone: str
+    """Name of the zone that it lies in; empty for none."""
     kind: str
     """Rear end, lane change or crossing, by the angle between them as SSAM has it."""
     angle_deg: float
@@ -73,9 +77,15 @@ class ConflictSearch:
 
 
 def conflicts(
-    trajectories: Sequence[Trajectory], settings: TrafficSettings, rng: np.random.Generator
+    trajectories: Sequence[Trajectory],
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+    zones: Sequence[Zone] = (),
 ) -> ConflictSearch:
-    """All pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`."""
+    """All pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
+
+    `zones` give the conflicts in them a name.
+    """
     made = paths([one for one in trajectories if wandering(one)], _STEP_S)
     found, overlapping = [], 0
     for one, other in _pairs(made, settings.pet_s):
@@ -83,7 +93,7 @@ def conflicts(
             continue
         if _overlapping(one, other):
             overlapping += 1
-        elif (conflict := _between(one, other, settings, rng)) is not None:
+        elif (conflict := _between(one, other, settings, rng, zones)) is not None:
             found.append(conflict)
     found.sort(key=lambda conflict: conflict.time_s)
     return ConflictSearch(conflicts=tuple(found), overlapping=overlapping)
@@ -120,7 +130,11 @@ def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
 
 
 def _between(
-    one: FootprintPath, other: FootprintPath, settings: TrafficSettings, rng: np.random.Generator
+    one: FootprintPath,
+    other: FootprintPath,
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+    zones: Sequence[Zone],
 ) -> Conflict | None:
     rows, seconds, drac = _approaches(one, other, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
@@ -145,11 +159,13 @@ def _between(
     area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
     low, high, probability = _spread(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
     swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
+    middle = (one.place[i] + other.place[j]) / 2
     return Conflict(
         first=(other if swapped else one).trajectory,
         second=(one if swapped else other).trajectory,
         time_s=float(one.times_s[i]) if close or reached is None else reached.second_s,
-        place=(one.place[i] + other.place[j]) / 2,
+        place=middle,
+        zone=next((zone.name for zone in zones if inside(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),
         angle_deg=angle,
         ttc_s=float(seconds[least]) if close else math.nan,

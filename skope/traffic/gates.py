@@ -20,6 +20,11 @@ from skope.types import Array
 _SLOWEST: Final = 0.05
 """Speed along the normal, m/s, under which a place says nothing more of the time."""
 
+_SURE: Final = 3.0
+"""The hysteresis is so many standard deviations of a place along the normal at least: who stands jitters by that."""
+_NEAR_M: Final = 5.0
+"""So near to a gate it counts how certain places are."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GateCrossing:
@@ -92,7 +97,7 @@ def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
 def _of_one(trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: TrafficSettings) -> list[GateCrossing]:
     signed, along = signed_distances(gate, trajectory.place)
     length = math.dist(*gate.line)
-    rule = {"hysteresis": settings.hysteresis_m, "least_travel": settings.least_travel_m}
+    rule = _rule(trajectory, gate, signed, settings)
     # Half-open along the gate too: of two gates that share an end, one counts.
     return [
         _crossing(trajectory, gate, passage, lanes, rule)
@@ -101,13 +106,27 @@ def _of_one(trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: Traffi
     ]
 
 
+def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
+    """How far it has to be seen on the other side, and how far it has to move: more where places are less certain."""
+    near = trajectory.covariance[np.abs(signed) < _NEAR_M]
+    normal = _normal(gate)
+    spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
+    hysteresis = max(settings.hysteresis_m, _SURE * math.sqrt(max(0.0, spread)))
+    return {"hysteresis": hysteresis, "least_travel": max(settings.least_travel_m, hysteresis)}
+
+
+def _normal(gate: Gate) -> Array:
+    """(2,) unit vector to the left of the gate."""
+    start, end = np.array(gate.line)
+    along = (end - start) / np.linalg.norm(end - start)
+    return np.array([-along[1], along[0]])
+
+
 def _crossing(
     trajectory: Trajectory, gate: Gate, passage: Passage, lanes: LaneMap, rule: dict[str, float]
 ) -> GateCrossing:
     time_s = passage.time_s
-    start, end = np.array(gate.line)
-    along = (end - start) / np.linalg.norm(end - start)
-    normal = np.array([-along[1], along[0]])
+    normal = _normal(gate)
     velocity = trajectory.at(trajectory.velocity, time_s)
     covariance = trajectory.at(trajectory.covariance, time_s)
     sigma_m = math.sqrt(max(0.0, float(normal @ covariance @ normal)))

@@ -88,7 +88,7 @@ def measure(
     moved = movements(crossed, settings)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)
-    search = conflicts(trajectories, settings, np.random.default_rng(_SEED))
+    search = conflicts(trajectories, settings, np.random.default_rng(_SEED), site.zones)
     late = delays(sections, speeds, settings)
     return TrafficReport(
         site=site,

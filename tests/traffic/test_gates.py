@@ -84,6 +84,15 @@ def test_directions_never_swap_their_meaning(degrees: int) -> None:
         assert [one.direction_name for one in crossed(back, gates=(gate,))] == ["out"]
 
 
+def test_who_stands_far_away_jitters_more() -> None:
+    """Places that are off by 0.6 m one after the other would pass a hysteresis of half a metre many times."""
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        wander = np.convolve(rng.normal(0, 0.6 / np.sqrt(5), 400), np.ones(5), "same")
+        x = np.interp(np.arange(400), [0, 60, 340, 400], [-30, 0, 0, 30]) + wander
+        assert [one.direction_name for one in crossed(along_x(1, x, sigma=0.6))] == ["west"]
+
+
 def test_a_gate_ends_where_it_ends() -> None:
     """And of two gates with an end in common, one counts who passes there."""
     for y, expected in ((4.9, 1), (5.1, 0), (-5.1, 0)):
