@@ -22,6 +22,7 @@ from skope.site.write_site import save_site
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.place_errors import place_covariance
 from skope.traffic.read_tracks import read_trajectories
+from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import CAMERA, drive
 
 Skope = Callable[..., tuple[int, str, str]]
@@ -235,3 +236,35 @@ def test_far_places_are_less_certain_along_the_line_of_sight_alone() -> None:
     assert spread[0, 0] == pytest.approx(0.1**2 + 0.4**2)
     assert spread[1, 1] == pytest.approx((0.1 * 2 * 8 / 80) ** 2)
     assert spread[0, 1] == pytest.approx(0)
+
+
+def test_footage_is_detected_and_tracked_first_and_once(
+    skope: Skope, random_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that was stopped goes on after what it has: finished tracks are not made again."""
+    numbered_video(Path("v.mp4"), 8)
+    site = Path("site.toml")
+    site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
+    call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
+    code, _, err = skope(*call)
+    assert (code, "camera: missing" in err, Path("r").exists()) == (2, True, False)
+    camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
+    site.write_text(f"{site.read_text()}{camera}")
+    assert skope(*call)[0] == 0
+    assert {"seen", "tracks", "camera.json", "counts.csv", "summary.json"} <= {
+        path.name for path in Path("r").iterdir()
+    }
+    made = {path.name: path.read_bytes() for path in Path("r").glob("*.csv")}
+    assert json.loads(Path("r/tracks/footage.json").read_text())["times_s"] == pytest.approx(np.arange(8) / 10)
+
+    def never(*_: object) -> None:
+        raise AssertionError("detected again")
+
+    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", never)
+    Path("r/summary.json").unlink()
+    code, out, _ = skope(*call)
+    assert (code, "has the tracks of" in out) == (0, True)
+    assert {path.name: path.read_bytes() for path in Path("r").glob("*.csv")} == made
+    numbered_video(Path("v.mp4"), 9)
+    code, _, err = skope(*call)
+    assert (code, "other work" in err) == (2, True)
