@@ -140,6 +140,14 @@ def test_metrics_load_numpy_alone() -> None:
     assert {name for name in loaded if "cython" not in name} == {"numpy", "skope"}
 
 
+def test_traffic_is_measured_without_torch_and_opencv() -> None:
+    names = sorted(name for name in modules() if name.startswith("skope.traffic"))
+    assert len(names) > 25
+    code = f"import sys; import {', '.join(names)}; print(*(name for name in ('cv2', 'torch') if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
 def test_no_public_class_name_stands_for_two_things() -> None:
     places: dict[str, list[str]] = {}
     for name, path in modules().items():

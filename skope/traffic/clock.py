@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from zoneinfo import ZoneInfo
 
-from skope.site.site_file import SiteParts
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
 
 _PRECISE: Final = timedelta(seconds=1)
 """When clocks change is found to this; they do so at whole seconds."""
@@ -22,7 +23,7 @@ class ClockInterval:
     end: datetime | None
 
 
-def local_start(site: SiteParts) -> datetime | None:
+def local_start(site: "SiteParts") -> datetime | None:
     """When the footage begins, in the site's time zone; None: the site does not say."""
     if site.start is None:
         return None

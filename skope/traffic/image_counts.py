@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from skope.site.marks import Gate
-from skope.site.site_file import SiteParts
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
@@ -20,6 +19,9 @@ from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
 
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
 _HYSTERESIS: Final = 3.0
 """In standard deviations of where a box stands."""
 _WHY: Final = (
@@ -29,7 +31,7 @@ _WHY: Final = (
 
 
 def count_in_image(
-    tracks: Sequence[Trajectory], observation: Observation, site: SiteParts, start: datetime | None = None
+    tracks: Sequence[Trajectory], observation: Observation, site: "SiteParts", start: datetime | None = None
 ) -> TrafficReport:
     """Counts and movements of tracks whose places are columns and negative rows of the image, pixels.
 

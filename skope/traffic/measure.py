@@ -4,12 +4,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from skope.site.marks import Gate
-from skope.site.site_file import SiteParts
 from skope.traffic.braking import HardBraking, hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch, conflicts
@@ -25,6 +24,9 @@ from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
 from skope.traffic.zones import ZoneVisit, visits
 
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
 _SEED: Final = 0
 """The draws that tell how uncertain conflicts are begin here: the same tracks give the same report."""
 _BESIDE_M: Final = 2.0
@@ -38,7 +40,7 @@ _FEW: Final = 3
 class TrafficReport:
     """What was measured."""
 
-    site: SiteParts
+    site: "SiteParts"
     start: datetime | None
     """When the footage begins, in the site's time; None: not known."""
     observation: Observation
@@ -68,7 +70,7 @@ class TrafficReport:
 
 
 def measure(
-    tracks: Sequence[Trajectory], observation: Observation, site: SiteParts, start: datetime | None = None
+    tracks: Sequence[Trajectory], observation: Observation, site: "SiteParts", start: datetime | None = None
 ) -> TrafficReport:
     """Count and measure the traffic of a footage.
 
@@ -123,7 +125,7 @@ def whole_footage(observation: Observation) -> ClockInterval:
 
 
 def _refused(
-    site: SiteParts,
+    site: "SiteParts",
     start: datetime | None,
     observation: Observation,
     trajectories: Sequence[Trajectory],
