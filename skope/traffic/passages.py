@@ -3,16 +3,22 @@
 What is looked at is a signed distance over time: of a gate's line, or of a zone's border. A point that lies exactly on
 the line belongs to the side that it is about to reach, whichever that is (a half-open rule in time): who arrives at the
 line has crossed it, and a track that begins on it had crossed it before. The other side counts when it is reached by
-the hysteresis at two consecutive moments, so that a flicker of one frame is none.
+the hysteresis at two consecutive moments, so that a flicker of one frame is none, and not left again at once, as where
+a box jumps back and forth.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.types import Array
+
+_SHORTEST_STAY_S: Final = 0.5
+"""Who goes over and comes back within this would have to brake and reverse harder than tyres can."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +52,7 @@ def passages(signed: Array, times_s: Array, *, hysteresis: float, least_travel: 
     sign = _sides(signed)
     if (sign == sign[0]).all():
         return []
-    turns = list(_turns(signed, sign, hysteresis))
+    turns = list(_turns(signed, sign, times_s, hysteresis))
     out = []
     for k, (a, b, came_from) in enumerate(turns):
         since = turns[k - 1][1] if k else 0
@@ -82,7 +88,7 @@ def _sides(signed: Array) -> NDArray[np.int64]:
     return np.where(sign == 0, before, sign)
 
 
-def _turns(signed: Array, sign: NDArray[np.int64], hysteresis: float) -> Iterator[tuple[int, int, int]]:
+def _turns(signed: Array, sign: NDArray[np.int64], times_s: Array, hysteresis: float) -> Iterator[tuple[int, int, int]]:
     """For each passage the last moment before and the first moment after that are sure, and the sign before."""
     sure = np.where((np.abs(signed) >= hysteresis) & (signed != 0), sign, 0)
     beside = np.concatenate([[0], sure, [0]])
@@ -94,6 +100,7 @@ def _turns(signed: Array, sign: NDArray[np.int64], hysteresis: float) -> Iterato
         moments, sides = np.array([0]), sign[:1]
     elif sides[0] != sign[0]:
         moments, sides = np.concatenate([[0], moments]), np.concatenate([sign[:1], sides])
+    moments, sides = _without_jumps(moments, sides, times_s)
     for k in np.flatnonzero(np.diff(sides)):
         yield int(moments[k]), int(moments[k + 1]), int(sides[k])
     end, side = int(moments[-1]), int(sides[-1])
@@ -101,6 +108,22 @@ def _turns(signed: Array, sign: NDArray[np.int64], hysteresis: float) -> Iterato
     tail = sign[end:]
     if (tail == -side).any() and side * signed[last] < hysteresis:
         yield end, last, side
+
+
+def _without_jumps(
+    moments: NDArray[np.intp], sides: NDArray[np.int64], times_s: Array
+) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Sure moments and their sides, without those on a side that is left too soon for anything on wheels or feet."""
+    while True:
+        starts = np.flatnonzero(np.diff(sides)) + 1
+        bounds = np.array([0, *starts, len(sides)])
+        for a, b in itertools.pairwise(bounds[1:-1]):  # not the first stay, nor the last one
+            if times_s[moments[b]] - times_s[moments[a - 1]] < _SHORTEST_STAY_S:
+                keep = np.r_[0:a, b : len(sides)]
+                moments, sides = moments[keep], sides[keep]
+                break
+        else:
+            return moments, sides
 
 
 def _times_of_change(signed: Array, sign: NDArray[np.int64], times_s: Array, a: int, b: int) -> list[float]:

@@ -45,8 +45,10 @@ def directions(x: Any, **settings: Any) -> list[str]:
         ([0, 0.5, 1, 2, 3], []),  # begins on it: whoever came there has crossed it
         ([0, -0.5, -1, -2, -3], []),
         ([-3, -2.8, -2.6, 2.5, -2.4, -2.2, -2], []),  # a flicker of one frame
+        ([-3, -2, -1, 1, 2, -1, -1, -1, 3, 4, 5], ["west"]),  # jumps back for three frames
+        ([-3, -2.9, -2.8, 2, 2.1, 2.2, -2.2, -2.1, -2.0], []),  # and forth
         ([-2, -1, 0.2, -1, -2, -3], []),  # not as far as the hysteresis
-        ([-3, -1, 1, 3, 1, -1, -3], ["west", "east"]),  # turns round beyond it
+        (3 - np.abs(np.linspace(-6, 6, 40)), ["west", "east"]),  # turns round beyond it
         ([-0.3, -0.1, 0.1, 0.3], []),  # less than the least travel
         ([-2.0, -2.0], []),
         ([-2.0], []),
