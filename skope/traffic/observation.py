@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,7 +36,7 @@ class Observation:
     road_sigma_m: float = 0.0
     """By how much vehicles stand above and below the plane that the road is taken for, one standard deviation."""
 
-    @property
+    @cached_property
     def spans(self) -> Array:
         """(S, 2) begin and end of the times without a gap, seconds.
 
