@@ -249,6 +249,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
     code, _, err = skope(*call)
     assert (code, "camera: missing" in err, Path("r").exists()) == (2, True, False)
     camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
+    camera += 'covariance = { of = ["z"], matrix = [[0.0036]] }\n'  # 6 cm of 6 m: all distances are off by 1%
     site.write_text(f"{site.read_text()}{camera}")
     assert skope(*call)[0] == 0
     assert {"seen", "tracks", "camera.json", "counts.csv", "summary.json"} <= {
@@ -256,6 +257,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
     }
     made = {path.name: path.read_bytes() for path in Path("r").glob("*.csv")}
     assert json.loads(Path("r/tracks/footage.json").read_text())["times_s"] == pytest.approx(np.arange(8) / 10)
+    assert json.loads(Path("r/summary.json").read_text())["camera_common_sigma"] == pytest.approx(0.01, rel=0.1)
 
     def never(*_: object) -> None:
         raise AssertionError("detected again")

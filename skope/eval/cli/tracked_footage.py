@@ -28,10 +28,10 @@ def tracked_footage(
     options: Mapping[str, Any],
     console: Console,
 ) -> Path:
-    """Detect and track what a video or images show, in folders below `out`; a stopped run goes on.
+    """Detect and track what a video shows, in folders below `out`; a stopped run goes on.
 
     Args:
-        source: The footage.
+        source: The video.
         site: Its site, whose camera took it.
         checkpoint: What to detect with.
         hardware: How to run it.
@@ -60,6 +60,10 @@ def tracked_footage(
             "`skope eval predict` and image_gates count without"
         )
     footage = open_footage(source, Cut())
+    if footage.clip is None:
+        raise UserError(
+            f"{source}: images carry no times: begin with `skope eval predict` and `skope eval track --fps`"
+        )
     if footage.live:
         raise UserError(f"{source}: is a live stream; record it, or begin with `skope eval predict {source}`")
     named = {"source": content_of(footage), "checkpoint": str(checkpoint)}

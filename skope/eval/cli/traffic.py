@@ -27,7 +27,8 @@ def traffic(
         str,
         typer.Argument(
             metavar="TRACKS",
-            help="Folder that `skope eval track` wrote; or a video or folder of images, tracked first.",
+            help="Folder that `skope eval track` wrote; a video, which is tracked first; or, without a camera, what "
+            "`skope eval predict` wrote.",
         ),
     ],
     *,
