@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.site.marks import Zone
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.collision import REAR_END_DEG, angle_deg, deceleration_to_avoid, times_to_collision
+from skope.traffic.collision import REAR_END_DEG, Doubt, angle_deg, deceleration_to_avoid, times_to_collision
 from skope.traffic.encroachment import Encroachment, by_area, by_places, near
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, overlap, paths
@@ -58,6 +58,9 @@ class Conflict:
     """Probability that the time to collision is within the limit and both are road users; NaN where there is none."""
     drac_ms2: float
     """Largest deceleration rate to avoid a crash, m/s^2; NaN where there is no collision ahead."""
+    drac_low_ms2: float
+    drac_high_ms2: float
+    """Between these it lies with 90%."""
     pet_places_s: float
     """Post-encroachment time by SSAM's definition, seconds; NaN where there is none up to the limit."""
     pet_area_s: float
@@ -157,7 +160,8 @@ def _between(
         return None
     angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
     area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
-    low, high, probability = _spread(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
+    low, high, probability = _ttc_doubt(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
+    hardest, drac_low, drac_high = _hardest(one, other, rows, drac, settings, rng)
     swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
     middle = (one.place[i] + other.place[j]) / 2
     return Conflict(
@@ -172,7 +176,9 @@ def _between(
         ttc_low_s=low,
         ttc_high_s=high,
         probability=probability,
-        drac_ms2=float(drac.max()) if len(drac) and drac.max() > 0 else math.nan,
+        drac_ms2=hardest,
+        drac_low_ms2=drac_low,
+        drac_high_ms2=drac_high,
         pet_places_s=reached.seconds if reached is not None else math.nan,
         pet_area_s=area.seconds if area is not None and area.seconds <= settings.pet_s else math.nan,
         pet_sigma_s=_pet_sigma(one, other, reached, (i, j)),
@@ -198,27 +204,57 @@ def _approaches(
     return rows, np.concatenate([none, *seconds]), np.concatenate([none, *needed])
 
 
-def _spread(
+def _ttc_doubt(
+    one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Between what the time to collision lies with 90%, and the probability that it is within the limit, of two."""
+    index, doubt = _drawn(one, other, row, rng)
+    drawn = times_to_collision(one, other, index, _farthest_s(settings), doubt)
+    both = event_probability(one.trajectory) * event_probability(other.trajectory)
+    return *_middle(drawn), both * float((drawn <= settings.ttc_s).mean())
+
+
+def _hardest(
     one: FootprintPath,
     other: FootprintPath,
-    rows: tuple[int, int],
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    drac: Array,
     settings: TrafficSettings,
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
-    """Between what the time to collision lies with 90%, and the probability that it is within the limit."""
+    """The largest deceleration of the moments `rows`, and between what it lies with 90%; NaN where there is none."""
+    if not len(drac) or drac.max() <= 0:
+        return (math.nan,) * 3
+    k = int(drac.argmax())
+    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng)
+    ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
+    return float(drac[k]), *_middle(deceleration_to_avoid(one, other, index, ahead, doubt))
+
+
+def _farthest_s(settings: TrafficSettings) -> float:
+    """How far ahead drawn collisions are looked for, seconds: much farther than the one that was found."""
+    return 4 * max(settings.ttc_s, _HORIZON_S)
+
+
+def _drawn(
+    one: FootprintPath, other: FootprintPath, rows: tuple[int, int], rng: np.random.Generator
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Doubt]:
+    """A moment `_SAMPLES` times, with places and speeds drawn as uncertain as they are."""
     shifts, speeds = [], []
     for path, row in zip((one, other), rows, strict=True):
-        time_s = float(path.times_s[row])
-        trajectory = path.trajectory
+        time_s, trajectory = float(path.times_s[row]), path.trajectory
         shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.covariance, time_s), _SAMPLES))
         sigma = float(trajectory.at(trajectory.speed_sigma, time_s))
         speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, _SAMPLES)))
     index = np.full(_SAMPLES, rows[0]), np.full(_SAMPLES, rows[1])
-    horizon = 4 * max(settings.ttc_s, _HORIZON_S)
-    drawn = np.sort(times_to_collision(one, other, index, horizon, (shifts[0], shifts[1]), (speeds[0], speeds[1])))
-    tail = round(_SAMPLES * (1 - LEVEL) / 2)
-    both = event_probability(one.trajectory) * event_probability(other.trajectory)
-    return float(drawn[tail]), float(drawn[-1 - tail]), both * float((drawn <= settings.ttc_s).mean())
+    return index, Doubt((shifts[0], shifts[1]), (speeds[0], speeds[1]))
+
+
+def _middle(drawn: Array) -> tuple[float, float]:
+    """Between what values lie with `LEVEL`; infinite ones are the largest."""
+    tail = round(len(drawn) * (1 - LEVEL) / 2)
+    ordered = np.sort(drawn)
+    return float(ordered[tail]), float(ordered[-1 - tail])
 
 
 def _pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None, rows: tuple[int, int]) -> float:

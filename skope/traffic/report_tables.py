@@ -256,12 +256,13 @@ def _delays(report: TrafficReport) -> ReportTable:
 def _conflicts(report: TrafficReport) -> ReportTable:
     return _table(
         "time_s time x y zone kind angle_deg first first_class second second_class ttc_s ttc_low_s ttc_high_s "
-        "ttc_probability drac_ms2 pet_ssam_s pet_area_s pet_sigma_s",
+        "ttc_probability drac_ms2 drac_low_ms2 drac_high_ms2 pet_ssam_s pet_area_s pet_sigma_s",
         (
             (
                 *(one.time_s, clock(report, one.time_s), *one.place.tolist(), one.zone, one.kind, one.angle_deg),
                 *(one.first.number, one.first.class_name, one.second.number, one.second.class_name),
-                *(one.ttc_s, one.ttc_low_s, one.ttc_high_s, one.probability, one.drac_ms2),
+                *(one.ttc_s, one.ttc_low_s, one.ttc_high_s, one.probability),
+                *(one.drac_ms2, one.drac_low_ms2, one.drac_high_ms2),
                 *(one.pet_places_s, one.pet_area_s, one.pet_sigma_s),
             )
             for one in report.conflicts.conflicts

@@ -26,9 +26,10 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         return
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
     others = len(report.conflicts.conflicts) - len(likely)
+    told = count_interval([one.probability for one in likely], (0.0, 1.0))
     yield (
-        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision, {others} more by "
-        f"encroachment; {len(report.brakings)} vehicles braked hard"
+        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision (of these {told.low} to "
+        f"{told.high} are some), {others} more by encroachment; {len(report.brakings)} vehicles braked hard"
     )
 
 

@@ -52,6 +52,7 @@ def test_one_behind_the_other() -> None:
     assert (one.first.number, one.second.number, one.kind) == (1, 2, "rear end")
     assert one.ttc_s == pytest.approx((20 - 15) / 10)
     assert one.drac_ms2 == pytest.approx(100 / (2 * 5), rel=0.02)
+    assert one.drac_low_ms2 < one.drac_ms2 < one.drac_high_ms2 < 1.2 * one.drac_ms2
     assert math.isnan(one.pet_area_s), "on one way there is no area that both cross"
     # The gap is known to 0.05 m on either side, the speeds to 0.1 m/s: the time to sigma of about 0.01 s.
     assert one.ttc_low_s < one.ttc_s < one.ttc_high_s
