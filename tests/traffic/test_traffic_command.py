@@ -270,3 +270,26 @@ def test_footage_is_detected_and_tracked_first_and_once(
     numbered_video(Path("v.mp4"), 9)
     code, _, err = skope(*call)
     assert (code, "other work" in err) == (2, True)
+
+
+def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:
+    """They have no heading while they may stand, and no length."""
+    names = "track,category,frame,time_s,seen,x,y,z,heading_deg,speed,vx,vy,measured,sigma_position,sigma_speed"
+    site = Path("site.toml")
+    x, y, _ = (CAMERA.position + 8).tolist()
+    line = [[x, y - 4], [x, y + 4]]
+    site.write_text(f'[[gates]]\nname = "kerb"\nline = {line}\ndirections = ["over", "back"]\n')
+    rows = [
+        f"7,pedestrian,{k},{k / 5},1,{x - 2 + 0.25 * k},{y},0,{'' if k < 3 else 0},1.25,1.25,0,1,0.1,0.05"
+        for k in range(20)
+    ]
+    Path("t/road_users.csv").write_text("\n".join([names, *rows]) + "\n")
+    report = door.measure_traffic("t", site)
+    (one,) = report.crossings
+    assert (one.trajectory.class_name, one.direction_name, one.trajectory.number) == ("pedestrian", "over", 7)
+    assert one.time_s == pytest.approx(1.6)
+    assert {row.class_name: row.count for row in report.counts if row.count} == {"all": 1, "pedestrian": 1}
+    assert not report.headways
+    Path("t/road_users.csv").write_text("\n".join([names, rows[0].replace("pedestrian", "horse")]))
+    with pytest.raises(UserError, match=r"road_users\.csv: line 2: category: expected one of bicycle"):
+        door.measure_traffic("t", site)
