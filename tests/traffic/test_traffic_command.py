@@ -19,11 +19,13 @@ from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
 from skope.site.write_site import save_site
+from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.place_errors import place_covariance
 from skope.traffic.read_tracks import read_trajectories
 from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import CAMERA, drive
+from tests.traffic.drives import straight
 
 Skope = Callable[..., tuple[int, str, str]]
 HEAD = 'time_zone = "Europe/Berlin"\nstart = 2026-11-26T10:14:58\n'
@@ -293,3 +295,17 @@ def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> Non
     Path("t/road_users.csv").write_text("\n".join([names, rows[0].replace("pedestrian", "horse")]))
     with pytest.raises(UserError, match=r"road_users\.csv: line 2: category: expected one of bicycle"):
         door.measure_traffic("t", site)
+
+
+def test_a_gate_near_the_edge_of_what_is_seen_is_warned_of(tmp_path: Path) -> None:
+    """Tracks that begin 1 m before it may well have begun after it."""
+    site = parse_site(tmp_path / "s.toml", b'[[gates]]\nname = "edge"\nline = [[0, -5], [0, 5]]\n')
+    watch = Observation(times_s=np.arange(600) / 10, common_sigma=0.0)
+    near = [straight(k, (-1.0, 0), (9, 0), 3, begin_s=5.0 + 5 * k) for k in range(6)]
+    far = [straight(k, (-20.0, 0), (9, 0), 5, begin_s=5.0 + 5 * k) for k in range(6)]
+    warned = [line for line in measure(near, watch, site).refused if "'edge'" in line]
+    assert warned == [
+        "gate 'edge': 6 tracks begin or end within 2 m of it (6 crossings): many may be missed; move it to where "
+        "vehicles are seen on both sides"
+    ]
+    assert not [line for line in measure(far, watch, site).refused if "'edge'" in line]
