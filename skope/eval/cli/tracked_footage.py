@@ -66,14 +66,16 @@ def tracked_footage(
         )
     if footage.live:
         raise UserError(f"{source}: is a live stream; record it, or begin with `skope eval predict {source}`")
-    named = {"source": content_of(footage), "checkpoint": str(checkpoint)}
+    known = site.camera.known
+    besides = {"covariance": known.covariance_dict()} if known else {}
+    # The site file may name the camera's: what that holds is part of what the work is.
+    camera = {**site.camera.camera.to_dict(), **besides}
+    named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
     tracks = out / _TRACKS
     if (tracks / FOOTAGE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
-    known = site.camera.known
-    besides = {"covariance": known.covariance_dict()} if known else {}
     for line in write_camera(out / _CAMERA, site.camera.camera, besides):
         console.say(line)
     job = PredictJob(
