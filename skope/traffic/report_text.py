@@ -27,9 +27,10 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
     others = len(report.conflicts.conflicts) - len(likely)
     told = count_interval([one.probability for one in likely], (0.0, 1.0))
+    sure = f" ({told.low} to {told.high} of them real)" if likely else ""
     yield (
-        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision (of these {told.low} to "
-        f"{told.high} are some), {others} more by encroachment; {len(report.brakings)} vehicles braked hard"
+        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision{sure}, {others} more by "
+        f"encroachment; {len(report.brakings)} vehicles braked hard"
     )
 
 
