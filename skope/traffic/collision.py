@@ -19,6 +19,10 @@ REAR_END_DEG: Final = 30.0
 """Two that head in directions which differ by less drive one behind the other (SSAM)."""
 _LEG_S: Final = 0.2
 """Ways are taken to be straight for so long."""
+_PASSED_S: Final = 6.0
+"""By then whoever is first has left the place where ways cross."""
+_PART: Final = 50
+"""Moments that are looked at together, which bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,13 @@ class Doubt:
     """(K, 2) what to add to the places of each, metres."""
     speeds: tuple[Array, Array]
     """(K,) of each, m/s."""
+
+    def only(self, some: NDArray[np.intp]) -> "Doubt":
+        """Some of the moments, by their indices."""
+        return Doubt(
+            (self.shifts[0][some], self.shifts[1][some]),
+            (self.speeds[0][some], self.speeds[1][some]),
+        )
 
 
 def times_to_collision(
@@ -47,19 +58,30 @@ def times_to_collision(
         horizon_s: No collision later than this is looked for.
         doubt: Where they are and how fast instead of what was measured; None: as measured.
     """
-    legs = np.arange(int(np.ceil(horizon_s / _LEG_S)) + 1) * _LEG_S
+    legs, ways = _ways((one, other), rows, horizon_s, doubt)
+    begin, end = meeting(*ways[0], *ways[1])
+    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    seconds = np.where(met, legs + np.maximum(begin, 0), np.inf).min(axis=1)
+    return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
+
+
+def _ways(
+    paths: tuple[FootprintPath, FootprintPath],
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    horizon_s: float,
+    doubt: Doubt | None,
+) -> tuple[Array, list[tuple[Array, Array]]]:
+    """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2) and velocities (K, L, 2) of each."""
+    legs = np.asarray(np.arange(int(np.ceil(horizon_s / _LEG_S)) + 1) * _LEG_S, dtype=np.float64)
     ways = []
-    for k, path in enumerate((one, other)):
+    for k, path in enumerate(paths):
         speed = path.speed[rows[k]] if doubt is None else doubt.speeds[k]
         index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(legs)))
         place, facing = path.ahead(index, speed[:, None] * legs)
         place = place if doubt is None else place + doubt.shifts[k][:, None]
         boxes = corners(place[:, :-1], facing[:, :-1], path.size)
         ways.append((boxes, np.diff(place, axis=1) / _LEG_S))
-    begin, end = meeting(*ways[0], *ways[1])
-    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
-    seconds = np.where(met, legs[:-1] + np.maximum(begin, 0), np.inf).min(axis=1)
-    return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
+    return legs[:-1], ways
 
 
 def angle_deg(one: Array, other: Array) -> Array:
@@ -78,35 +100,31 @@ def deceleration_to_avoid(
 
     `rows` and `doubt` are those of `times_to_collision`.
     """
-    paths = one, other
     speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
-    shifts = doubt.shifts if doubt else (np.zeros((len(rows[0]), 2)), np.zeros((len(rows[1]), 2)))
-    now = [
-        _Now(path.place[row] + shift, path.facing[row], speed, path.size)
-        for path, row, shift, speed in zip(paths, rows, shifts, speeds, strict=True)
-    ]
-    along = angle_deg(now[0].facing, now[1].facing) < REAR_END_DEG
-    behind = np.abs(speeds[0] - speeds[1]) / (2 * np.maximum(seconds, 0.05))
-    return np.asarray(np.where(np.isfinite(seconds), np.where(along, behind, _across(*now)), 0.0))
+    ahead = np.isfinite(seconds)
+    along = angle_deg(one.facing[rows[0]], other.facing[rows[1]]) < REAR_END_DEG
+    out = np.where(ahead & along, np.abs(speeds[0] - speeds[1]) / (2 * np.maximum(seconds, 0.05)), 0.0)
+    crossing = np.flatnonzero(ahead & ~along)
+    for part in np.split(crossing, range(_PART, len(crossing), _PART)):
+        chosen = None if doubt is None else doubt.only(part)
+        out[part] = _across(one, other, (rows[0][part], rows[1][part]), (speeds[0][part], speeds[1][part]), chosen)
+    return np.asarray(out)
 
 
-@dataclass(frozen=True, eq=False)
-class _Now:
-    """A road user at K moments: places and unit vectors (K, 2) where it faces, speeds (K,), length and width."""
-
-    place: Array
-    facing: Array
-    speed: Array
-    size: tuple[float, float]
-
-
-def _across(one: _Now, other: _Now) -> Array:
-    """(K,) the same where ways cross, both straight on from now."""
-    reach = _strip_times(one, other), _strip_times(other, one)
-    out = np.zeros(len(one.speed))
-    for second, first, speed in ((0, 1, one.speed), (1, 0, other.speed)):
-        enter, gone = reach[second][0], reach[first][1]
-        later = (enter >= reach[first][0]) & (enter < gone) & np.isfinite(gone) & (enter > 0)
+def _across(
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    speeds: tuple[Array, Array],
+    doubt: Doubt | None,
+) -> Array:
+    """(K,) m/s^2 by which the one that gets later to where both drive lets the other one leave before."""
+    legs, ways = _ways((one, other), rows, _PASSED_S, doubt)
+    stays = _stay(legs, ways[0], ways[1][0]), _stay(legs, ways[1], ways[0][0])
+    out = np.zeros(len(rows[0]))
+    for second, first in ((0, 1), (1, 0)):
+        speed, enter, gone = speeds[second], stays[second][0], stays[first][1]
+        later = (enter >= stays[first][0]) & (enter < gone) & np.isfinite(gone) & (enter > 0)
         away = speed * np.where(later, enter, 0.0)
         safe = np.where(later, gone, 1.0)
         passing = 2 * (speed - away / safe) / safe
@@ -117,16 +135,14 @@ def _across(one: _Now, other: _Now) -> Array:
     return out
 
 
-def _strip_times(one: _Now, other: _Now) -> tuple[Array, Array]:
-    """(K,) seconds until `one` enters the strip of road that `other` drives along, and until it has left it."""
-    across = np.roll(other.facing, 1, axis=1) * [-1, 1]
-    shape = corners(one.place, one.facing, one.size) - other.place[:, None]
-    offsets = np.einsum("kci,ki->kc", shape, across)
-    rate = one.speed * np.einsum("ki,ki->k", one.facing, across)
-    half = other.size[1] / 2
-    still = np.abs(rate) < 1e-6
-    safe = np.where(still, 1.0, rate)
-    low, high = offsets.min(axis=1), offsets.max(axis=1)
-    enter = np.where(rate > 0, -half - high, half - low) / safe
-    leave = np.where(rate > 0, half - low, -half - high) / safe
-    return np.where(still, np.inf, enter), np.where(still, np.inf, leave)
+def _stay(legs: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
+    """(K,) seconds until somebody on a way first touches places (K, L, 4, 2), and until it last does; else infinite."""
+    shape = (*way[0].shape[:2], places.shape[1])
+    moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
+    velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))
+    begin, end = meeting(moving, velocity, np.broadcast_to(places[:, None], (*shape, 4, 2)), np.zeros((*shape, 2)))
+    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    since = legs[:, None]
+    enter = np.where(met, since + np.maximum(begin, 0), np.inf).min(axis=(1, 2))
+    leave = np.where(met, since + np.minimum(end, _LEG_S), -np.inf).max(axis=(1, 2))
+    return enter, np.where(np.isfinite(enter), leave, np.inf)
