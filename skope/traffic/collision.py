@@ -71,7 +71,7 @@ def _ways(
     horizon_s: float,
     doubt: Doubt | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
-    """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2) and velocities (K, L, 2) of each."""
+    """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2), velocities (K, L, 2)."""
     legs = np.asarray(np.arange(int(np.ceil(horizon_s / _LEG_S)) + 1) * _LEG_S, dtype=np.float64)
     ways = []
     for k, path in enumerate(paths):
