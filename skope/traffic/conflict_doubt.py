@@ -22,6 +22,8 @@ HORIZON_S: Final = 3.0
 """Decelerations count collisions that are ahead so far, seconds, or as far as a conflict's."""
 _SAMPLES: Final = 200
 """So many draws of places and speeds tell how uncertain a time to collision is."""
+_FEWER: Final = 60
+"""And so many a deceleration, which takes longer."""
 
 
 def ttc_doubt(
@@ -46,7 +48,7 @@ def hardest_needed(
     if not len(drac) or drac.max() <= 0:
         return (math.nan,) * 3
     k = int(drac.argmax())
-    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng)
+    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, _FEWER)
     ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
     return float(drac[k]), *_middle(deceleration_to_avoid(one, other, index, ahead, doubt))
 
@@ -89,16 +91,16 @@ def _farthest_s(settings: TrafficSettings) -> float:
 
 
 def _drawn(
-    one: FootprintPath, other: FootprintPath, rows: tuple[int, int], rng: np.random.Generator
+    one: FootprintPath, other: FootprintPath, rows: tuple[int, int], rng: np.random.Generator, count: int = _SAMPLES
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Doubt]:
-    """A moment `_SAMPLES` times, with places and speeds drawn as uncertain as they are."""
+    """A moment `count` times, with places and speeds drawn as uncertain as they are."""
     shifts, speeds = [], []
     for path, row in zip((one, other), rows, strict=True):
         time_s, trajectory = float(path.times_s[row]), path.trajectory
-        shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.covariance, time_s), _SAMPLES))
+        shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.covariance, time_s), count))
         sigma = float(trajectory.at(trajectory.speed_sigma, time_s))
-        speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, _SAMPLES)))
-    index = np.full(_SAMPLES, rows[0]), np.full(_SAMPLES, rows[1])
+        speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, count)))
+    index = np.full(count, rows[0]), np.full(count, rows[1])
     return index, Doubt((shifts[0], shifts[1]), (speeds[0], speeds[1]))
 
 
