@@ -40,11 +40,15 @@ def hardest_needed(
     one: FootprintPath,
     other: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
-    drac: Array,
+    seconds: Array,
     settings: TrafficSettings,
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
-    """The largest deceleration of the moments `rows`, and between what it lies with 90%; NaN where there is none."""
+    """The largest deceleration that avoids a collision, and between what it lies with 90%; NaN where there is none.
+
+    `seconds` (K,) are the times to it at the moments `rows`.
+    """
+    drac = deceleration_to_avoid(one, other, rows, seconds)
     if not len(drac) or drac.max() <= 0:
         return (math.nan,) * 3
     k = int(drac.argmax())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.site.marks import Zone
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.collision import REAR_END_DEG, angle_deg, deceleration_to_avoid, times_to_collision
+from skope.traffic.collision import REAR_END_DEG, angle_deg, times_to_collision
 from skope.traffic.conflict_doubt import (
     HORIZON_S,
     STEP_S,
@@ -140,7 +140,7 @@ def _between(
     rng: np.random.Generator,
     zones: Sequence[Zone],
 ) -> Conflict | None:
-    rows, seconds, drac = _approaches(one, other, settings)
+    rows, seconds = _approaches(one, other, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
     close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
     reached = by_places(one, other, settings.pet_s)
@@ -162,7 +162,7 @@ def _between(
     angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
     area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
     low, high, probability = ttc_doubt(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
-    hardest, drac_low, drac_high = hardest_needed(one, other, rows, drac, settings, rng)
+    hardest, drac_low, drac_high = hardest_needed(one, other, rows, seconds, settings, rng)
     swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
     middle = (one.place[i] + other.place[j]) / 2
     return Conflict(
@@ -188,8 +188,8 @@ def _between(
 
 def _approaches(
     one: FootprintPath, other: FootprintPath, settings: TrafficSettings
-) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array, Array]:
-    """The rows of moments at which the two are near, the times to their collision, and what avoids it, m/s^2."""
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
+    """The rows of moments at which the two are near, and the times to their collision."""
     a, b = _common(one, other)
     horizon = max(settings.ttc_s, HORIZON_S)
     speeds = one.speed[a] + other.speed[b]
@@ -200,9 +200,7 @@ def _approaches(
     rows = a[close], b[close]
     parts = [(rows[0][k : k + _ROWS], rows[1][k : k + _ROWS]) for k in range(0, len(rows[0]), _ROWS)]
     seconds = [times_to_collision(one, other, part, horizon) for part in parts]
-    needed = [deceleration_to_avoid(one, other, *pair) for pair in zip(parts, seconds, strict=True)]
-    none = np.zeros(0)
-    return rows, np.concatenate([none, *seconds]), np.concatenate([none, *needed])
+    return rows, np.concatenate([np.zeros(0), *seconds])
 
 
 def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> float:
