@@ -57,7 +57,9 @@ def _cell(value: Any) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.{_DIGITS}f}"
-    return value.isoformat() if isinstance(value, datetime) else str(value)
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="milliseconds" if value.microsecond else "seconds")
+    return str(value)
 
 
 def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict[str, Any]:
