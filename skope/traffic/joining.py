@@ -122,10 +122,17 @@ def _together(before: Trajectory, after: Trajectory, probability: float) -> Traj
         **whole,
         number=before.number,
         class_confidence=_confidence(longer, shorter),
-        flags=tuple(name for name in dict.fromkeys((*before.flags, *after.flags)) if name != "never_moved"),
+        flags=_flags(before, after),
         joined=(*before.joined, after.number, *after.joined),
         joined_probability=before.joined_probability * after.joined_probability * probability,
     )
+
+
+def _flags(before: Trajectory, after: Trajectory) -> tuple[str, ...]:
+    """What either should be distrusted for; who moved in one of the two has moved."""
+    moved = "never_moved" not in before.flags or "never_moved" not in after.flags
+    names = dict.fromkeys((*before.flags, *after.flags))
+    return tuple(name for name in names if not (moved and name == "never_moved"))
 
 
 def _confidence(longer: Trajectory, shorter: Trajectory) -> float:
