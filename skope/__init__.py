@@ -10,9 +10,11 @@ from skope.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from skope.api import Detector as Detector
+    from skope.api import count as count
     from skope.api import generate as generate
     from skope.api import load_detector as load_detector
     from skope.api import locate as locate
+    from skope.api import measure_traffic as measure_traffic
     from skope.api import open_dataset as open_dataset
     from skope.api import read_camera as read_camera
     from skope.api import score as score
@@ -27,9 +29,11 @@ _PLACES = {
     **dict.fromkeys(
         (
             "Detector",
+            "count",
             "generate",
             "load_detector",
             "locate",
+            "measure_traffic",
             "open_dataset",
             "read_camera",
             "score",

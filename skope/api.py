@@ -1,4 +1,4 @@
-"""The functions of `import skope`: datasets, the detector, positions, tracks, scores and generated images.
+"""The functions of `import skope`: datasets, the detector, positions, tracks, traffic, scores and generated images.
 
 Each loads what it needs when it is called, so that reading a dataset does not wait for torch. What is wrong with a
 user's files raises a `skope.UserError` of one line that names file and field.
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.records import Located
     from skope.eval.tracking.tracks import Track
+    from skope.site.site_file import SiteFile
+    from skope.traffic.counts import Count
+    from skope.traffic.measure import TrafficReport
     from skope.train.data import DetectionDataset
 
 Pixels = NDArray[np.uint8]
@@ -212,6 +215,67 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "list[Track]
     if (np.diff(times_s) <= 0).any():
         raise ValueError("times_s: expected times that rise from frame to frame")
     return follow((detections_of(one) for one in frames), times_s)
+
+
+def measure_traffic(
+    tracks: "str | Path | Sequence[Track]",
+    site: "str | Path | SiteFile",
+    *,
+    times_s: Sequence[float] | None = None,
+) -> "TrafficReport":
+    """Count and measure traffic: what `skope eval traffic` writes, in memory.
+
+    Args:
+        tracks: The folder that `skope eval track` wrote, or what `track` gave.
+        site: A site file with gates, zones, lanes and settings, or what `skope.site.site_file.read_site` has read.
+        times_s: Of tracks in memory the times of all frames, seconds, also of those without any track; by default
+            those of the tracks. Between them it is known when nothing was observed.
+
+    Returns:
+        The report: its `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and
+        `conflicts`, each with how uncertain it is, and in `refused` what could not be measured, and why.
+
+    Raises:
+        UserError: A file is missing or wrong.
+    """
+    from skope.site.site_file import SiteFile, read_site
+    from skope.traffic.measure import measure
+    from skope.traffic.observation import Observation, read_observation
+    from skope.traffic.read_tracks import read_trajectories
+
+    read = site if isinstance(site, SiteFile) else read_site(Path(site))
+    if isinstance(tracks, str | Path):
+        observation = read_observation(Path(tracks))
+        return measure(read_trajectories(Path(tracks), observation), observation, read)
+
+    from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
+
+    times = [one.times_s for one in tracks] or [np.zeros(0)]
+    seen = np.unique(np.concatenate(times)) if times_s is None else np.asarray(times_s, dtype=np.float64)
+    return measure(trajectories_of_tracks(tracks), Observation(times_s=seen), read)
+
+
+def count(
+    tracks: "str | Path | Sequence[Track]",
+    site: "str | Path | SiteFile",
+    *,
+    times_s: Sequence[float] | None = None,
+) -> "list[Count]":
+    """How many crossed each gate, by direction, lane, class and interval on the clock.
+
+    Args:
+        tracks: As `measure_traffic` takes them.
+        site: Likewise.
+        times_s: Likewise.
+
+    Returns:
+        A count for each, with `count`, None where nothing was observed, and `expected`: between `expected.low` and
+        `expected.high` is how many there were, with 90%.
+
+    Raises:
+        UserError: A file is missing or wrong.
+    """
+    return list(measure_traffic(tracks, site, times_s=times_s).counts)
 
 
 def score(

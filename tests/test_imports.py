@@ -83,7 +83,7 @@ SHARED = (
     {"camera", "terminal"},
     {"schema", "site"},
     {"dataset", "detections", "pictures"},
-    {"detector", "metrics", "page"},
+    {"detector", "metrics", "page", "traffic"},
     {"viewer"},
     {"gen", "train", "eval"},
     {"api", "cli"},
@@ -138,6 +138,14 @@ def test_metrics_load_numpy_alone() -> None:
     loaded = {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names
     assert {"numpy", "skope"} <= loaded
     assert {name for name in loaded if "cython" not in name} == {"numpy", "skope"}
+
+
+def test_traffic_is_measured_without_torch_and_opencv() -> None:
+    names = sorted(name for name in modules() if name.startswith("skope.traffic"))
+    assert len(names) > 25
+    code = f"import sys; import {', '.join(names)}; print(*(name for name in ('cv2', 'torch') if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
 
 
 def test_no_public_class_name_stands_for_two_things() -> None:

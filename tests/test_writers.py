@@ -202,6 +202,11 @@ WRITERS = {
         other="eval track --annotations IN/lane.json --out OUT",
         lost=without("tracks.csv"),
     ),
+    "eval traffic": Row(
+        own="eval traffic IN/road_tracks --site IN/gates.toml --out OUT",
+        other="eval traffic IN/road_tracks --site IN/gates.toml --begins 2026-11-26T10:00:00Z --out OUT",
+        lost=without("summary.json"),
+    ),
     "eval camera": Row(
         own="eval camera --points IN/points.csv --size 640x480 --out OUT.json",
         other="eval camera --points IN/others.csv --size 640x480 --out OUT.json",
@@ -313,6 +318,9 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     coco.write(root / "road.json", drive(1, 5))
     coco.write(root / "lane.json", drive(2, 5))
+    track = f"eval track --annotations {root}/road.json --out {root}/road_tracks -q"
+    CliRunner().invoke(cli.app, track.split(), catch_exceptions=False)
+    (root / "gates.toml").write_text('[[gates]]\nname = "a"\nline = [[-100, 0], [100, 0]]\n')
     for seed in range(2):
         picture(root / f"frames/{seed}.png", seed)
         picture(root / f"others/{seed}.png", seed + 2)

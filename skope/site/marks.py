@@ -18,7 +18,7 @@ class Gate:
 
     name: str
     line: Outline
-    """Its two ends, world x and y, metres."""
+    """Its two ends, world x and y, metres; of a gate in the image columns and rows, pixels."""
     directions: tuple[str, str] | None = None
     """What crossings from left to right, and from right to left, of the line as drawn are called; None: not named."""
 
@@ -62,15 +62,27 @@ def read_gate(row: TomlTable) -> Gate:
         raise row.wrong("line", f"expected two ends [x, y], got {len(line)}")
     if line[0] == line[1]:
         raise row.wrong("line", "its ends are one place")
-    directions = None
-    if "directions" in row:
-        names = row.value("directions")
-        if not isinstance(names, list) or len(names) != 2 or not all(isinstance(name, str) for name in names):
-            raise row.wrong("directions", 'expected two names, like ["to the station", "to the bridge"]')
-        directions = (checked_name(row, "directions", names[0]), checked_name(row, "directions", names[1]))
-        if names[0] == names[1]:
-            raise row.wrong("directions", f"both are called {names[0]!r}")
-    return Gate(name=read_name(row), line=line, directions=directions)
+    return Gate(name=read_name(row), line=line, directions=_directions(row))
+
+
+def read_image_gate(row: TomlTable) -> Gate:
+    """A gate whose ends are `pixels` of the footage."""
+    line = read_line(row, "pixels")
+    if len(line) != 2 or line[0] == line[1]:
+        raise row.wrong("pixels", "expected two different ends [column, row]")
+    return Gate(name=read_name(row), line=line, directions=_directions(row))
+
+
+def _directions(row: TomlTable) -> tuple[str, str] | None:
+    """What the two directions of a gate are called; None where the row does not say it."""
+    if "directions" not in row:
+        return None
+    names = row.value("directions")
+    if not isinstance(names, list) or len(names) != 2 or not all(isinstance(name, str) for name in names):
+        raise row.wrong("directions", 'expected two names, like ["to the station", "to the bridge"]')
+    if names[0] == names[1]:
+        raise row.wrong("directions", f"both are called {names[0]!r}")
+    return checked_name(row, "directions", names[0]), checked_name(row, "directions", names[1])
 
 
 def read_zone(row: TomlTable) -> Zone:

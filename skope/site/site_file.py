@@ -15,10 +15,21 @@ from zoneinfo import ZoneInfo
 from skope.errors import UserError
 from skope.files.reading import decoded, read_bytes
 from skope.site.calibration_marks import CalibrationMarks, read_marks
-from skope.site.marks import Gate, Lane, OccluderMark, Zone, read_gate, read_lane, read_occluder, read_zone
+from skope.site.marks import (
+    Gate,
+    Lane,
+    OccluderMark,
+    Zone,
+    read_gate,
+    read_image_gate,
+    read_lane,
+    read_occluder,
+    read_zone,
+)
 from skope.site.plan_picture import PlanPicture, read_plan
 from skope.site.site_camera import OwnCamera, read_camera
 from skope.site.toml_table import TomlTable
+from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
 
 _Part = TypeVar("_Part")
@@ -36,6 +47,8 @@ class SiteParts:
     calibration: CalibrationMarks | None
     """What was marked to calibrate the camera; None: nothing."""
     gates: tuple[Gate, ...]
+    image_gates: tuple[Gate, ...]
+    """Gates in pixels of the footage, to count by where nothing gives metres."""
     zones: tuple[Zone, ...]
     lanes: tuple[Lane, ...]
     time_zone: str | None
@@ -46,6 +59,8 @@ class SiteParts:
     """Where the world's (0, 0) is on a map, as `read_world` has it; None: not said."""
     plan: PlanPicture | None
     """A picture of the road from above; None: there is none."""
+    traffic: TrafficSettings
+    """By what rules traffic is counted and measured."""
     unknown: tuple[str, ...]
     """Keys in these parts that mean nothing here."""
 
@@ -100,15 +115,21 @@ def read_parts(table: TomlTable) -> SiteParts:
     """The parts of a site file that everything shares. Raises UserError naming file and key."""
     unknown: list[str] = []
     zone = _time_zone(table)
+    gates = _named(table, "gates", read_gate, unknown)
+    image_gates = _named(table, "image_gates", read_image_gate, unknown)
     return SiteParts(
         calibration=read_marks(table.table("calibration"), unknown) if "calibration" in table else None,
-        gates=_named(table, "gates", read_gate, unknown),
+        gates=gates,
+        image_gates=image_gates,
         zones=_named(table, "zones", read_zone, unknown),
         lanes=_named(table, "lanes", read_lane, unknown),
         time_zone=zone.key if zone else None,
         start=_start(table, zone),
         world=read_world(table.table("world"), unknown) if "world" in table else None,
         plan=read_plan(table.table("plan"), unknown) if "plan" in table else None,
+        traffic=read_traffic(
+            table.table("traffic"), tuple(dict.fromkeys(gate.name for gate in (*gates, *image_gates))), unknown
+        ),
         unknown=tuple(unknown),
     )
 

@@ -25,6 +25,7 @@ VIDEOS: Final = Path("runs/video")
 PREDICTED: Final = Path("runs/predict")
 POSES: Final = Path("runs/pose")
 TRACKS: Final = Path("runs/tracks")
+TRAFFIC: Final = Path("runs/traffic")
 CAMERA_FILE: Final = Path("runs/camera.json")
 SITE_FILE: Final = Path("site.toml")
 

@@ -8,6 +8,7 @@ from skope.eval.cli.pose import pose
 from skope.eval.cli.predict import predict
 from skope.eval.cli.site import site
 from skope.eval.cli.track import track
+from skope.eval.cli.traffic import traffic
 from skope.eval.cli.view import view
 from skope.terminal.command_options import Commands
 
@@ -18,6 +19,7 @@ app.command(name="calibrate")(calibrate_scores)
 app.command(name="predict")(predict)
 app.command(name="pose")(pose)
 app.command(name="track")(track)
+app.command(name="traffic")(traffic)
 app.command(name="camera")(find_camera)
 app.command(name="view")(view)
 app.command(name="site")(site)

@@ -269,7 +269,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
     """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
     cut, settings = job.footage.cut, job.settings
     options = {
-        "source": _content(job.footage),
+        "source": content_of(job.footage),
         "every": cut.every,
         "start": cut.start_s,
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
@@ -285,7 +285,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
     claim_output(job.out, "skope eval predict", files, options)
 
 
-def _content(footage: Footage) -> str:
+def content_of(footage: Footage) -> str:
     """What identifies the frames: checksums of their files; for a live stream, which comes once, the time it began."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"

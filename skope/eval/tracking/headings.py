@@ -54,11 +54,12 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
     """(M,) headings, smoothed as of a body whose turning changes slowly, and only while it moves.
 
     A Kalman filter and Rauch, Tung and Striebel's smoother, whose state is the heading and the rate of turn, which
-    fades as accelerations do. The first heading is known, others may be NaN.
+    fades as accelerations do. Headings may be NaN, but for one; before the first one that is known it is taken for all.
     """
     # Forwards: predict and update. A covariance ((a, b), (b, c)) is kept as (a, b, c).
     ahead, after, moves = [], [], []
-    mean, spread = (float(measured[0]), 0.0), (float(sigma[0]) ** 2, 0.0, _TURN**2)
+    first = int(np.flatnonzero(np.isfinite(measured))[0])
+    mean, spread = (float(measured[first]), 0.0), (float(sigma[first]) ** 2, 0.0, _TURN**2)
     before = float(times_s[0])
     for time_s, z, error, v in zip(times_s.tolist(), measured.tolist(), sigma.tolist(), speed.tolist(), strict=True):
         dt, before = time_s - before, time_s

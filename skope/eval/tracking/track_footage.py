@@ -23,11 +23,13 @@ from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_user
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
-from skope.files.atomic import replacing, write_text
+from skope.files.atomic import replacing, write_bytes, write_text
+from skope.files.json_files import json_bytes
 from skope.files.progress import Progress
 from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
+from skope.traffic.observation import FOOTAGE, Observation
 
 _PROGRESS: Final = ".poses.jsonl"
 
@@ -75,7 +77,8 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)
     export.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
-    written = ["tracks.csv", "mot.txt", "fcd.xml", "birdseye.png"]
+    _write_footage(job, times)
+    written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
     if scene.file.annotations:
@@ -111,6 +114,23 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
         yield f"{counted(refused.total(), 'detection')} without a pose: {why}"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
+
+
+def _write_footage(job: TrackJob, times: list[float]) -> None:
+    """Write when the road was observed, which no track tells: `skope.traffic` counts by it."""
+    scene = job.scene
+    moved = np.array([scene.moved_in(image) for image in scene.file.images])
+    known = scene.known_in(scene.file.images[0])
+    x, y, z = map(float, scene.camera_of(scene.file.images[0]).position)
+    seconds = np.array(times)
+    observation = Observation(
+        times_s=seconds[~moved],
+        source=str(scene.file.info.get("source", scene.file.name)),
+        common_sigma=known.ways_sigma() if known else None,
+        eye=(x, y, z),
+        road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
+    )
+    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict(seconds[moved].tolist())))
 
 
 def _road_users(job: TrackJob, times: list[float], first_number: int) -> list[RoadUserTrack]:

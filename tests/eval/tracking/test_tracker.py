@@ -16,6 +16,7 @@ from skope.errors import UserError
 from skope.eval.pose.views import read_scene
 from skope.eval.tracking import kalman, track_footage
 from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
+from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.metrics import read_inputs
@@ -403,3 +404,13 @@ def test_results_of_any_layout_are_read_or_refused(shape: Callable[..., bytes], 
     else:
         with pytest.raises(UserError, match=r"other\.json: not valid JSON"):
             coco.read_results(tmp_path / "other.json")
+
+
+def test_headings_reach_back_before_the_first_one_that_is_measured() -> None:
+    """As on a track whose box was followed before its first pose: it is no reason to know none of its headings."""
+    times = np.arange(30) * 0.1
+    truth = 0.3 + 0.2 * times
+    measured = np.where(np.arange(30) % 5 == 3, truth, np.nan)
+    velocity = 10 * np.stack([np.cos(truth), np.sin(truth)], axis=1)
+    found = smoothed_headings(times, measured, np.full(30, 0.02), velocity)
+    assert found == pytest.approx(truth, abs=0.06)

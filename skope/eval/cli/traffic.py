@@ -1,0 +1,133 @@
+"""`skope eval traffic`: counts, movements, speeds and conflicts from tracks."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.detector import weights
+from skope.errors import UserError
+from skope.eval.cli.options import FastMachineOptions, data_option, output
+from skope.files.output_folders import claim_output
+from skope.terminal.command_options import DIR, FILE, SITE_FILE, TRAFFIC
+from skope.terminal.console import Console
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteFile
+    from skope.traffic.measure import TrafficReport
+
+_COMMAND: Final = "skope eval traffic"
+
+
+def traffic(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="TRACKS",
+            help="Folder that `skope eval track` wrote; a video, which is tracked first; or, without a camera, what "
+            "`skope eval predict` wrote.",
+        ),
+    ],
+    *,
+    site: Annotated[
+        Path, data_option(metavar=FILE, help="Site file with gates, zones, lanes and settings (docs/own-road.md).")
+    ] = SITE_FILE,
+    begins: Annotated[
+        str | None,
+        data_option(
+            metavar="TIME", help="When the footage begins, as 2026-11-26T10:00:00.", show_default="as the site says"
+        ),
+    ] = None,
+    checkpoint: Annotated[
+        Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
+    ] = Path(weights.DEFAULT),
+    out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
+    hardware: FastMachineOptions,
+    console: Console,
+) -> None:
+    """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
+    from skope.site.site_file import read_site
+    from skope.traffic.measure import measure
+    from skope.traffic.observation import FOOTAGE, read_observation
+    from skope.traffic.read_tracks import ROAD_USERS_CSV, TRACKS_CSV, read_trajectories
+
+    read = read_site(site)
+    for key in read.unknown:
+        console.warn(f"{site}: {key}: unknown; not used")
+    start = _start(begins, read)
+    folder = Path(source)
+    options = {"begins": None if start is None else start.isoformat()}
+    if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
+        names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
+        inputs = [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
+        observation = read_observation(folder)
+        tracks = read_trajectories(folder, observation)
+        claim_output(out, _COMMAND, [*inputs, site], options)
+    elif (folder / FRAMES).is_file():
+        for line in _report_in_image(folder, read, start, out, options):
+            console.result(line)
+        return
+    else:
+        from skope.eval.cli.tracked_footage import tracked_footage
+
+        folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
+        observation = read_observation(folder)
+        tracks = read_trajectories(folder, observation)
+    for line in _written(measure(tracks, observation, read, start), source, read, out):
+        console.result(line)
+
+
+def _written(report: "TrafficReport", source: str, site: "SiteFile", out: Path) -> Iterator[str]:
+    """Write a report; yields what was written and found."""
+    from skope.traffic.report_text import report_lines
+    from skope.traffic.write_report import write_report
+
+    for path in write_report(out, report, tracks=source, revision=site.revision):
+        yield f"wrote {path}"
+    yield from report_lines(report)
+    for line in report.refused:
+        yield f"note: {line}"
+
+
+def _report_in_image(
+    folder: Path, site: "SiteFile", start: datetime | None, out: Path, options: dict[str, str | None]
+) -> Iterator[str]:
+    """Count by gates in the image what `skope eval predict` has followed.
+
+    Raises UserError where the camera is known, or there are no such gates.
+    """
+    from skope.eval.tracking.image_trajectories import read_image_trajectories
+    from skope.traffic.image_counts import count_in_image
+
+    if not site.image_gates:
+        raise UserError(
+            f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
+            f"metres of it where the camera is known; without, {site.path} needs image_gates"
+        )
+    tracks, observation = read_image_trajectories(folder)
+    claim_output(out, _COMMAND, [folder / FRAMES, folder / PREDICTIONS, site.path], options)
+    yield from _written(count_in_image(tracks, observation, site, start), str(folder), site, out)
+
+
+def _start(text: str | None, site: "SiteFile") -> datetime | None:
+    """The time that `--begins` gives, in the site's zone where it has none of its own.
+
+    Raises UserError where it is none, or has no zone at all.
+    """
+    if text is None:
+        return None
+    from zoneinfo import ZoneInfo
+
+    try:
+        start = datetime.fromisoformat(text)
+    except ValueError:
+        raise UserError(f"--begins: expected a time like 2026-11-26T10:00:00, got {text!r:.40}") from None
+    zone = ZoneInfo(site.time_zone) if site.time_zone else None
+    if start.tzinfo is None and zone is None:
+        raise UserError(f"--begins: {text} has no zone, as 2026-11-26T10:00:00+01:00 has, and {site.path} no time_zone")
+    if start.tzinfo is None:
+        return start.replace(tzinfo=zone)
+    return start.astimezone(zone) if zone else start

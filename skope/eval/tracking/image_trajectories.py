@@ -1,0 +1,74 @@
+"""What `skope eval predict` has followed through a video, in pixels: for counts where no camera gives metres."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope.dataset import coco
+from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
+from skope.errors import UserError
+from skope.metrics.read_inputs import read_all_results
+from skope.schema import CATEGORIES
+from skope.site.traffic_settings import UNKNOWN
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.types import Array
+
+_SHARE: Final = 0.03
+"""Standard deviation of the lower edge's middle, as a share of a box's longer edge, and a pixel at least."""
+_FEWEST: Final = 3
+_SHORTEST_S: Final = 0.4
+"""Who is seen more seldom, or for a shorter time, does not count."""
+
+
+def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
+    """Where boxes stand in the images of a video, by the numbers that they have, and when the view was the first one.
+
+    Places are columns and negative rows, so that left and right of a line are what they are on the screen.
+
+    Raises:
+        UserError: A file is missing or wrong, the images have no times, or what was found has no numbers.
+    """
+    file = coco.read(folder / FRAMES)
+    until_s = min((float(change["time_s"]) for change in file.info.get(CHANGES, ())), default=np.inf)
+    times = {image.id: image.time_s for image in file.images}
+    rows: dict[tuple[int, int], list[tuple[float, ...]]] = defaultdict(list)
+    results = read_all_results(folder / PREDICTIONS, file)
+    for result in results:
+        time_s = times[result.image_id]
+        if result.track_id is not None and time_s is not None and time_s < until_s:
+            x, y, width, height = map(float, result.bbox)
+            rows[result.category_id, result.track_id].append((time_s, x + width / 2, -y - height, width, height))
+    seen = [time_s for time_s in times.values() if time_s is not None and time_s < until_s]
+    if results and not rows:
+        raise UserError(
+            f"{folder / PREDICTIONS}: track_id: missing: what images show is not followed from one to another"
+        )
+    made = [_trajectory(k, number, np.array(sorted(own))) for k, ((number, _), own) in enumerate(rows.items(), start=1)]
+    times_s = np.array(sorted(seen))
+    source = str(file.info.get("source", file.name))
+    return [one for one in made if one.confirmed], Observation(times_s=times_s, source=source, common_sigma=None)
+
+
+def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
+    """Of rows (M, 5): seconds, place, width and height of the box."""
+    times, place = rows[:, 0], rows[:, 1:3]
+    velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
+    sigma = np.maximum(1.0, _SHARE * rows[:, 3:].max(axis=1))
+    category = CATEGORIES[category_id - 1]
+    return Trajectory(
+        number=number,
+        category=category,
+        class_name=UNKNOWN if category == VEHICLE else category,
+        class_confidence=0.0 if category == VEHICLE else 1.0,
+        times_s=times,
+        place=place,
+        velocity=velocity,
+        heading=np.full(len(times), np.nan),
+        covariance=sigma[:, None, None] ** 2 * np.eye(2),
+        speed_sigma=np.full(len(times), np.nan),
+        measured=np.ones(len(times), dtype=bool),
+        confirmed=len(times) >= _FEWEST and bool(times[-1] - times[0] >= _SHORTEST_S),
+    )

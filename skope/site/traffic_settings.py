@@ -1,0 +1,116 @@
+"""The [traffic] table of a site file: by what rules traffic is counted and measured there."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from skope.site.marks import checked_name
+from skope.site.toml_table import TomlTable
+
+VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
+"""Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
+UNKNOWN: Final = "unknown"
+CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN, "motorcycle", "bicycle", "pedestrian")
+"""All classes that traffic is counted by."""
+_DAY_MINUTES: Final = 1440
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrafficSettings:
+    """What counts as an event, and over what is summed up."""
+
+    interval_minutes: int = 15
+    """Length of the intervals on the clock; a day is a whole number of them."""
+    classes: tuple[str, ...] = CLASSES
+    """Of `CLASSES`: who is counted."""
+    hysteresis_m: float = 0.5
+    """A gate is crossed, a zone entered, when the road user is seen so far on the other side."""
+    least_travel_m: float = 1.0
+    """And when so much of its way lies along the gate's normal."""
+    ttc_s: float = 1.5
+    """A time to collision up to this is a conflict."""
+    pet_s: float = 5.0
+    """A post-encroachment time up to this is noted."""
+    hard_braking_ms2: float = 4.0
+    """A vehicle that brakes so hard for a second brakes hard."""
+    queue_speed_kmh: float = 5.0
+    """Who is slower stands in a queue."""
+    queue_end_kmh: float = 10.0
+    """And until it is faster than this."""
+    queue_gap_m: float = 20.0
+    """A queue ends where the next vehicle is farther away than this."""
+    stop_kmh: float = 3.0
+    """Who is slower for a second and longer has stopped."""
+    free_flow_kmh: float | None = None
+    """Speed without hindrance, which delays are counted from; None: the 85th percentile of each section's vehicles."""
+    turning: tuple[str, ...] | None = None
+    """Names of the gates between which movements are counted; None: all."""
+    trajectory_interval_s: float = 0.5
+    """Trajectories are written with a row so often."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings as JSON has them."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+_RANGES: Final = {
+    "hysteresis_m": (0.0, 20.0),
+    "least_travel_m": (0.0, 50.0),
+    "ttc_s": (0.1, 10.0),
+    "pet_s": (0.1, 30.0),
+    "hard_braking_ms2": (0.5, 12.0),
+    "queue_speed_kmh": (0.5, 50.0),
+    "queue_end_kmh": (0.5, 100.0),
+    "queue_gap_m": (1.0, 200.0),
+    "stop_kmh": (0.5, 20.0),
+    "trajectory_interval_s": (0.0, 60.0),
+}
+"""Settings that are numbers, and what they can be."""
+
+
+def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
+    """The table's settings, the default where it does not name one; keys that mean nothing are added to `unknown`.
+
+    Args:
+        table: The table; an empty one where the file has none.
+        gates: Names of the site's gates.
+        unknown: Takes the keys that mean nothing here.
+
+    Raises:
+        UserError: A value is wrong; the message names file and key.
+    """
+    plain = TrafficSettings()
+    numbers = {key: table.number(key, getattr(plain, key), low=low, high=high) for key, (low, high) in _RANGES.items()}
+    free_flow = table.number("free_flow_kmh", low=5, high=250) if "free_flow_kmh" in table else None
+    settings = TrafficSettings(
+        interval_minutes=_interval(table, plain.interval_minutes),
+        classes=_names(table, "classes", CLASSES, "classes") or plain.classes,
+        turning=_names(table, "turning", gates, "gates of this file"),
+        free_flow_kmh=free_flow,
+        **numbers,
+    )
+    if settings.queue_end_kmh < settings.queue_speed_kmh:
+        raise table.wrong("queue_end_kmh", f"expected {settings.queue_speed_kmh:g} (queue_speed_kmh) or more")
+    unknown += table.unread
+    return settings
+
+
+def _interval(table: TomlTable, default: int) -> int:
+    minutes = table.number("interval_minutes", default, low=1, high=_DAY_MINUTES)
+    if minutes % 1 or _DAY_MINUTES % minutes:
+        raise table.wrong("interval_minutes", f"expected whole minutes that a day is a multiple of, got {minutes:g}")
+    return int(minutes)
+
+
+def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
+    """A list of names, each of which is known; None where the key is missing."""
+    if key not in table:
+        return None
+    names = table.value(key)
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise table.wrong(key, f"expected a list of names of {what}")
+    for name in names:
+        if checked_name(table, key, name) not in known:
+            raise table.wrong(key, f"{name!r} is none of the {what}: {', '.join(known) or 'there are none'}")
+    if len(set(names)) < len(names):
+        raise table.wrong(key, "a name stands there twice")
+    return tuple(names)

@@ -1,0 +1,98 @@
+"""Intervals on the clock, on days of 23, 24 and 25 hours."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta, tzinfo
+from typing import TYPE_CHECKING, Final
+from zoneinfo import ZoneInfo
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
+_PRECISE: Final = timedelta(seconds=1)
+"""When clocks change is found to this; they do so at whole seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockInterval:
+    """A part of the footage, from `begin_s` to before `end_s`, seconds of the footage."""
+
+    begin_s: float
+    end_s: float
+    begin: datetime | None
+    """When it begins, in the time of the site; None where nothing says when the footage was taken."""
+    end: datetime | None
+
+
+def local_start(site: "SiteParts") -> datetime | None:
+    """When the footage begins, in the site's time zone; None: the site does not say."""
+    if site.start is None:
+        return None
+    return site.start.astimezone(ZoneInfo(site.time_zone)) if site.time_zone else site.start
+
+
+def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minutes: int) -> list[ClockInterval]:
+    """The intervals that footage from `begin_s` to `end_s` touches, of so many minutes each on the clock.
+
+    They begin at whole multiples from midnight. Where clocks are changed within one, it ends there and another one
+    begins: none is longer than it says, and the hour that comes twice in autumn has its intervals twice.
+
+    Args:
+        start: When second 0 of the footage was; None: intervals count from there.
+        begin_s: First second.
+        end_s: Last second.
+        minutes: Length of an interval.
+    """
+    if start is None:
+        size = 60.0 * minutes
+        first, last = int(begin_s // size), int(max(begin_s, end_s - 1e-9) // size)
+        return [
+            ClockInterval(begin_s=k * size, end_s=(k + 1) * size, begin=None, end=None) for k in range(first, last + 1)
+        ]
+    zone = start.tzinfo
+    assert zone is not None
+    zero = start.astimezone(UTC)
+    at, until = zero + timedelta(seconds=begin_s), zero + timedelta(seconds=end_s)
+    out: list[ClockInterval] = []
+    while not out or at < until:
+        begin, end = _around(at, zone, minutes)
+        out.append(
+            ClockInterval(
+                begin_s=(begin - zero).total_seconds(),
+                end_s=(end - zero).total_seconds(),
+                begin=begin.astimezone(zone),
+                end=end.astimezone(zone),
+            )
+        )
+        at = end
+    return out
+
+
+def _around(at: datetime, zone: tzinfo, minutes: int) -> tuple[datetime, datetime]:
+    """Begin and end, in UTC, of the interval that an instant in UTC lies in."""
+    offset = _offset(at, zone)
+    wall = (at + offset).replace(tzinfo=None)
+    midnight = wall.replace(hour=0, minute=0, second=0, microsecond=0)
+    size = timedelta(minutes=minutes)
+    first = (midnight + (wall - midnight) // size * size).replace(tzinfo=UTC) - offset
+    begin, end = first, first + size
+    if _offset(begin, zone) != offset:
+        begin = _change(begin, at, zone)
+    if _offset(end - _PRECISE, zone) != offset:
+        end = _change(at, end, zone)
+    return begin, end
+
+
+def _offset(at: datetime, zone: tzinfo) -> timedelta:
+    offset = at.astimezone(zone).utcoffset()
+    assert offset is not None
+    return offset
+
+
+def _change(before: datetime, after: datetime, zone: tzinfo) -> datetime:
+    """The first second, in UTC, at which the clock goes as it does at `after` and not as at `before`."""
+    low, high = 0, int((after - before) / _PRECISE) + 1
+    was = _offset(before, zone)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _offset(before + middle * _PRECISE, zone) == was else (low, middle)
+    return (before + high * _PRECISE).replace(microsecond=0)

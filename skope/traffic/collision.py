@@ -1,0 +1,148 @@
+"""Time to collision, and the deceleration that avoids one.
+
+TTC as SSAM has it: both drive on along the ways that they take later, at the speeds that they have now, until their
+boxes meet. DRAC is the least deceleration by which whoever is behind avoids that: on one way its speed over that of the
+one ahead, divided by twice the TTC (Cooper and Ferguson, 1976); where ways cross, what lets the later one arrive when
+the other one has gone.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.traffic.footprints import FootprintPath, corners, meeting
+from skope.types import Array
+
+REAR_END_DEG: Final = 30.0
+"""Two that head in directions which differ by less drive one behind the other (SSAM)."""
+_LEG_S: Final = 0.2
+"""Ways are taken to be straight for so long."""
+_PASSED_S: Final = 6.0
+"""By then whoever is first has left the place where ways cross."""
+_PART: Final = 50
+"""Moments that are looked at together, which bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """Other places and speeds that two road users may have at K moments."""
+
+    shifts: tuple[Array, Array]
+    """(K, 2) what to add to the places of each, metres."""
+    speeds: tuple[Array, Array]
+    """(K,) of each, m/s."""
+
+    def only(self, some: NDArray[np.intp]) -> "Doubt":
+        """Some of the moments, by their indices."""
+        return Doubt(
+            (self.shifts[0][some], self.shifts[1][some]),
+            (self.speeds[0][some], self.speeds[1][some]),
+        )
+
+
+def times_to_collision(
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    horizon_s: float,
+    doubt: Doubt | None = None,
+) -> Array:
+    """(K,) seconds to the collision from each of K moments; infinite where there is none within the horizon.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        rows: (K,) of the moments of each, which are the same in time.
+        horizon_s: No collision later than this is looked for.
+        doubt: Where they are and how fast instead of what was measured; None: as measured.
+    """
+    legs, ways = _ways((one, other), rows, horizon_s, doubt)
+    begin, end = meeting(*ways[0], *ways[1])
+    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    seconds = np.where(met, legs + np.maximum(begin, 0), np.inf).min(axis=1)
+    return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
+
+
+def _ways(
+    paths: tuple[FootprintPath, FootprintPath],
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    horizon_s: float,
+    doubt: Doubt | None,
+) -> tuple[Array, list[tuple[Array, Array]]]:
+    """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2), velocities (K, L, 2)."""
+    legs = np.asarray(np.arange(int(np.ceil(horizon_s / _LEG_S)) + 1) * _LEG_S, dtype=np.float64)
+    ways = []
+    for k, path in enumerate(paths):
+        speed = path.speed[rows[k]] if doubt is None else doubt.speeds[k]
+        index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(legs)))
+        place, facing = path.ahead(index, speed[:, None] * legs)
+        place = place if doubt is None else place + doubt.shifts[k][:, None]
+        boxes = corners(place[:, :-1], facing[:, :-1], path.size)
+        ways.append((boxes, np.diff(place, axis=1) / _LEG_S))
+    return legs[:-1], ways
+
+
+def angle_deg(one: Array, other: Array) -> Array:
+    """(...,) degrees between unit vectors (..., 2)."""
+    return np.asarray(np.degrees(np.arccos(np.clip(np.einsum("...i,...i->...", one, other), -1, 1))))
+
+
+def deceleration_to_avoid(
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    seconds: Array,
+    doubt: Doubt | None = None,
+) -> Array:
+    """(K,) m/s^2 that avoid the collisions which are `seconds` (K,) ahead; 0 where there is none.
+
+    `rows` and `doubt` are those of `times_to_collision`.
+    """
+    speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
+    ahead = np.isfinite(seconds)
+    along = angle_deg(one.facing[rows[0]], other.facing[rows[1]]) < REAR_END_DEG
+    out = np.where(ahead & along, np.abs(speeds[0] - speeds[1]) / (2 * np.maximum(seconds, 0.05)), 0.0)
+    crossing = np.flatnonzero(ahead & ~along)
+    for part in np.split(crossing, range(_PART, len(crossing), _PART)):
+        chosen = None if doubt is None else doubt.only(part)
+        out[part] = _across(one, other, (rows[0][part], rows[1][part]), (speeds[0][part], speeds[1][part]), chosen)
+    return np.asarray(out)
+
+
+def _across(
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    speeds: tuple[Array, Array],
+    doubt: Doubt | None,
+) -> Array:
+    """(K,) m/s^2 by which the one that gets later to where both drive lets the other one leave before."""
+    legs, ways = _ways((one, other), rows, _PASSED_S, doubt)
+    stays = _stay(legs, ways[0], ways[1][0]), _stay(legs, ways[1], ways[0][0])
+    out = np.zeros(len(rows[0]))
+    for second, first in ((0, 1), (1, 0)):
+        speed, enter, gone = speeds[second], stays[second][0], stays[first][1]
+        later = (enter >= stays[first][0]) & (enter < gone) & np.isfinite(gone) & (enter > 0)
+        away = speed * np.where(later, enter, 0.0)
+        safe = np.where(later, gone, 1.0)
+        passing = 2 * (speed - away / safe) / safe
+        # Braking as hard as that it may stop before: then stopping there is enough.
+        stopping = speed**2 / (2 * np.maximum(away, 0.05))
+        needed = np.where(speed - passing * safe < 0, stopping, passing)
+        out = np.maximum(out, np.where(later, needed, 0.0))
+    return out
+
+
+def _stay(legs: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
+    """(K,) seconds until somebody on a way first touches places (K, L, 4, 2), and until it last does; else infinite."""
+    shape = (*way[0].shape[:2], places.shape[1])
+    moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
+    velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))
+    begin, end = meeting(moving, velocity, np.broadcast_to(places[:, None], (*shape, 4, 2)), np.zeros((*shape, 2)))
+    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    since = legs[:, None]
+    enter = np.where(met, since + np.maximum(begin, 0), np.inf).min(axis=(1, 2))
+    leave = np.where(met, since + np.minimum(end, _LEG_S), -np.inf).max(axis=(1, 2))
+    return enter, np.where(np.isfinite(enter), leave, np.inf)

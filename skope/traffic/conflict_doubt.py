@@ -1,0 +1,115 @@
+"""How uncertain a conflict is: by other places and speeds that the two may have had."""
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_collision
+from skope.traffic.encroachment import Encroachment, by_places
+from skope.traffic.event_probability import event_probability
+from skope.traffic.footprints import FootprintPath
+from skope.traffic.normal_distribution import LEVEL, Z
+from skope.traffic.trajectories import LENGTH_SIGMA_M
+from skope.types import Array
+
+STEP_S: Final = 0.1
+"""Pairs are looked at so often, as SSAM does."""
+HORIZON_S: Final = 3.0
+"""Decelerations count collisions that are ahead so far, seconds, or as far as a conflict's."""
+_SAMPLES: Final = 200
+"""So many draws of places and speeds tell how uncertain a time to collision is."""
+_FEWER: Final = 60
+"""And so many a deceleration, which takes longer."""
+
+
+def ttc_doubt(
+    one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Between what the time to collision lies with 90%, and the probability that it is within the limit, of two."""
+    index, doubt = _drawn(one, other, row, rng)
+    drawn = times_to_collision(one, other, index, _farthest_s(settings), doubt)
+    both = event_probability(one.trajectory) * event_probability(other.trajectory)
+    return *_middle(drawn), both * float((drawn <= settings.ttc_s).mean())
+
+
+def hardest_needed(
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[NDArray[np.intp], NDArray[np.intp]],
+    seconds: Array,
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+) -> tuple[float, float, float]:
+    """The largest deceleration that avoids a collision, and between what it lies with 90%; NaN where there is none.
+
+    `seconds` (K,) are the times to it at the moments `rows`.
+    """
+    drac = deceleration_to_avoid(one, other, rows, seconds)
+    if not len(drac) or drac.max() <= 0:
+        return (math.nan,) * 3
+    k = int(drac.argmax())
+    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, _FEWER)
+    ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
+    return float(drac[k]), *_middle(deceleration_to_avoid(one, other, index, ahead, doubt))
+
+
+def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:
+    """Whether one gets where the other was also if places are off by what they may be, and they are smaller by that."""
+    shrunk = []
+    for path, row in ((one, i), (other, j)):
+        spread = path.trajectory.at(path.trajectory.covariance, float(path.times_s[row]))
+        sides = path.facing[row], np.array([-path.facing[row, 1], path.facing[row, 0]])
+        size = [
+            max(0.1, extent - 2 * Z * math.sqrt(max(0.0, float(side @ spread @ side))))
+            for extent, side in zip(path.size, sides, strict=True)
+        ]
+        shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), STEP_S))
+    return by_places(shrunk[0], shrunk[1], most_s + 1.0) is not None
+
+
+def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None, rows: tuple[int, int]) -> float:
+    """Standard deviation of an encroachment's time: of the two times, by places, lengths and speeds."""
+    if reached is None:
+        return math.nan
+    total = 0.0
+    for path, time_s in zip((one, other), in_order((reached.first_s, reached.second_s), reached), strict=True):
+        trajectory = path.trajectory
+        spread = float(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, time_s))[-1])
+        speed = max(0.1, float(trajectory.at(trajectory.speed, time_s)))
+        total += (spread + (LENGTH_SIGMA_M / 2) ** 2) / speed**2
+    return math.sqrt(total)
+
+
+def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, float]:
+    """The times of the two that were asked for, of those of the first and the second who got there."""
+    return times[::-1] if reached.swapped else times
+
+
+def _farthest_s(settings: TrafficSettings) -> float:
+    """How far ahead drawn collisions are looked for, seconds: much farther than the one that was found."""
+    return 4 * max(settings.ttc_s, HORIZON_S)
+
+
+def _drawn(
+    one: FootprintPath, other: FootprintPath, rows: tuple[int, int], rng: np.random.Generator, count: int = _SAMPLES
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Doubt]:
+    """A moment `count` times, with places and speeds drawn as uncertain as they are."""
+    shifts, speeds = [], []
+    for path, row in zip((one, other), rows, strict=True):
+        time_s, trajectory = float(path.times_s[row]), path.trajectory
+        shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.covariance, time_s), count))
+        sigma = float(trajectory.at(trajectory.speed_sigma, time_s))
+        speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, count)))
+    index = np.full(count, rows[0]), np.full(count, rows[1])
+    return index, Doubt((shifts[0], shifts[1]), (speeds[0], speeds[1]))
+
+
+def _middle(drawn: Array) -> tuple[float, float]:
+    """Between what values lie with `LEVEL`; infinite ones are the largest."""
+    tail = round(len(drawn) * (1 - LEVEL) / 2)
+    ordered = np.sort(drawn)
+    return float(ordered[tail]), float(ordered[-1 - tail])

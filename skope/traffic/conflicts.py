@@ -1,0 +1,225 @@
+"""Conflicts: two road users who would collide if both went on, or of whom one gets where the other one just was."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.site.marks import Zone
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.collision import REAR_END_DEG, angle_deg, times_to_collision
+from skope.traffic.conflict_doubt import (
+    HORIZON_S,
+    STEP_S,
+    hardest_needed,
+    in_order,
+    pet_sigma,
+    surely_encroaches,
+    ttc_doubt,
+)
+from skope.traffic.encroachment import by_area, by_places, near
+from skope.traffic.footprints import FootprintPath, overlap, paths
+from skope.traffic.trajectories import Trajectory, wandering
+from skope.traffic.zones import inside
+from skope.types import Array
+
+_CROSSING_DEG: Final = 80.0
+"""From this angle on ways cross (SSAM); between that and `REAR_END_DEG` lanes change."""
+_DRIVES: Final = 1.0
+"""One of two in a conflict is as fast as this, m/s."""
+_ROWS: Final = 400
+"""Moments that are looked at together, which bounds the memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Conflict:
+    """Two road users near a collision."""
+
+    first: Trajectory
+    second: Trajectory
+    """Who gets where the other one was, or, where that does not happen, who drives behind."""
+    time_s: float
+    """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
+    place: Array
+    """(2,) the middle between the two then, metres."""
+    zone: str
+    """Name of the zone that it lies in; empty for none."""
+    kind: str
+    """Rear end, lane change or crossing, by the angle between them as SSAM has it."""
+    angle_deg: float
+    ttc_s: float
+    """Least time to collision, seconds; NaN where there is none up to the limit."""
+    ttc_low_s: float
+    ttc_high_s: float
+    """Between these it lies with 90%; infinite: perhaps there is none."""
+    probability: float
+    """Probability that the time to collision is within the limit and both are road users; NaN where there is none."""
+    drac_ms2: float
+    """Largest deceleration rate to avoid a crash, m/s^2; NaN where there is no collision ahead."""
+    drac_low_ms2: float
+    drac_high_ms2: float
+    """Between these it lies with 90%."""
+    pet_places_s: float
+    """Post-encroachment time by SSAM's definition, seconds; NaN where there is none up to the limit."""
+    pet_area_s: float
+    """The same from when the first one leaves the area that both drive over; NaN where they drive along one way."""
+    pet_sigma_s: float
+    """Standard deviation of both, seconds."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConflictSearch:
+    """The conflicts of a footage, and what was left out."""
+
+    conflicts: tuple[Conflict, ...]
+    overlapping: int
+    """Pairs whose footprints overlap while they drive: two tracks of one vehicle, or places that are wrong. They are
+    no conflicts."""
+
+
+def conflicts(
+    trajectories: Sequence[Trajectory],
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+    zones: Sequence[Zone] = (),
+) -> ConflictSearch:
+    """All pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
+
+    `zones` give the conflicts in them a name.
+    """
+    made = paths([one for one in trajectories if wandering(one)], STEP_S)
+    found, overlapping = [], 0
+    for one, other in _pairs(made, settings.pet_s):
+        if not near(one, other, max(settings.pet_s, settings.ttc_s)):
+            continue
+        if _overlapping(one, other):
+            overlapping += 1
+        elif (conflict := _between(one, other, settings, rng, zones)) is not None:
+            found.append(conflict)
+    found.sort(key=lambda conflict: conflict.time_s)
+    return ConflictSearch(conflicts=tuple(found), overlapping=overlapping)
+
+
+def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[FootprintPath, FootprintPath]]:
+    """Those who are there at the same time, or within `late_s` of each other; not two people on foot."""
+    ordered = sorted(made, key=lambda path: int(path.ticks[0]))
+    present: list[FootprintPath] = []
+    for path in ordered:
+        present = [other for other in present if other.times_s[-1] + late_s >= path.times_s[0]]
+        for other in present:
+            if not path.trajectory.category == other.trajectory.category == "pedestrian":
+                yield other, path
+        present.append(path)
+
+
+def _common(one: FootprintPath, other: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The rows of the moments at which both are there."""
+    begin, end = max(one.ticks[0], other.ticks[0]), min(one.ticks[-1], other.ticks[-1]) + 1
+    ticks = np.arange(begin, max(begin, end))
+    return ticks - one.ticks[0], ticks - other.ticks[0]
+
+
+def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
+    """Whether the footprints ever overlap, each of them a little smaller than it is stated."""
+    a, b = _common(one, other)
+    close = np.linalg.norm(one.place[a] - other.place[b], axis=1) < one.radius + other.radius
+    shrunk = [
+        path.place[rows, None] + 0.8 * (path.corners[rows] - path.place[rows, None])
+        for path, rows in ((one, a[close]), (other, b[close]))
+    ]
+    return bool(overlap(*shrunk).any())
+
+
+def _between(
+    one: FootprintPath,
+    other: FootprintPath,
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+    zones: Sequence[Zone],
+) -> Conflict | None:
+    rows, seconds = _approaches(one, other, settings)
+    least = int(seconds.argmin()) if len(seconds) else 0
+    close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
+    reached = by_places(one, other, settings.pet_s)
+    if reached is not None and reached.seconds == 0:
+        reached = None  # they touch: places are not that exact
+    if close:
+        i, j = int(rows[0][least]), int(rows[1][least])
+    elif reached is not None:
+        times = (reached.first_s, reached.second_s)
+        i, j = (_row(path, time_s) for path, time_s in zip((one, other), in_order(times, reached), strict=True))
+    else:
+        return None
+    # Two that turn one behind the other head elsewhere at any moment, but not at any place.
+    ways_deg = _angle_of_ways(one, other, i, j)
+    if not close and ways_deg < REAR_END_DEG:
+        return None  # one behind the other: that is a gap
+    if not close and not surely_encroaches(one, other, i, j, settings.pet_s):
+        return None
+    angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
+    area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
+    low, high, probability = ttc_doubt(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
+    hardest, drac_low, drac_high = hardest_needed(one, other, rows, seconds, settings, rng)
+    swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
+    middle = (one.place[i] + other.place[j]) / 2
+    return Conflict(
+        first=(other if swapped else one).trajectory,
+        second=(one if swapped else other).trajectory,
+        time_s=float(one.times_s[i]) if close or reached is None else reached.second_s,
+        place=middle,
+        zone=next((zone.name for zone in zones if inside(np.array(zone.polygon), middle[None])[0]), ""),
+        kind=_kind(angle),
+        angle_deg=angle,
+        ttc_s=float(seconds[least]) if close else math.nan,
+        ttc_low_s=low,
+        ttc_high_s=high,
+        probability=probability,
+        drac_ms2=hardest,
+        drac_low_ms2=drac_low,
+        drac_high_ms2=drac_high,
+        pet_places_s=reached.seconds if reached is not None else math.nan,
+        pet_area_s=area.seconds if area is not None and area.seconds <= settings.pet_s else math.nan,
+        pet_sigma_s=pet_sigma(one, other, reached, (i, j)),
+    )
+
+
+def _approaches(
+    one: FootprintPath, other: FootprintPath, settings: TrafficSettings
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
+    """The rows of moments at which the two are near, and the times to their collision."""
+    a, b = _common(one, other)
+    horizon = max(settings.ttc_s, HORIZON_S)
+    speeds = one.speed[a] + other.speed[b]
+    reach = one.radius + other.radius + speeds * horizon
+    close = (np.linalg.norm(one.place[a] - other.place[b], axis=1) < reach) & (
+        np.maximum(one.speed[a], other.speed[b]) >= _DRIVES
+    )
+    rows = a[close], b[close]
+    parts = [(rows[0][k : k + _ROWS], rows[1][k : k + _ROWS]) for k in range(0, len(rows[0]), _ROWS)]
+    seconds = [times_to_collision(one, other, part, horizon) for part in parts]
+    return rows, np.concatenate([np.zeros(0), *seconds])
+
+
+def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> float:
+    """Degrees between the ways of two, where the way of one is nearest to where the other one is."""
+    here = int(np.linalg.norm(one.place - other.place[j], axis=1).argmin())
+    there = int(np.linalg.norm(other.place - one.place[i], axis=1).argmin())
+    return float(min(angle_deg(one.facing[here], other.facing[j]), angle_deg(one.facing[i], other.facing[there])))
+
+
+def _row(path: FootprintPath, time_s: float) -> int:
+    return int(np.abs(path.times_s - time_s).argmin())
+
+
+def _behind(one: FootprintPath, other: FootprintPath, i: int, j: int) -> bool:
+    """Whether `one` sees `other` ahead."""
+    return bool((other.place[j] - one.place[i]) @ one.facing[i] > 0)
+
+
+def _kind(angle: float) -> str:
+    if angle < REAR_END_DEG:
+        return "rear end"
+    return "crossing" if angle > _CROSSING_DEG else "lane change"

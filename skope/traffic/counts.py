@@ -1,0 +1,122 @@
+"""How many crossed each gate, by direction, lane, class and interval on the clock."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from skope.site.marks import Gate
+from skope.site.traffic_settings import UNKNOWN, TrafficSettings
+from skope.traffic.clock import ClockInterval
+from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.gates import GateCrossing, direction_names
+from skope.traffic.observation import Observation
+
+ALL: Final = "all"
+_WHOLE: Final = 0.999
+"""An interval of which so much was observed was observed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Count:
+    """How many of a kind crossed a gate in an interval."""
+
+    interval: ClockInterval
+    observed_s: float
+    """How much of the interval was observed, seconds."""
+    gate: str
+    direction: str
+    lane: str
+    """A lane's name, "" for who is in none, or `ALL`."""
+    class_name: str
+    """A class, or `ALL`."""
+    count: int | None
+    """None: nothing was observed."""
+    expected: CountInterval | None
+    """Between which numbers the truth is, of what was observed; None where nothing was, or of the class unknown,
+    which nobody is in truth."""
+
+    @property
+    def observed(self) -> str:
+        """Whether the interval was observed: all, part or nothing."""
+        return observed_word(self.interval, self.observed_s)
+
+
+def observed_word(interval: ClockInterval, observed_s: float) -> str:
+    """All, part or nothing."""
+    if observed_s <= 0:
+        return "nothing"
+    return "all" if observed_s >= _WHOLE * (interval.end_s - interval.begin_s) else "part"
+
+
+def counts(
+    crossings: Sequence[GateCrossing],
+    gates: Sequence[Gate],
+    lanes: Sequence[str],
+    intervals: Sequence[ClockInterval],
+    observation: Observation,
+    settings: TrafficSettings,
+) -> list[Count]:
+    """A count for each interval, gate and direction: of all, of each class, and of each lane.
+
+    Nothing counted is 0; nothing observed has no count.
+    """
+    out = []
+    for interval in intervals:
+        observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
+        there = [one for one in crossings if interval.begin_s <= one.time_s < interval.end_s]
+        for gate in gates:
+            for k, direction in enumerate(direction_names(gate)):
+                own = [one for one in there if one.gate == gate.name and one.direction == k]
+                used = [lane for lane in lanes if any(one.lane == lane for one in crossings if one.gate == gate.name)]
+                for lane, class_name in _kinds(used, settings):
+                    out.append(
+                        Count(
+                            interval=interval,
+                            observed_s=observed_s,
+                            gate=gate.name,
+                            direction=direction,
+                            lane=lane,
+                            class_name=class_name,
+                            count=_number(own, lane, class_name) if observed_s > 0 else None,
+                            expected=expected(own, lane, class_name) if observed_s > 0 else None,
+                        )
+                    )
+    return out
+
+
+def _kinds(lanes: Sequence[str], settings: TrafficSettings) -> Iterator[tuple[str, str]]:
+    """The lane and class of each row."""
+    yield ALL, ALL
+    for name in settings.classes:
+        yield ALL, name
+    if lanes:
+        for lane in (*lanes, ""):
+            yield lane, ALL
+
+
+def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> int:
+    return sum(lane in (ALL, one.lane) and class_name in (ALL, one.trajectory.class_name) for one in crossings)
+
+
+def expected(crossings: Sequence[GateCrossing], lane: str = ALL, class_name: str = ALL) -> CountInterval | None:
+    """The interval of how many there were, of all in a lane and of a class.
+
+    Who is counted in another lane or class may be of this one: each counts with the probability that it is.
+    """
+    if class_name == UNKNOWN:
+        return None
+    probabilities = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in crossings]
+    return count_interval([p for p in probabilities if p > 0])
+
+
+def _in_lane(crossing: GateCrossing, lane: str) -> float:
+    if lane == ALL:
+        return 1.0
+    if crossing.lane == lane:
+        return crossing.lane_probability
+    # Who is not in the lane that it is counted in is in one beside it, or in none: each has a half.
+    return (1 - crossing.lane_probability) / 2 if crossing.lane else 0.0
+
+
+def _of_class(crossing: GateCrossing, class_name: str) -> float:
+    return 1.0 if class_name == ALL else crossing.trajectory.class_probability(class_name)

@@ -1,0 +1,137 @@
+"""Post-encroachment time: how long after one road user another one is where it was. Two definitions, which differ.
+
+SSAM's (FHWA, Surrogate Safety Assessment Model): from when the first vehicle stood at a place until the second one's
+box touches the box that it had there; the least over all places. That of Allen, Shin and Cooper (1978): from when the
+first one leaves the area that both drive over until the second one enters it; two that are in it at once have 0.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from skope.traffic.footprints import FootprintPath, corners, overlap
+from skope.types import Array
+
+_FINE: Final = 10
+"""Between two moments it is looked at so many more."""
+_AROUND_S: Final = 10.0
+"""Before and after the two are nearest, their areas are looked at for so long."""
+_BATCH: Final = 10
+"""So many steps of time between the two are looked at together."""
+_COARSE: Final = 5
+"""First it is looked at every so many-th moment whether ways come near each other at all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encroachment:
+    """One road user gets where another one was."""
+
+    seconds: float
+    first_s: float
+    """When the first one was there, seconds of the footage."""
+    second_s: float
+    """When the second one gets there."""
+    swapped: bool
+    """Whether the second of the two that were asked for was the first one there."""
+
+
+def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
+    """Whether their ways come so near within `most_s` that the footprints may touch."""
+    rows, columns = slice(None, None, _COARSE), slice(None, None, _COARSE)
+    away = np.linalg.norm(one.place[rows, None] - other.place[None, columns], axis=-1)
+    late = np.abs(one.times_s[rows, None] - other.times_s[None, columns])
+    step_s = float(one.times_s[1] - one.times_s[0]) * _COARSE
+    reach = one.radius + other.radius + step_s * (float(one.speed.max()) + float(other.speed.max()))
+    return bool(((away < reach) & (late <= most_s + step_s)).any())
+
+
+def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroachment | None:
+    """The encroachment by SSAM's definition; None where there is none within `most_s`."""
+    found = [
+        made
+        for first, second, swapped in ((one, other, False), (other, one, True))
+        if (made := _after(first, second, most_s, swapped)) is not None
+    ]
+    return min(found, key=lambda made: made.seconds, default=None)
+
+
+def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: bool) -> Encroachment | None:
+    step_s = float(first.times_s[1] - first.times_s[0])
+    reach = first.radius + second.radius
+    rows = np.arange(len(first.ticks))
+    shift = int(first.ticks[0] - second.ticks[0])
+    every = np.arange(round(most_s / step_s) + 1)
+    # Some of the times at once, the least ones first: mostly one batch is enough, or nobody is near at all.
+    for late in np.split(every, range(_BATCH, len(every), _BATCH)):
+        i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
+        there = (j >= 0) & (j < len(second.ticks))
+        i, j = i[there], j[there]
+        close = ((first.place[i] - second.place[j]) ** 2).sum(axis=1) < reach**2
+        i, j = i[close], j[close]
+        meets = np.flatnonzero(overlap(first.corners[i], second.corners[j])) if len(i) else i
+        if len(meets):
+            k = meets[(j[meets] - i[meets]).argmin()]
+            return _finer(first, second, first.times_s[i[k]], second.times_s[j[k]], step_s, swapped)
+    return None
+
+
+def _finer(
+    first: FootprintPath, second: FootprintPath, first_s: float, second_s: float, step_s: float, swapped: bool
+) -> Encroachment:
+    """The least time between moments around those at which the footprints overlap."""
+    shifts = np.arange(-_FINE, _FINE + 1) * step_s / _FINE
+    here = np.clip(first_s + shifts, *first.times_s[[0, -1]])
+    there = np.clip(second_s + shifts, *second.times_s[[0, -1]])
+    a, b = corners(*first.at(here), first.size), corners(*second.at(there), second.size)
+    shape = (len(here), len(there), 4, 2)
+    meets = overlap(np.broadcast_to(a[:, None], shape), np.broadcast_to(b[None], shape))
+    late = there[None] - here[:, None]
+    late = np.where(meets & (late >= 0), late, np.inf)
+    i, j = np.unravel_index(int(late.argmin()), late.shape)
+    return Encroachment(seconds=float(late[i, j]), first_s=float(here[i]), second_s=float(there[j]), swapped=swapped)
+
+
+def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroachment | None:
+    """The encroachment by the area that both drive over, around a time; None where there is no such area."""
+    from shapely import polygons, unary_union
+
+    shown = [_during(path, about_s) for path in (one, other)]
+    if not all(len(rows) for rows in shown):
+        return None
+    shapes = [polygons(path.corners[rows]) for path, rows in zip((one, other), shown, strict=True)]
+    area = unary_union(shapes[0]).intersection(unary_union(shapes[1]))
+    if area.area <= 0:
+        return None
+    stays = [_stay(path, rows, own, area) for path, rows, own in zip((one, other), shown, shapes, strict=True)]
+    swapped = stays[1][0] < stays[0][0]
+    first, second = stays[::-1] if swapped else stays
+    return Encroachment(seconds=max(0.0, second[0] - first[1]), first_s=first[1], second_s=second[0], swapped=swapped)
+
+
+def _during(path: FootprintPath, about_s: float) -> Array:
+    return np.flatnonzero(np.abs(path.times_s - about_s) <= _AROUND_S)  # type: ignore[return-value]
+
+
+def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:
+    """When the footprint enters the area and leaves it, seconds."""
+    from shapely import intersects, polygons
+
+    def within(time_s: float) -> bool:
+        place, facing = path.at(np.array([time_s]))
+        return bool(intersects(polygons(corners(place, facing, path.size))[0], area))
+
+    there = np.flatnonzero(intersects(shapes, area))
+    times = path.times_s[rows]
+    first, last = int(there[0]), int(there[-1])
+    enter = _border(within, times[first - 1], times[first]) if first else float(times[0])
+    leave = _border(within, times[last + 1], times[last]) if last + 1 < len(times) else float(times[-1])
+    return enter, leave
+
+
+def _border(within: Any, outside_s: float, inside_s: float) -> float:
+    """The time at which an area is entered or left, between one outside and one inside."""
+    for _ in range(6):
+        middle = (outside_s + inside_s) / 2
+        outside_s, inside_s = (outside_s, middle) if within(middle) else (middle, inside_s)
+    return float(inside_s)

@@ -1,0 +1,120 @@
+"""The rectangles that road users stand on, and when two of them meet."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.traffic.trajectories import Trajectory
+from skope.types import Array
+
+_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+_NODE_M: Final = 0.3
+"""A path has a node wherever its road user has got so much farther: places that jitter make it no longer."""
+
+
+def corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
+    """(..., 4, 2) corners of rectangles around places (..., 2) that face (..., 2), of length and width `size`."""
+    across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
+    offsets = _CORNERS * size
+    along, aside = offsets[:, :1] * facing[..., None, :], offsets[:, 1:] * across[..., None, :]
+    return np.asarray(place[..., None, :] + along + aside)
+
+
+def meeting(one: Array, velocity: Array, other: Array, other_velocity: Array) -> tuple[Array, Array]:
+    """From when to when rectangles that move straight on overlap: seconds from now, begin > end where they never do.
+
+    By the separating axes of their sides: they overlap when their shadows do on all of them.
+
+    Args:
+        one: (..., 4, 2) corners.
+        velocity: (..., 2) m/s.
+        other: (..., 4, 2) corners of the other one.
+        other_velocity: (..., 2) m/s.
+    """
+    away = other.mean(axis=-2) - one.mean(axis=-2)
+    rate_xy = other_velocity - velocity
+    halves = [(shape[..., 0, :] - shape[..., k, :]) / 2 for shape in (one, other) for k in (1, 3)]
+    begin, end = np.full(away.shape[:-1], -np.inf), np.full(away.shape[:-1], np.inf)
+    for axis in halves:
+        reach = sum(np.abs(_dot(half, axis)) for half in halves)
+        apart, rate = _dot(away, axis), _dot(rate_xy, axis)
+        still = np.abs(rate) < 1e-12
+        safe = np.where(still, 1.0, rate)
+        middle, around = -apart / safe, np.abs(reach / safe)
+        never = still & (np.abs(apart) > reach)
+        begin = np.maximum(begin, np.where(still, np.where(never, np.inf, -np.inf), middle - around))
+        end = np.minimum(end, np.where(still, np.where(never, -np.inf, np.inf), middle + around))
+    return begin, end
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """(...,) products of vectors (..., 2); faster than einsum on so short ones."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
+
+
+def overlap(one: Array, other: Array) -> NDArray[np.bool_]:
+    """(...,) whether rectangles (..., 4, 2) overlap or touch."""
+    still = np.zeros((*one.shape[:-2], 2))
+    begin, end = meeting(one, still, other, still)
+    return np.asarray(begin <= end)
+
+
+class FootprintPath:
+    """A trajectory at the moments of a clock that all share, and its way by length."""
+
+    def __init__(self, trajectory: Trajectory, step_s: float) -> None:
+        """`step_s`: seconds from one moment to the next; the moments are its multiples."""
+        times = trajectory.times_s
+        self.trajectory, self.size = trajectory, trajectory.size
+        first, last = int(np.ceil(times[0] / step_s - 1e-9)), int(np.floor(times[-1] / step_s + 1e-9))
+        self.ticks = np.arange(first, last + 1)
+        self.times_s = np.asarray(self.ticks * step_s, dtype=np.float64)
+        self.place, self.facing = self.at(self.times_s)
+        self.speed = trajectory.at(trajectory.speed, self.times_s)
+        self.corners = corners(self.place, self.facing, self.size)
+        self._radius = float(np.hypot(*self.size)) / 2
+        self._nodes = self._by_length()
+        self.along = np.interp(self.ticks, self._nodes[0], self._nodes[1][:-1])
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal of the footprint, metres."""
+        return self._radius
+
+    def at(self, times_s: Array) -> tuple[Array, Array]:
+        """Places and unit vectors (..., 2) where the front points, at times (...,)."""
+        place = self.trajectory.at(self.trajectory.place, times_s)
+        facing = self.trajectory.at(self.trajectory.facing, times_s)
+        return place, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
+
+    def _by_length(self) -> tuple[Array, Array, Array, Array]:
+        """Ticks (N,) of the nodes, and lengths, places and facings of these and of the end, prolonged straight on."""
+        rows = [0] if len(self.ticks) else []
+        for i in range(1, len(self.ticks)):
+            if np.hypot(*(self.place[i] - self.place[rows[-1]])) >= _NODE_M:
+                rows.append(i)
+        places, facings, ticks = self.place[rows], self.facing[rows], self.ticks[rows].astype(float)
+        far = 1000.0
+        places = np.concatenate([places, places[-1:] + far * facings[-1:]])
+        facings = np.concatenate([facings, facings[-1:]])
+        lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+        return ticks, lengths, places, facings
+
+    def ahead(self, rows: NDArray[np.intp], metres: Array) -> tuple[Array, Array]:
+        """Places and facings (..., 2) when it has gone so many metres (...,) on from the moments `rows` (...,)."""
+        _, lengths, places, facings = self._nodes
+        along = self.along[rows] + metres
+        at = np.stack([np.interp(along, lengths, places[:, k]) for k in (0, 1)], axis=-1)
+        # Between nodes it stands a little beside the straight way from one to the next.
+        here = np.stack([np.interp(self.along[rows], lengths, places[:, k]) for k in (0, 1)], axis=-1)
+        facing = np.stack([np.interp(along, lengths, facings[:, k]) for k in (0, 1)], axis=-1)
+        norm = np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
+        return at + self.place[rows] - here, facing / norm
+
+
+def paths(trajectories: Sequence[Trajectory], step_s: float) -> list[FootprintPath]:
+    """The paths of those who are seen at two moments and more."""
+    made = [FootprintPath(one, step_s) for one in trajectories if one.times_s[-1] - one.times_s[0] >= 2 * step_s]
+    return [one for one in made if len(one.ticks) > 1]

@@ -1,0 +1,164 @@
+"""Crossings of gates: one for each time that a road user goes from one side to the other."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.event_probability import event_probability
+from skope.traffic.lanes import LaneMap
+from skope.traffic.normal_distribution import at_most
+from skope.traffic.passages import Passage, passages
+from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory, wandering
+from skope.types import Array
+
+_SLOWEST: Final = 0.05
+"""Speed along the normal, m/s, under which a place says nothing more of the time."""
+
+_SURE: Final = 3.0
+"""The hysteresis is so many standard deviations of a place along the normal at least: who stands jitters by that."""
+_NEAR_M: Final = 5.0
+"""So near to a gate it counts how certain places are."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GateCrossing:
+    """A road user crosses a gate."""
+
+    trajectory: Trajectory
+    gate: str
+    direction: int
+    """0 from the gate's left to its right as it is drawn, 1 back."""
+    direction_name: str
+    """What the user calls that direction; "1" and "2" where it has no name."""
+    time_s: float
+    """When the body's middle crosses, seconds of the footage."""
+    sigma_s: float
+    """Standard deviation of the times, from how well the places are known."""
+    front_s: float
+    """When the front crosses; NaN where the track does not show it."""
+    rear_s: float
+    """When the rear does; NaN likewise."""
+    place: Array
+    """(2,) where, metres."""
+    speed: float
+    """m/s."""
+    speed_sigma: float
+    lane: str
+    """Name of the lane; empty where it is in none."""
+    lane_probability: float
+    """Probability that it is right."""
+    probability: float
+    """Probability that this happened, once."""
+    doubt: str
+    """Why that is in doubt: begins or ends, where the track does so on the gate; else empty."""
+
+    @cached_property
+    def end_sigma_s(self) -> float:
+        """Standard deviation of the times of front and rear, seconds."""
+        return math.hypot(self.sigma_s, LENGTH_SIGMA_M / 2 / max(self.speed, _SLOWEST))
+
+
+def direction_names(gate: Gate) -> tuple[str, str]:
+    """What crossings from left to right, and back, are called."""
+    return gate.directions or ("1", "2")
+
+
+def crossings(
+    trajectories: Sequence[Trajectory], gates: Sequence[Gate], lanes: LaneMap, settings: TrafficSettings
+) -> list[GateCrossing]:
+    """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none."""
+    found = [
+        crossing
+        for trajectory in trajectories
+        if wandering(trajectory) and trajectory.class_name in settings.classes
+        for gate in gates
+        for crossing in _of_one(trajectory, gate, lanes, settings)
+    ]
+    return sorted(found, key=lambda one: (one.time_s, one.trajectory.number, one.gate))
+
+
+def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
+    """(M,) distances of places (M, 2) from the gate's line, positive to its left, and (M,) how far along it they lie.
+
+    Both in metres; along it counts from the first end.
+    """
+    start, end = np.array(gate.line)
+    along = (end - start) / np.linalg.norm(end - start)
+    away = places - start
+    return along[0] * away[:, 1] - along[1] * away[:, 0], away @ along
+
+
+def _of_one(trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: TrafficSettings) -> list[GateCrossing]:
+    signed, along = signed_distances(gate, trajectory.place)
+    length = math.dist(*gate.line)
+    rule = _rule(trajectory, gate, signed, settings)
+    # Half-open along the gate too: of two gates that share an end, one counts.
+    return [
+        _crossing(trajectory, gate, passage, lanes, rule)
+        for passage in passages(signed, trajectory.times_s, **rule)
+        if 0 <= float(trajectory.at(along, passage.time_s)) < length
+    ]
+
+
+def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
+    """How far it has to be seen on the other side, and how far it has to move: more where places are less certain."""
+    near = trajectory.covariance[np.abs(signed) < _NEAR_M]
+    normal = _normal(gate)
+    spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
+    hysteresis = max(settings.hysteresis_m, _SURE * math.sqrt(max(0.0, spread)))
+    return {"hysteresis": hysteresis, "least_travel": max(settings.least_travel_m, hysteresis)}
+
+
+def _normal(gate: Gate) -> Array:
+    """(2,) unit vector to the left of the gate."""
+    start, end = np.array(gate.line)
+    along = (end - start) / np.linalg.norm(end - start)
+    return np.array([-along[1], along[0]])
+
+
+def _crossing(
+    trajectory: Trajectory, gate: Gate, passage: Passage, lanes: LaneMap, rule: dict[str, float]
+) -> GateCrossing:
+    time_s = passage.time_s
+    normal = _normal(gate)
+    velocity = trajectory.at(trajectory.velocity, time_s)
+    covariance = trajectory.at(trajectory.covariance, time_s)
+    sigma_m = math.sqrt(max(0.0, float(normal @ covariance @ normal)))
+    across = max(abs(float(normal @ velocity)), _SLOWEST)
+    place = trajectory.at(trajectory.place, time_s)
+    lane, lane_probability = lanes.lane_at(place, covariance)
+    sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
+    return GateCrossing(
+        trajectory=trajectory,
+        gate=gate.name,
+        direction=0 if passage.came_from > 0 else 1,
+        direction_name=direction_names(gate)[0 if passage.came_from > 0 else 1],
+        time_s=time_s,
+        sigma_s=math.hypot(sigma_m / across, passage.spread_s),
+        front_s=_end_time(trajectory, gate, trajectory.front, passage, rule),
+        rear_s=_end_time(trajectory, gate, trajectory.rear, passage, rule),
+        place=place,
+        speed=float(np.linalg.norm(velocity)),
+        speed_sigma=float(trajectory.at(trajectory.speed_sigma, time_s)),
+        lane=lane,
+        lane_probability=lane_probability,
+        probability=event_probability(trajectory) * sure,
+        doubt=" ".join(word for word, holds in (("begins", passage.begins), ("ends", passage.ends)) if holds),
+    )
+
+
+def _end_time(trajectory: Trajectory, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
+    """When the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not seen."""
+    signed, _ = signed_distances(gate, places)
+    times = [
+        one.time_s
+        for one in passages(signed, trajectory.times_s, **rule)
+        if one.came_from == passage.came_from and not one.begins
+    ]
+    return min(times, key=lambda time_s: abs(time_s - passage.time_s)) if times else math.nan

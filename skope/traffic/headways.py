@@ -1,0 +1,115 @@
+"""Who drives behind whom at a gate: headways, gaps, and how long the gate is occupied.
+
+Definitions are those of the Highway Capacity Manual: headway from front to front, gap from rear to front, in seconds;
+occupancy is the share of time in which a vehicle is over the detector, here over the gate's line.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from skope.traffic.clock import ClockInterval
+from skope.traffic.gates import GateCrossing
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Headway:
+    """A vehicle crosses a gate behind another one."""
+
+    leader: GateCrossing
+    follower: GateCrossing
+    headway_s: float
+    """From front to front, seconds; NaN where one of the two fronts is not seen to cross."""
+    gap_s: float
+    """From rear to front, seconds; NaN likewise."""
+    sigma_s: float
+    """Standard deviation of both, seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Occupancy:
+    """How long the line of a gate was occupied in an interval."""
+
+    interval: ClockInterval
+    gate: str
+    direction: str
+    lane: str
+    """Empty: no lanes are drawn there, the whole gate."""
+    observed_s: float
+    occupied_s: float
+    sigma_s: float
+    """Standard deviation of `occupied_s`, seconds."""
+    left_out: int
+    """Vehicles whose front or rear was not seen to cross."""
+
+
+def streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
+    """The vehicles of each gate, direction and lane, by when their fronts cross; pedestrians are in none."""
+
+    def key(one: GateCrossing) -> tuple[str, int, str]:
+        return one.gate, one.direction, one.lane
+
+    driving = [one for one in crossings if one.trajectory.category != "pedestrian"]
+    for _, own in itertools.groupby(sorted(driving, key=key), key):
+        yield sorted(own, key=lambda one: one.time_s if math.isnan(one.front_s) else one.front_s)
+
+
+def headways(crossings: Sequence[GateCrossing], observation: Observation) -> list[Headway]:
+    """All headways between vehicles of which one follows the other, where all between them was observed."""
+    out = [
+        Headway(
+            leader=leader,
+            follower=follower,
+            headway_s=follower.front_s - leader.front_s,
+            gap_s=follower.front_s - leader.rear_s,
+            sigma_s=math.hypot(leader.end_sigma_s, follower.end_sigma_s),
+        )
+        for own in streams(crossings)
+        for leader, follower in itertools.pairwise(own)
+        if observation.together(leader.time_s, follower.time_s)
+    ]
+    return sorted(out, key=lambda one: one.follower.time_s)
+
+
+def occupancies(
+    crossings: Sequence[GateCrossing], intervals: Sequence[ClockInterval], observation: Observation
+) -> list[Occupancy]:
+    """The occupancy of each gate, direction and lane, in each interval of which something was observed.
+
+    Of vehicles alone: how long others are is not measured.
+    """
+    out = []
+    for own in streams([one for one in crossings if one.trajectory.category == VEHICLE]):
+        for interval in intervals:
+            observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
+            if observed_s <= 0:
+                continue
+            there = [one for one in own if interval.begin_s <= one.time_s < interval.end_s]
+            whole = [one for one in own if not math.isnan(one.rear_s - one.front_s)]
+            spans = [(max(one.front_s, interval.begin_s), min(one.rear_s, interval.end_s)) for one in whole]
+            inside = [(span, one) for span, one in zip(spans, whole, strict=True) if span[1] > span[0]]
+            out.append(
+                Occupancy(
+                    interval=interval,
+                    gate=own[0].gate,
+                    direction=own[0].direction_name,
+                    lane=own[0].lane,
+                    observed_s=observed_s,
+                    occupied_s=_union([span for span, _ in inside]),
+                    sigma_s=math.sqrt(sum(2 * one.end_sigma_s**2 for _, one in inside)),
+                    left_out=sum(math.isnan(one.rear_s - one.front_s) for one in there),
+                )
+            )
+    return out
+
+
+def _union(spans: Sequence[tuple[float, float]]) -> float:
+    """Seconds that lie in one of the spans at least."""
+    total, until = 0.0, -math.inf
+    for begin, end in sorted(spans):
+        total += max(0.0, end - max(begin, until))
+        until = max(until, end)
+    return total

@@ -1,0 +1,93 @@
+"""Counts by gates in the image, where nothing gives metres: who crossed which, and nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.clock import clock_intervals, local_start
+from skope.traffic.conflicts import ConflictSearch
+from skope.traffic.counts import counts
+from skope.traffic.gates import crossings
+from skope.traffic.lanes import LaneMap
+from skope.traffic.measure import TrafficReport, whole_footage
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import Trajectory
+from skope.traffic.turning import movements, turning_counts
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
+_HYSTERESIS: Final = 3.0
+"""In standard deviations of where a box stands."""
+_WHY: Final = (
+    "no metres: nothing calibrates the camera. Counts are of boxes' feet over gates in the image; speeds, headways, "
+    "queues, delays and conflicts are refused (`skope eval site` calibrates a camera)"
+)
+
+
+def count_in_image(
+    tracks: Sequence[Trajectory], observation: Observation, site: "SiteParts", start: datetime | None = None
+) -> TrafficReport:
+    """Counts and movements of tracks whose places are columns and negative rows of the image, pixels.
+
+    Args:
+        tracks: The tracks.
+        observation: When the camera has shown the view that the gates are drawn in.
+        site: Its `image_gates` and settings count.
+        start: When the footage begins; None: as the site says.
+    """
+    settings = site.traffic
+    gates = [_upwards(gate) for gate in site.image_gates]
+    begin = local_start(site) if start is None else start
+    whole = whole_footage(observation)
+    intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
+    crossed = sorted(
+        (
+            crossing
+            for track in tracks
+            for crossing in crossings([track], gates, LaneMap(()), _in_pixels(track, settings))
+        ),
+        key=lambda one: one.time_s,
+    )
+    moved = movements(crossed, settings)
+    return TrafficReport(
+        site=site,
+        start=begin,
+        observation=observation,
+        intervals=tuple(intervals),
+        trajectories=tuple(tracks),
+        crossings=tuple(crossed),
+        visits=(),
+        lane_changes=(),
+        counts=tuple(counts(crossed, gates, [], intervals, observation, settings)),
+        movements=tuple(moved),
+        turning=tuple(turning_counts(moved, gates, intervals, observation, settings)),
+        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings)),
+        sections=(),
+        speeds=(),
+        headways=(),
+        occupancies=(),
+        queues=(),
+        delays=(),
+        conflicts=ConflictSearch(conflicts=(), overlapping=0),
+        brakings=(),
+        refused=(_WHY,),
+        metres=False,
+    )
+
+
+def _upwards(gate: Gate) -> Gate:
+    """A gate of columns and rows among places of columns and negative rows."""
+    (a, b), (c, d) = gate.line
+    return replace(gate, line=((a, -b), (c, -d)))
+
+
+def _in_pixels(track: Trajectory, settings: TrafficSettings) -> TrafficSettings:
+    """What a crossing needs, by how exactly it is known where this track's box stands."""
+    sigma = float(np.median(np.sqrt(track.covariance[:, 0, 0])))
+    return replace(settings, hysteresis_m=_HYSTERESIS * sigma, least_travel_m=2 * _HYSTERESIS * sigma)

@@ -1,0 +1,140 @@
+"""Tracks that a mast, a bus or a key frame has broken, joined: by place, time, speed and body.
+
+A track that ends and one that begins later are one road user's with a probability: how well the second one begins
+where the first one would be by then, held against all others who may be meant, and against how likely a stranger begins
+just there. Only likely pairs are joined; the probability is kept, and goes into that of each event.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from skope.traffic.trajectories import Trajectory
+
+_LONGEST_S: Final = 8.0
+"""Who is not seen for longer is somebody else."""
+_OVERLAP_S: Final = 0.6
+"""A track goes on by its box for half a second when another one has already begun."""
+_SWERVE: Final = 1.5
+"""Standard deviation of the acceleration of somebody who is not seen, along and across, m/s^2."""
+_UNEVEN: Final = 1.5
+"""And of how far it deviates from an even one meanwhile, m/s^2."""
+_MOST_M: Final = 8.0
+"""Largest standard deviation of where somebody should be that still says who begins there, metres."""
+_STRANGER: Final = 2e-5
+"""How many road users begin for no other reason at a place in the middle of the road, per square metre and second."""
+_SIZE_SIGMA: Final = 0.08
+"""Standard deviation of a measured length, as a share."""
+_LIKELY: Final = 0.8
+"""Probability from which two tracks are joined."""
+
+
+def joined(tracks: Sequence[Trajectory]) -> list[Trajectory]:
+    """The trajectories with broken ones joined, by their first moments."""
+    ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
+    follows: dict[int, tuple[int, float]] = {}
+    taken: set[int] = set()
+    for probability, i, j in _likely_pairs(ordered):
+        if i not in follows and j not in taken:
+            follows[i] = j, probability
+            taken.add(j)
+    out = []
+    for i in range(len(ordered)):
+        if i in taken:
+            continue
+        whole, at = ordered[i], i
+        while at in follows:
+            at, probability = follows[at]
+            whole = _together(whole, ordered[at], probability)
+        out.append(whole)
+    return out
+
+
+def _likely_pairs(ordered: Sequence[Trajectory]) -> list[tuple[float, int, int]]:
+    """Pairs to be joined, by index, the likeliest first."""
+    begins = np.array([one.times_s[0] for one in ordered])
+    likelihood: dict[tuple[int, int], float] = {}
+    by_end, by_begin = defaultdict[int, float](float), defaultdict[int, float](float)
+    for i, before in enumerate(ordered):
+        end_s = float(before.times_s[-1])
+        low, high = np.searchsorted(begins, [end_s - _OVERLAP_S, end_s + _LONGEST_S])
+        for j in range(int(low), int(high)):
+            if i != j and (value := _likelihood(before, ordered[j])) > 0:
+                likelihood[i, j] = value
+                by_end[i] += value
+                by_begin[j] += value
+    stranger = _STRANGER * _LONGEST_S
+    pairs = [(value / (by_end[i] + by_begin[j] - value + stranger), i, j) for (i, j), value in likelihood.items()]
+    return sorted((pair for pair in pairs if pair[0] >= _LIKELY), reverse=True)
+
+
+def _likelihood(before: Trajectory, after: Trajectory) -> float:
+    """Density, per square metre, with which the one who ends as `before` begins as `after`; 0: it cannot be."""
+    if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
+        return 0.0
+    kept = _until(before, float(after.times_s[0]))
+    if kept is None or kept.times_s[-1] < before.times_s[-1] - _OVERLAP_S:
+        return 0.0
+    before = kept
+    gap = float(after.times_s[0] - before.times_s[-1])
+    # Whoever speeds up, brakes or turns evenly goes as far as at the mean of the two velocities.
+    missing = after.place[0] - before.place[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
+    sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
+    sigma_v = math.hypot(sigma_v, _UNEVEN * gap / 4)
+    spread = before.covariance[-1] + after.covariance[0] + (sigma_v * gap) ** 2 * np.eye(2)
+    if math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) > _MOST_M:
+        return 0.0
+    turned = after.velocity[0] - before.velocity[-1]
+    slack = float(before.speed_sigma[-1]) ** 2 + float(after.speed_sigma[0]) ** 2 + 0.25 + (_SWERVE * gap) ** 2
+    total = float(missing @ np.linalg.solve(spread, missing)) + float(turned @ turned) / slack
+    if before.length and after.length:
+        sigma = math.sqrt(2) * _SIZE_SIGMA * (before.length + after.length) / 2
+        total += ((before.length - after.length) / sigma) ** 2
+    density = 1 / (2 * math.pi * math.sqrt(max(1e-12, float(np.linalg.det(spread)))))
+    return density * math.exp(-total / 2) if total < 16 else 0.0
+
+
+_COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
+"""Fields of a trajectory that have a row for each moment."""
+
+
+def _until(track: Trajectory, end_s: float) -> Trajectory | None:
+    """A trajectory before a time; None where it has not begun by then."""
+    if track.times_s[-1] < end_s:
+        return track
+    rows = track.times_s < end_s
+    values: dict[str, Any] = {name: getattr(track, name)[rows] for name in _COLUMNS}
+    return replace(track, **values) if rows.any() else None
+
+
+def _together(before: Trajectory, after: Trajectory, probability: float) -> Trajectory:
+    """One trajectory of two; between them there is a straight line, as `Trajectory.at` has it."""
+    kept = _until(before, float(after.times_s[0]))
+    assert kept is not None
+    whole: dict[str, Any] = {name: np.concatenate([getattr(kept, name), getattr(after, name)]) for name in _COLUMNS}
+    longer, shorter = sorted((before, after), key=lambda one: -int(one.measured.sum()))
+    return replace(
+        longer,
+        **whole,
+        number=before.number,
+        class_confidence=_confidence(longer, shorter),
+        flags=_flags(before, after),
+        joined=(*before.joined, after.number, *after.joined),
+        joined_probability=before.joined_probability * after.joined_probability * probability,
+    )
+
+
+def _flags(before: Trajectory, after: Trajectory) -> tuple[str, ...]:
+    """What either should be distrusted for; who moved in one of the two has moved."""
+    moved = "never_moved" not in before.flags or "never_moved" not in after.flags
+    names = dict.fromkeys((*before.flags, *after.flags))
+    return tuple(name for name in names if not (moved and name == "never_moved"))
+
+
+def _confidence(longer: Trajectory, shorter: Trajectory) -> float:
+    """Confidence of the class that the longer one has, where the shorter one says another: less."""
+    return longer.class_confidence * (1.0 if longer.class_name == shorter.class_name else 0.8)

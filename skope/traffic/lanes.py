@@ -1,0 +1,156 @@
+"""Who drives in which lane, and changes it."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.site.marks import Lane
+from skope.traffic.normal_distribution import at_most
+from skope.traffic.trajectories import Trajectory, wandering
+from skope.types import Array
+
+_WIDTH_M: Final = 3.5
+"""Of a lane that does not say how wide it is."""
+_STAYS_S: Final = 1.0
+"""Who is in a lane for a shorter time has not changed to it."""
+_BETWEEN_S: Final = 3.0
+"""Between two lanes no longer than this is a change from one to the other."""
+_ALONGSIDE: Final = math.cos(math.radians(45))
+"""Lanes in one direction: those that meet at a larger angle are two arms of a junction, and no change."""
+_NONE: Final = -1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaneChange:
+    """A road user goes from one lane to another beside it."""
+
+    trajectory: Trajectory
+    time_s: float
+    """Middle of the time between the two, seconds."""
+    place: Array
+    """(2,) metres."""
+    from_lane: str
+    to_lane: str
+    probability: float
+    """Probability that it was in the one before and in the other after."""
+
+
+class LaneMap:
+    """Which lane a place is in."""
+
+    def __init__(self, lanes: Sequence[Lane]) -> None:
+        self.lanes = tuple(lanes)
+        self._lines = [_without_repeats(np.array(lane.line)) for lane in lanes]
+        self._half = np.array([(lane.width or _WIDTH_M) / 2 for lane in lanes])
+
+    def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
+        """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.
+
+        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest.
+        """
+        if not self.lanes:
+            count = len(places)
+            return np.full(count, _NONE), np.full(count, np.inf), np.zeros((count, 2))
+        found = [_from_line(line, places) for line in self._lines]
+        away = np.stack([distance for distance, _ in found])
+        ways = np.stack([way for _, way in found])
+        share = np.where(away <= (self._half - least).clip(0)[:, None], away / self._half[:, None], np.inf)
+        best = share.argmin(axis=0)
+        column = np.arange(len(places))
+        inside = np.isfinite(share[best, column])
+        return np.where(inside, best, _NONE), away[best, column], ways[best, column]
+
+    def along(self, lane: int, places: Array) -> Array:
+        """(M,) how far along the lane of this index places (M, 2) lie, metres from its begin."""
+        line = self._lines[lane]
+        step = np.diff(line, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        away = places[:, None] - line[None, :-1]
+        t = (np.einsum("mki,ki->mk", away, step) / length).clip(0, length)
+        beside = np.linalg.norm(away - (t / length)[..., None] * step, axis=2)
+        k = beside.argmin(axis=1)
+        return np.asarray((np.cumsum(length) - length)[k] + t[np.arange(len(places)), k])
+
+    def lane_at(self, place: Array, covariance: Array) -> tuple[str, float]:
+        """Name of the lane at a place (2,), "" where there is none, and the probability that it is right."""
+        index, away, way = self.indices(place[None])
+        if index[0] == _NONE:
+            return "", 1.0
+        across = np.array([-way[0, 1], way[0, 0]])
+        sigma = math.sqrt(max(1e-12, float(across @ covariance @ across)))
+        half = float(self._half[index[0]])
+        inside = at_most((half - away[0]) / sigma) - at_most((-half - away[0]) / sigma)
+        return self.lanes[index[0]].name, inside
+
+
+def _without_repeats(line: Array) -> Array:
+    """A line (N, 2) without points that are the one before; one of a single place lies in it twice, a bit apart."""
+    kept = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
+    return kept if len(kept) > 1 else np.stack([kept[0], kept[0] + [1e-3, 0]])
+
+
+def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
+    """(M,) distances of places (M, 2) from a polyline, infinite before its begin and after its end, and (M, 2) its
+    direction at the nearest point."""
+    a, b = line[:-1], line[1:]
+    step = b - a
+    length = np.linalg.norm(step, axis=1)
+    along = step / length[:, None]
+    away = places[:, None] - a[None]
+    t = np.einsum("mki,ki->mk", away, along)
+    beside = np.abs(along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
+    bounded = t.clip(0, length)
+    distance = np.hypot(t - bounded, beside)
+    k = distance.argmin(axis=1)
+    m = np.arange(len(places))
+    beyond = ((k == 0) & (t[m, k] < 0)) | ((k == len(length) - 1) & (t[m, k] > length[k]))
+    return np.where(beyond, np.inf, distance[m, k]), along[k]
+
+
+def lane_changes(trajectories: Sequence[Trajectory], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
+    """All changes of lane, in order of time."""
+    found: list[LaneChange] = []
+    if len(lanes.lanes) > 1:
+        for trajectory in filter(wandering, trajectories):
+            found += _changes(trajectory, lanes, hysteresis_m)
+    return sorted(found, key=lambda one: (one.time_s, one.trajectory.number))
+
+
+def _changes(trajectory: Trajectory, lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
+    index, _, ways = lanes.indices(trajectory.place, hysteresis_m)
+    times = trajectory.times_s
+    runs: list[NDArray[np.intp]] = []
+    for run in np.split(np.arange(len(index)), np.flatnonzero(np.diff(index)) + 1):
+        if index[run[0]] != _NONE:
+            if runs and index[runs[-1][0]] == index[run[0]]:
+                runs[-1] = np.arange(runs[-1][0], run[-1] + 1)
+            else:
+                runs.append(run)
+    runs = [run for run in runs if times[run[-1]] - times[run[0]] >= _STAYS_S]
+    out = []
+    for before, after in itertools.pairwise(runs):
+        left, entered = before[-1], after[0]
+        changed = index[left] != index[entered] and times[entered] - times[left] <= _BETWEEN_S
+        if not changed or float(ways[left] @ ways[entered]) < _ALONGSIDE:
+            continue
+        time_s = float(times[left] + times[entered]) / 2
+        sure = [
+            lanes.lane_at(trajectory.place[i], trajectory.covariance[i])[1]
+            for i in (before[len(before) // 2], after[len(after) // 2])
+        ]
+        out.append(
+            LaneChange(
+                trajectory=trajectory,
+                time_s=time_s,
+                place=trajectory.at(trajectory.place, time_s),
+                from_lane=lanes.lanes[index[left]].name,
+                to_lane=lanes.lanes[index[entered]].name,
+                probability=math.prod(sure),
+            )
+        )
+    return out

@@ -1,0 +1,190 @@
+"""Queues in lanes, and the stops and delays of those who pass.
+
+A vehicle stands in a queue from when it is slower than one speed until it is faster than another one, and a queue ends
+where the next such vehicle is too far behind, as the queue counters of traffic simulation (VISSIM) have it. Delay is
+the Highway Capacity Manual's: travel time over a section less what it takes at the speed of free flow.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.clock import ClockInterval
+from skope.traffic.lanes import LaneMap
+from skope.traffic.observation import Observation
+from skope.traffic.speeds import SectionPass, SpeedGroup
+from skope.traffic.trajectories import Trajectory
+from skope.types import Array
+
+_STEP_S: Final = 1.0
+"""Queues are looked at so often."""
+_STOP_S: Final = 1.0
+"""Who is slow for a shorter time has not stopped."""
+_KMH: Final = 3.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueueRecord:
+    """The longest queue of a lane in an interval."""
+
+    interval: ClockInterval
+    lane: str
+    longest_m: float
+    """From the front of the first vehicle to the rear of the last one, metres; 0 without a queue."""
+    sigma_m: float
+    """Standard deviation of that, from both places, metres."""
+    at_s: float
+    """When it was so long, seconds; NaN without a queue."""
+    vehicles: int
+    """In the longest queue."""
+    mean_vehicles: float
+    """In the lane's longest queue, in the mean of the time that was observed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Delay:
+    """Stops and delay of a road user between two gates."""
+
+    section: SectionPass
+    stops: int
+    stopped_s: float
+    delay_s: float
+    """Seconds; NaN where the speed of free flow is not known."""
+    sigma_s: float
+    """Standard deviation of the delay, seconds; NaN likewise."""
+
+
+def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
+    """(M,) whether somebody of these speeds stands: from under `begin` until over `end`."""
+    told = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
+    known = np.flatnonzero(told >= 0)
+    if not len(known):
+        return np.zeros(len(speed), dtype=bool)
+    latest = np.searchsorted(known, np.arange(len(speed)), side="right") - 1
+    return np.asarray((latest >= 0) & (told[known[latest.clip(0)]] == 1))
+
+
+def stops(trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings) -> tuple[int, float]:
+    """How often somebody has stopped between two times, and for how many seconds in all."""
+    times = trajectory.times_s
+    rows = np.flatnonzero((times >= begin_s) & (times <= end_s))
+    if not len(rows):
+        return 0, 0.0
+    slow = standing(trajectory.speed[rows], settings.stop_kmh / _KMH, 2 * settings.stop_kmh / _KMH)
+    runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(slow)) + 1)
+    lengths = [float(times[rows[run[-1]]] - times[rows[run[0]]]) for run in runs if slow[run[0]]]
+    lasting = [length for length in lengths if length >= _STOP_S]
+    return len(lasting), sum(lasting)
+
+
+def queues(
+    trajectories: Sequence[Trajectory],
+    lanes: LaneMap,
+    intervals: Sequence[ClockInterval],
+    observation: Observation,
+    settings: TrafficSettings,
+) -> list[QueueRecord]:
+    """The queues of each lane, in each interval of which something was observed."""
+    spans = observation.spans
+    moments = np.unique(np.concatenate([np.arange(math.ceil(a), b, _STEP_S) for a, b in spans] or [np.zeros(0)]))
+    found = [
+        _in_lane(trajectories, lanes, k, moments, settings) if len(moments) else {} for k in range(len(lanes.lanes))
+    ]
+    out = []
+    for interval in intervals:
+        here = moments[(moments >= interval.begin_s) & (moments < interval.end_s)].tolist()
+        if not here:
+            continue
+        for lane, of_moment in zip(lanes.lanes, found, strict=True):
+            nobody = (0.0, 0.0, 0)
+            longest = max(here, key=lambda moment: of_moment.get(moment, nobody)[0])
+            length, sigma, vehicles = of_moment.get(longest, nobody)
+            out.append(
+                QueueRecord(
+                    interval=interval,
+                    lane=lane.name,
+                    longest_m=length,
+                    sigma_m=sigma,
+                    at_s=longest if length else math.nan,
+                    vehicles=vehicles,
+                    mean_vehicles=sum(of_moment.get(moment, nobody)[2] for moment in here) / len(here),
+                )
+            )
+    return out
+
+
+def _in_lane(
+    trajectories: Sequence[Trajectory], lanes: LaneMap, lane: int, moments: Array, settings: TrafficSettings
+) -> dict[float, tuple[float, float, int]]:
+    """Length, standard deviation and number of vehicles of the lane's longest queue, where there is one, by moment."""
+    waiting: dict[float, list[tuple[float, float, float]]] = {}
+    for trajectory in trajectories:
+        if not trajectory.confirmed or trajectory.category == "pedestrian":
+            continue
+        there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
+        begin, end = settings.queue_speed_kmh / _KMH, settings.queue_end_kmh / _KMH
+        # A speed that is not known so well is no sign of standing.
+        slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
+        there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
+        if not len(there):
+            continue
+        places = trajectory.at(trajectory.place, there)
+        spread = np.sqrt(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, there))[:, -1])
+        inside = lanes.indices(places)[0] == lane
+        along = lanes.along(lane, places)
+        half = trajectory.size[0] / 2
+        for moment, at, sigma in zip(there[inside].tolist(), along[inside], spread[inside], strict=True):
+            waiting.setdefault(moment, []).append((float(at) + half, float(at) - half, float(sigma)))
+    return {moment: max(_chains(ends, settings.queue_gap_m)) for moment, ends in waiting.items()}
+
+
+def _chains(ends: Sequence[tuple[float, float, float]], most_m: float) -> Iterator[tuple[float, float, int]]:
+    """Length, its standard deviation and number of vehicles of each queue.
+
+    `ends` are the fronts and rears of vehicles along the lane, and the standard deviations of their places, metres.
+    """
+    ordered = sorted(ends, reverse=True)
+    first, last, number = ordered[0], ordered[0], 1
+    for one in ordered[1:]:
+        if last[1] - one[0] > most_m:
+            yield first[0] - last[1], math.hypot(first[2], last[2]), number
+            first, number = one, 0
+        last, number = one, number + 1
+    yield first[0] - last[1], math.hypot(first[2], last[2]), number
+
+
+def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settings: TrafficSettings) -> list[Delay]:
+    """Stops and delay of everyone who was seen at two gates.
+
+    Free flow is `settings.free_flow_kmh`, or the 85th percentile of the section's motor vehicles where that is known.
+    """
+    free: dict[str, tuple[float, float]] = {}
+    for group in groups:
+        v85 = group.percentiles["v85"]
+        if group.kind == "section" and group.interval is None and group.class_name == "motor" and v85.value:
+            assert v85.low is not None
+            assert v85.high is not None
+            free[group.where] = v85.value, (v85.high - v85.low) / 2 / 1.645
+    out = []
+    for one in sections:
+        origin, destination = one.movement.origin, one.movement.destination
+        assert origin is not None
+        assert destination is not None
+        number, stopped_s = stops(origin.trajectory, origin.time_s, destination.time_s, settings)
+        told = settings.free_flow_kmh
+        speed, sigma = (told / _KMH, 0.0) if told else free.get(one.name, (math.nan, math.nan))
+        out.append(
+            Delay(
+                section=one,
+                stops=number,
+                stopped_s=stopped_s,
+                delay_s=one.seconds - one.length_m / speed,
+                sigma_s=math.hypot(one.seconds_sigma, one.length_m / speed * sigma / speed),
+            )
+        )
+    return out

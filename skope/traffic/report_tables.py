@@ -1,0 +1,270 @@
+"""The tables of a traffic report, column by column; docs/traffic.md says what they mean.
+
+Cells are None or NaN where there is nothing to say: a count of nothing observed, a time that was not seen. Speeds are
+km/h, lengths metres, times seconds of the footage; columns with times of the day have the site's time with its offset.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final
+
+import numpy as np
+
+from skope.traffic.clock import ClockInterval
+from skope.traffic.count_interval import CountInterval
+from skope.traffic.counts import observed_word
+from skope.traffic.gates import GateCrossing
+from skope.traffic.measure import TrafficReport
+from skope.traffic.speed_percentiles import PERCENTILES
+from skope.traffic.trajectories import Trajectory
+
+Row = Sequence[Any]
+_KMH: Final = 3.6
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """Rows of cells under the names of their columns."""
+
+    columns: tuple[str, ...]
+    rows: Iterable[Row]
+
+
+def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
+    """The tables by their names; without metres those of counts and movements alone."""
+    if not report.metres:
+        return {"events": _events(report), "counts": _counts(report), "turning": _turning(report)}
+    return {
+        "events": _events(report),
+        "trajectories": _trajectories(report),
+        "counts": _counts(report),
+        "turning": _turning(report),
+        "speeds": _speeds(report),
+        "headways": _headways(report),
+        "occupancy": _occupancy(report),
+        "queues": _queues(report),
+        "delays": _delays(report),
+        "conflicts": _conflicts(report),
+    }
+
+
+def _table(columns: str, rows: Iterable[Row]) -> ReportTable:
+    return ReportTable(tuple(columns.split()), rows)
+
+
+def clock(report: TrafficReport, time_s: float) -> datetime | None:
+    """The time of the day of a second of the footage, to the millisecond; None where it is not known."""
+    if report.start is None or math.isnan(time_s):
+        return None
+    # Through UTC: on the day of a change the clock does not go on by itself.
+    zone = report.start.tzinfo
+    moment = report.start.astimezone(UTC) + timedelta(seconds=time_s)
+    return moment.replace(microsecond=moment.microsecond // 1000 * 1000).astimezone(zone)
+
+
+def _of_interval(interval: ClockInterval | None) -> Row:
+    if interval is None:
+        return (None,) * 4
+    return interval.begin, interval.end, interval.begin_s, interval.end_s
+
+
+def _between(expected: CountInterval | None) -> Row:
+    return (None, None) if expected is None else (expected.low, expected.high)
+
+
+def _who(one: Trajectory) -> Row:
+    return one.number, one.class_name, one.class_confidence
+
+
+def _events(report: TrafficReport) -> ReportTable:
+    def rows() -> Iterator[tuple[float, Row]]:
+        for one in report.crossings:
+            place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
+            ends = (one.speed * _KMH, one.speed_sigma * _KMH, one.front_s, one.rear_s)
+            tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
+            where = one.gate, one.direction_name, one.lane
+            yield one.time_s, ("gate", one.sigma_s, *_who(one.trajectory), *where, *tail)
+        for visit in report.visits:
+            borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
+            for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
+                if not math.isnan(time_s):
+                    place = visit.trajectory.at(visit.trajectory.place, time_s).tolist()
+                    where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None)
+                    yield time_s, (event, sigma, *_who(visit.trajectory), *where)
+        for change in report.lane_changes:
+            place = change.place.tolist()
+            where = (change.from_lane, change.to_lane, change.to_lane, *place, *(None,) * 5, change.probability, None)
+            yield change.time_s, ("lane change", None, *_who(change.trajectory), *where)
+        for brake in report.brakings:
+            told = f"{brake.deceleration:.1f} m/s2 (sigma {brake.sigma:.1f})"
+            where = (None, None, None, *brake.place.tolist(), *(None,) * 5, brake.probability, told)
+            yield brake.time_s, ("hard braking", None, *_who(brake.trajectory), *where)
+
+    ordered = sorted(rows(), key=lambda pair: pair[0])
+    return _table(
+        "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
+        "front_s rear_s dwell_s probability remark",
+        ((row[0], time_s, clock(report, time_s), *row[1:]) for time_s, row in ordered),
+    )
+
+
+def _trajectories(report: TrafficReport) -> ReportTable:
+    step = report.site.traffic.trajectory_interval_s
+
+    def rows() -> Iterator[Row]:
+        for one in report.trajectories:
+            for i in thinned(one, step):
+                heading = math.degrees(one.heading[i])
+                yield (
+                    *(one.number, one.class_name, float(one.times_s[i]), clock(report, float(one.times_s[i]))),
+                    *(*one.place[i].tolist(), heading, float(one.speed[i]) * _KMH),
+                    *(math.sqrt(float(np.linalg.eigvalsh(one.covariance[i])[-1])), float(one.speed_sigma[i]) * _KMH),
+                    *(one.length, one.width, int(one.measured[i])),
+                    *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
+                )
+
+    return _table(
+        "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width measured "
+        "joined joined_probability flags",
+        rows(),
+    )
+
+
+def thinned(one: Trajectory, step_s: float) -> list[int]:
+    """Rows of a trajectory that are `step_s` apart at least, with its first and its last one."""
+    rows, at = [0], float(one.times_s[0])
+    for i, time_s in enumerate(one.times_s[1:-1].tolist(), start=1):
+        if time_s - at >= step_s - 1e-6:
+            rows.append(i)
+            at = time_s
+    return [*rows, len(one.times_s) - 1] if len(one.times_s) > 1 else rows
+
+
+def _counts(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s observed observed_s gate direction lane class count low high",
+        (
+            (
+                *_of_interval(one.interval),
+                *(one.observed, one.observed_s, one.gate, one.direction, one.lane, one.class_name, one.count),
+                *_between(one.expected),
+            )
+            for one in report.counts
+        ),
+    )
+
+
+def _turning(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s observed from_gate from_direction to_gate to_direction count low high",
+        (
+            (
+                *_of_interval(one.interval),
+                observed_word(one.interval, report.observation.seconds_in(one.interval.begin_s, one.interval.end_s)),
+                *(*one.origin, *one.destination, one.count, *_between(one.expected)),
+            )
+            for one in report.turning
+        ),
+    )
+
+
+def _speeds(report: TrafficReport) -> ReportTable:
+    names = " ".join(f"{name}_kmh {name}_low_kmh {name}_high_kmh" for name in PERCENTILES)
+
+    def rows() -> Iterator[Row]:
+        for group in report.speeds:
+            cells: list[Any] = []
+            for name in PERCENTILES:
+                one = group.percentiles[name]
+                cells += [None if v is None else v * _KMH for v in (one.value, one.low, one.high)]
+            why = "; ".join(f"{name}: {one.refused}" for name, one in group.percentiles.items() if one.refused)
+            yield (
+                *_of_interval(group.interval),
+                *(group.kind, group.where, group.class_name, group.number, *cells),
+                *(int(group.common_known), why),
+            )
+
+    return _table(f"begin end begin_s end_s kind where class vehicles {names} camera_error_counts refused", rows())
+
+
+def _headways(report: TrafficReport) -> ReportTable:
+    def pair(one: GateCrossing) -> Row:
+        return one.trajectory.number, one.trajectory.class_name
+
+    return _table(
+        "time_s time gate direction lane leader leader_class follower follower_class headway_s gap_s sigma_s",
+        (
+            (
+                *(one.follower.time_s, clock(report, one.follower.time_s)),
+                *(one.follower.gate, one.follower.direction_name, one.follower.lane),
+                *(*pair(one.leader), *pair(one.follower), one.headway_s, one.gap_s, one.sigma_s),
+            )
+            for one in report.headways
+        ),
+    )
+
+
+def _occupancy(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s gate direction lane observed_s occupied_s sigma_s occupancy left_out",
+        (
+            (
+                *_of_interval(one.interval),
+                *(one.gate, one.direction, one.lane, one.observed_s, one.occupied_s, one.sigma_s),
+                *(one.occupied_s / one.observed_s, one.left_out),
+            )
+            for one in report.occupancies
+        ),
+    )
+
+
+def _queues(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s lane longest_m sigma_m at_s vehicles mean_vehicles",
+        (
+            (
+                *_of_interval(one.interval),
+                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, one.mean_vehicles),
+            )
+            for one in report.queues
+        ),
+    )
+
+
+def _delays(report: TrafficReport) -> ReportTable:
+    def rows() -> Iterator[Row]:
+        for one in report.delays:
+            section = one.section
+            first = section.movement.origin
+            assert first is not None
+            yield (
+                *(first.time_s, clock(report, first.time_s), first.trajectory.number, first.trajectory.class_name),
+                *(section.name, section.length_m, section.seconds, section.seconds_sigma),
+                *(section.speed * _KMH, section.speed_sigma * _KMH),
+                *(one.stops, one.stopped_s, one.delay_s, one.sigma_s),
+            )
+
+    return _table(
+        "time_s time track class section length_m travel_s travel_sigma_s speed_kmh speed_sigma_kmh stops stopped_s "
+        "delay_s delay_sigma_s",
+        rows(),
+    )
+
+
+def _conflicts(report: TrafficReport) -> ReportTable:
+    return _table(
+        "time_s time x y zone kind angle_deg first first_class second second_class ttc_s ttc_low_s ttc_high_s "
+        "ttc_probability drac_ms2 drac_low_ms2 drac_high_ms2 pet_ssam_s pet_area_s pet_sigma_s",
+        (
+            (
+                *(one.time_s, clock(report, one.time_s), *one.place.tolist(), one.zone, one.kind, one.angle_deg),
+                *(one.first.number, one.first.class_name, one.second.number, one.second.class_name),
+                *(one.ttc_s, one.ttc_low_s, one.ttc_high_s, one.probability),
+                *(one.drac_ms2, one.drac_low_ms2, one.drac_high_ms2),
+                *(one.pet_places_s, one.pet_area_s, one.pet_sigma_s),
+            )
+            for one in report.conflicts.conflicts
+        ),
+    )

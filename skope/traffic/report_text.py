@@ -1,0 +1,64 @@
+"""A traffic report in a few lines of text, as the terminal shows it."""
+
+from collections.abc import Iterator
+
+from skope.terminal.text_table import text_table
+from skope.traffic.count_interval import count_interval
+from skope.traffic.measure import TrafficReport
+from skope.traffic.speed_percentiles import Percentile
+from skope.traffic.speeds import MOTOR
+
+_KMH = 3.6
+
+
+def report_lines(report: TrafficReport) -> Iterator[str]:
+    """Counts and speeds by gate and direction, the turning matrix, and what else was found."""
+    spans = report.observation.spans
+    seconds = float((spans[:, 1] - spans[:, 0]).sum())
+    yield f"{len(report.trajectories)} road users over {seconds:.1f} s that were observed; intervals hold 90%"
+    if report.counts:
+        yield from text_table(
+            ["gate", "direction", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "ll"
+        )
+    if report.turning:
+        yield from text_table(["from", "to", "count", "there were"], _movements(report), "ll")
+    if not report.metres:
+        return
+    likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
+    others = len(report.conflicts.conflicts) - len(likely)
+    told = count_interval([one.probability for one in likely], (0.0, 1.0))
+    sure = f" ({told.low} to {told.high} of them real)" if likely else ""
+    yield (
+        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision{sure}, {others} more by "
+        f"encroachment; {len(report.brakings)} vehicles braked hard"
+    )
+
+
+def _gates(report: TrafficReport) -> Iterator[list[str]]:
+    speeds = {
+        one.where: one.percentiles
+        for one in report.speeds
+        if one.kind == "spot" and one.interval is None and one.class_name == MOTOR
+    }
+    for gate, direction in dict.fromkeys((one.gate, one.direction) for one in report.counts):
+        own = [one for one in report.crossings if (one.gate, one.direction_name) == (gate, direction)]
+        told = count_interval([one.probability for one in own])
+        found = speeds.get(f"{gate} ({direction})", {})
+        yield [
+            *(gate, direction, str(len(own)), f"{told.low} to {told.high}"),
+            *(_speed(found.get(name)) for name in ("v50", "v85")),
+        ]
+
+
+def _speed(one: Percentile | None) -> str:
+    if one is None or one.value is None or one.low is None or one.high is None:
+        return "-"
+    return f"{one.value * _KMH:.1f} ({one.low * _KMH:.1f} to {one.high * _KMH:.1f})"
+
+
+def _movements(report: TrafficReport) -> Iterator[list[str]]:
+    """The pairs of gates that somebody was seen at both of, over the whole footage."""
+    for one in report.turning_total:
+        if one.expected is not None:
+            sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
+            yield [*sides, str(one.count), f"{one.expected.low} to {one.expected.high}"]

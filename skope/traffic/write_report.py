@@ -1,0 +1,105 @@
+"""The files of a traffic report: events and trajectories apart, a table for each measure, and a summary.
+
+Cells are empty where there is nothing to say.
+"""
+
+import csv
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.files.atomic import replacing
+from skope.files.json_files import write_json
+from skope.traffic.count_interval import count_interval
+from skope.traffic.measure import TrafficReport
+from skope.traffic.normal_distribution import LEVEL
+from skope.traffic.report_tables import ReportTable, report_tables
+from skope.version import __version__
+
+_DIGITS: Final = 3
+SUMMARY: Final = "summary.json"
+"""Written last: where it is, the report is whole."""
+
+
+def write_report(out: Path, report: TrafficReport, *, tracks: str, revision: str | None) -> list[Path]:
+    """Write the files of a report.
+
+    Args:
+        out: The folder.
+        report: What was measured.
+        tracks: What the tracks were read from, for the summary.
+        revision: Digest of the site file; None: there is none.
+
+    Returns:
+        The files, the summary last.
+    """
+    written = []
+    for name, table in report_tables(report).items():
+        written.append(out / f"{name}.csv")
+        _write(written[-1], table)
+    write_json(out / SUMMARY, summary(report, tracks=tracks, revision=revision))
+    return [*written, out / SUMMARY]
+
+
+def _write(path: Path, table: ReportTable) -> None:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table.columns)
+        for row in table.rows:
+            writer.writerow([_cell(value) for value in row])
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, float):
+        return f"{value:.{_DIGITS}f}"
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="milliseconds" if value.microsecond else "seconds")
+    return str(value)
+
+
+def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict[str, Any]:
+    """What a result was made of and by, so that it can be made again, and its totals."""
+    observation = report.observation
+    spans = observation.spans
+    sides = dict.fromkeys((one.gate, one.direction) for one in report.counts)
+    totals = []
+    for gate, direction in sides:
+        own = [one for one in report.crossings if (one.gate, one.direction_name) == (gate, direction)]
+        told = count_interval([one.probability for one in own])
+        totals.append({"gate": gate, "direction": direction, "count": len(own), "low": told.low, "high": told.high})
+    likely = [one.probability for one in report.conflicts.conflicts if not math.isnan(one.probability)]
+    sure = count_interval(likely, (0.0, 1.0))
+    return {
+        "skope": __version__,
+        "tracks": tracks,
+        "footage": observation.source,
+        "site_revision": revision,
+        "settings": report.site.traffic.to_dict(),
+        "start": None if report.start is None else report.start.isoformat(),
+        "time_zone": report.site.time_zone,
+        "metres": report.metres,
+        "observed_s": round(float((spans[:, 1] - spans[:, 0]).sum()), 3),
+        "observed_spans_s": np.round(spans, 3).tolist(),
+        "camera_common_sigma": observation.common_sigma,
+        "interval_level": LEVEL,
+        "trajectories": len(report.trajectories),
+        "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
+        "counts": totals,
+        "turning": [
+            {
+                "from": list(one.origin),
+                "to": list(one.destination),
+                "count": one.count,
+                **({} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}),
+            }
+            for one in report.turning_total
+        ],
+        "conflicts_by_ttc": {"count": len(likely), "low": sure.low, "high": sure.high},
+        "hard_brakings": len(report.brakings),
+        "refused": list(report.refused),
+    }

@@ -1,0 +1,111 @@
+"""Who is in a zone, from when to when."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.site.marks import Zone
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.passages import passages
+from skope.traffic.trajectories import Trajectory
+from skope.types import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ZoneVisit:
+    """The body's middle in a zone."""
+
+    trajectory: Trajectory
+    zone: str
+    enter_s: float
+    """Seconds; NaN where the track begins inside."""
+    leave_s: float
+    """Seconds; NaN where it ends inside."""
+    seen_s: tuple[float, float]
+    """From when to when it is seen inside."""
+    sigmas_s: tuple[float, float]
+    """Standard deviations of the two times, seconds; NaN for one that is not seen."""
+
+    @property
+    def dwell_s(self) -> float:
+        """Seconds from entering to leaving; NaN where one of the two is not seen."""
+        return self.leave_s - self.enter_s
+
+    @property
+    def dwell_sigma_s(self) -> float:
+        """Standard deviation of the dwell time, seconds; NaN where there is none."""
+        return math.hypot(*self.sigmas_s)
+
+
+def inside(polygon: Array, places: Array) -> NDArray[np.bool_]:
+    """(M,) whether places (M, 2) are inside a polygon (N, 2), by the number of its sides that a ray to the right meets.
+
+    Sides are half-open, so that of two polygons with a side in common one has each place on it.
+    """
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    x, y = places[:, :1], places[:, 1:]
+    spans = (a[:, 1] <= y) != (b[:, 1] <= y)
+    rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+    met = a[:, 0] + (y - a[:, 1]) / rise * (b[:, 0] - a[:, 0]) > x
+    return np.asarray((spans & met).sum(axis=1) % 2 == 1)
+
+
+def depth(polygon: Array, places: Array) -> Array:
+    """(M,) distances of places (M, 2) from the border of a polygon (N, 2), negative outside, metres."""
+    a, step = polygon, np.roll(polygon, -1, axis=0) - polygon
+    away = places[:, None] - a
+    length = np.maximum((step**2).sum(axis=1), 1e-12)
+    share = np.clip((away * step).sum(axis=2) / length, 0, 1)
+    nearest = np.linalg.norm(away - share[..., None] * step, axis=2).min(axis=1)
+    return np.asarray(np.where(inside(polygon, places), nearest, -nearest))
+
+
+def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
+    """All visits of all zones, by when they are first seen."""
+    found = [
+        visit
+        for trajectory in trajectories
+        if trajectory.confirmed and trajectory.class_name in settings.classes
+        for zone in zones
+        for visit in _of_one(trajectory, zone, settings.hysteresis_m)
+    ]
+    return sorted(found, key=lambda one: (one.seen_s[0], one.trajectory.number, one.zone))
+
+
+def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[ZoneVisit]:
+    signed = depth(np.array(zone.polygon), trajectory.place)
+    times = trajectory.times_s
+    if (signed < 0).all():
+        return []
+    changes = passages(signed, times, hysteresis=hysteresis_m)
+    first = float(times[0]), float(times[-1])
+    begins_inside = changes[0].came_from > 0 if changes else bool(signed[0] >= 0 and signed.max() >= hysteresis_m)
+    enters = [math.nan] if begins_inside else []
+    enters += [one.time_s for one in changes if one.came_from < 0]
+    leaves = [one.time_s for one in changes if one.came_from > 0]
+    leaves += [math.nan] * (len(enters) - len(leaves))
+    out = []
+    for enter_s, leave_s in zip(enters, leaves, strict=True):
+        seen = (first[0] if math.isnan(enter_s) else enter_s, first[1] if math.isnan(leave_s) else leave_s)
+        out.append(
+            ZoneVisit(
+                trajectory=trajectory,
+                zone=zone.name,
+                enter_s=enter_s,
+                leave_s=leave_s,
+                seen_s=seen,
+                sigmas_s=(_sigma_s(trajectory, enter_s), _sigma_s(trajectory, leave_s)),
+            )
+        )
+    return out
+
+
+def _sigma_s(trajectory: Trajectory, time_s: float) -> float:
+    """Standard deviation of a time at which a border is crossed, seconds; NaN for none."""
+    if math.isnan(time_s):
+        return math.nan
+    spread = math.sqrt(float(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, time_s))[-1]))
+    return spread / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)

@@ -1,0 +1,67 @@
+"""Trajectories that are made up, so that what is measured of them can be worked out by hand."""
+
+from typing import Any
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE, Trajectory
+
+
+def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05, **others: Any) -> Trajectory:
+    """A vehicle at places (M, 2), every 0.1 s if not at other times; it faces where it moves."""
+    place = np.asarray(places, dtype=np.float64)
+    times = np.arange(len(place)) * 0.1 if times_s is None else np.asarray(times_s, dtype=np.float64)
+    velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
+    fast = np.linalg.norm(velocity, axis=1) > 0.05
+    heading = np.where(fast, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
+    values: dict[str, Any] = {
+        "category": VEHICLE,
+        "class_name": "car",
+        "class_confidence": 0.95,
+        "length": 4.0,
+        "width": 2.0,
+        "heading": heading,
+    }
+    return Trajectory(
+        number=number,
+        times_s=times,
+        place=place,
+        velocity=velocity,
+        covariance=np.tile(sigma**2 * np.eye(2), (len(times), 1, 1)),
+        speed_sigma=np.full(len(times), 0.1),
+        measured=np.ones(len(times), dtype=bool),
+        **{**values, **others},
+    )
+
+
+def straight(
+    number: int,
+    start: tuple[float, float],
+    velocity: tuple[float, float],
+    seconds: float,
+    *,
+    begin_s: float = 0.0,
+    step_s: float = 0.1,
+    **others: Any,
+) -> Trajectory:
+    """A vehicle at constant velocity."""
+    since = np.arange(round(seconds / step_s) + 1) * step_s
+    return drive(number, np.array(start) + since[:, None] * np.array(velocity), begin_s + since, **others)
+
+
+def along_x(number: int, x: Any, times_s: Any = None, **others: Any) -> Trajectory:
+    """A vehicle at these places along x, in the middle of `GATE`."""
+    x = np.asarray(x, dtype=np.float64)
+    return drive(number, np.stack([x, np.zeros_like(x)], axis=1), times_s, **others)
+
+
+GATE = Gate(name="g", line=((0.0, -5.0), (0.0, 5.0)), directions=("west", "east"))
+"""Across x at 0; to its left is -x, so that who goes to +x goes from its left to its right: "west" is a bad name for
+that, and a user's, which stays."""
+
+
+def watched(seconds: float, fps: float = 10.0, *, begin_s: float = 0.0, common: float | None = 0.0) -> Observation:
+    """Footage without a gap."""
+    return Observation(times_s=begin_s + np.arange(round(seconds * fps) + 1) / fps, common_sigma=common)

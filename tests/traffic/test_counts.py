@@ -1,0 +1,191 @@
+"""Counts on the clock, how sure they are, and movements that add up to them."""
+
+import itertools
+from datetime import datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+
+from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.clock import clock_intervals
+from skope.traffic.count_interval import count_interval, poisson_binomial
+from skope.traffic.counts import ALL, counts
+from skope.traffic.event_probability import MISSED
+from skope.traffic.gates import crossings
+from skope.traffic.lanes import LaneMap
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import Trajectory
+from skope.traffic.turning import NOWHERE, movements, turning_counts
+from tests.traffic.drives import GATE, drive, straight, watched
+
+BERLIN = ZoneInfo("Europe/Berlin")
+NO_LANES = LaneMap(())
+
+
+def test_poisson_binomial_equals_counting_all_outcomes() -> None:
+    chances = [0.1, 0.5, 0.9, 0.99, 0.3, 0.0, 1.0]
+    expected = np.zeros(len(chances) + 1)
+    for outcome in itertools.product((0, 1), repeat=len(chances)):
+        expected[sum(outcome)] += np.prod([p if one else 1 - p for p, one in zip(chances, outcome, strict=True)])
+    assert poisson_binomial(chances) == pytest.approx(expected)
+    assert poisson_binomial([]) == pytest.approx([1.0])
+
+
+def test_nothing_counted_is_not_nothing_there() -> None:
+    """One may have been missed, unless nothing ever is."""
+    assert (count_interval([]).low, count_interval([]).high) == (0, 1)
+    assert (count_interval([], (0.0, 1.0)).low, count_interval([], (0.0, 1.0)).high) == (0, 0)
+    large = count_interval([0.97] * 3000)
+    assert large.low < 3000 < large.high < 5000
+
+
+def test_count_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """The truth is drawn, then what is seen of it, and what is seen in error."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for _ in range(400):
+        true = int(rng.integers(0, 80))
+        seen = rng.binomial(true, 1 - rng.beta(*MISSED))
+        chances = rng.uniform(0.8, 1.0, 200)
+        # So many events that as many of them happened as were seen.
+        happened = np.cumsum(rng.random(200) < chances)
+        number = int(np.searchsorted(happened, seen)) if seen else 0
+        found = count_interval(chances[:number].tolist())
+        held += found.low <= true <= found.high
+    assert 0.86 < held / 400 <= 0.97
+
+
+def test_days_with_a_change_of_the_clock() -> None:
+    """23 and 25 hours, the hour that comes twice twice, none longer than it says; checked second by second."""
+    for day, hours in ((datetime(2026, 3, 29), 23), (datetime(2026, 10, 25), 25), (datetime(2026, 6, 1), 24)):
+        start = day.replace(tzinfo=BERLIN)
+        found = clock_intervals(start, 0.0, hours * 3600.0, 15)
+        assert len(found) == 4 * hours
+        assert found[0].begin == start
+        assert found[-1].end == start + timedelta(days=1)
+        assert {one.end_s - one.begin_s for one in found} == {900.0}
+        assert len({one.begin.isoformat() for one in found if one.begin}) == len(found)
+        for before, after in itertools.pairwise(found):
+            assert before.end_s == after.begin_s
+        hourly = clock_intervals(start, 0.0, hours * 3600.0, 60)
+        assert len(hourly) == hours
+        half_days = [one.end_s - one.begin_s for one in clock_intervals(start, 0.0, hours * 3600.0, 720)]
+        assert sum(half_days) == hours * 3600.0
+        assert max(half_days) <= 12 * 3600.0
+
+
+def test_intervals_begin_on_the_clock_whenever_the_footage_does() -> None:
+    start = datetime(2026, 11, 26, 10, 7, 31, tzinfo=BERLIN)
+    found = clock_intervals(start, 0.0, 1200.0, 15)
+    assert [f"{one.begin:%H:%M}" for one in found if one.begin] == ["10:00", "10:15"]
+    assert [one.begin_s for one in found] == [-451.0, 449.0]
+    lord_howe = datetime(2026, 4, 5, 0, 0, tzinfo=ZoneInfo("Australia/Lord_Howe"))  # clocks go back half an hour
+    assert sum(one.end_s - one.begin_s for one in clock_intervals(lord_howe, 0, 24.5 * 3600, 60)) == 24.5 * 3600
+    assert [one.begin_s for one in clock_intervals(None, 10.0, 1900.0, 15)] == [0.0, 900.0, 1800.0]
+
+
+def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
+    """Footage with an hour's gap: a count of 0 before it, none in it, a part after it."""
+    times = np.concatenate([np.arange(0, 900), np.arange(4500, 4800)]).astype(float)
+    seen = Observation(times_s=times)
+    start = datetime(2026, 11, 26, 10, 0, tzinfo=BERLIN)
+    found = crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
+    rows = counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings())
+    west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL)]
+    assert west == [("all", 0), *[("nothing", None)] * 4, ("part", 1)]
+    assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
+    assert seen.together(10.0, 890.0)
+    assert not seen.together(890.0, 4600.0)
+
+
+def test_one_class_for_each_track_and_classes_add_up() -> None:
+    rng = np.random.default_rng(2)
+    names = rng.choice(["car", "van", "lorry", "unknown", "pedestrian"], 40)
+    tracks = [
+        straight(k, (-20, 0), (10, 0), 4, begin_s=5.0 * k, class_name=str(name), class_confidence=0.8)
+        for k, name in enumerate(names)
+    ]
+    settings = TrafficSettings()
+    found = crossings(tracks, [GATE], NO_LANES, settings)
+    rows = counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings)
+    by_class = {one.class_name: one for one in rows if one.direction == "west"}
+    assert by_class.pop(ALL).count == 40
+    assert sum(one.count or 0 for one in by_class.values()) == 40
+    assert {name: one.count for name, one in by_class.items() if one.count} == {
+        str(name): int((names == name).sum()) for name in set(names)
+    }
+    # A van may be a car that was taken for one: the interval of cars goes beyond their count.
+    cars = by_class["car"]
+    assert cars.expected is not None
+    assert cars.count is not None
+    assert cars.expected.high > cars.count + 3
+
+
+# --------------------------------------------------------------------------------------------------------- movements
+
+ARMS = tuple(
+    Gate(name=name, line=line, directions=("in", "out"))
+    for name, line in (
+        ("north", ((-5.0, 10.0), (5.0, 10.0))),
+        ("east", ((10.0, 5.0), (10.0, -5.0))),
+        ("south", ((5.0, -10.0), (-5.0, -10.0))),
+        ("west", ((-10.0, -5.0), (-10.0, 5.0))),
+    )
+)
+"""A gate across each arm of a junction; "in" is towards its middle."""
+FAR = {"north": (0, 20), "east": (20, 0), "south": (0, -20), "west": (-20, 0)}
+
+
+def turn(number: int, origin: str, destination: str, begin_s: float, *, until: float = 1.0) -> Trajectory:
+    """From one arm to another, or as far as `until` of the way."""
+    corners = [FAR[origin], (0.0, 0.0), FAR[destination]]
+    t = np.linspace(0, 2 * until, round(80 * until))
+    places = np.stack([np.interp(t, [0, 1, 2], [corner[k] for corner in corners]) for k in (0, 1)], axis=1)
+    return drive(number, places + [1.0, 1.0], begin_s + 0.1 * np.arange(len(t)))
+
+
+def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
+    rng = np.random.default_rng(3)
+    names = list(FAR)
+    tracks = [
+        turn(k, str(rng.choice(names)), str(rng.choice(names)), 3.0 * k, until=float(rng.choice([0.2, 0.6, 1.0])))
+        for k in range(150)
+    ]
+    tracks += [turn(200 + k, name, name, 470.0 + 10 * k) for k, name in enumerate(names)]
+    settings = TrafficSettings()
+    found = crossings(tracks, ARMS, NO_LANES, settings)
+    moved = movements(found, settings)
+    intervals = clock_intervals(None, 0, 520, 1)
+    rows = turning_counts(moved, ARMS, intervals, watched(520), settings)
+    per_gate = counts(found, ARMS, [], intervals, watched(520), settings)
+    for arm, direction in itertools.product(names, ("in", "out")):
+        side = arm, direction
+        total = sum(one.gate == arm and one.direction_name == direction for one in found)
+        assert sum(one.count or 0 for one in rows if one.origin == side) == total
+        assert sum(one.count or 0 for one in rows if one.destination == side) == total
+        for interval in intervals:  # and interval by interval, where somebody comes from
+            told = [one.count for one in per_gate if (one.gate, one.direction, one.class_name) == (*side, ALL)
+                    and one.interval == interval]  # fmt: skip
+            assert told == [sum(one.count or 0 for one in rows if (one.origin, one.interval) == (side, interval))]
+    whole = [track for track in tracks if len(track.times_s) == 80]
+    for origin, destination in itertools.product(names, repeat=2):
+        wanted = sum(
+            np.allclose(one.place[0], np.add(FAR[origin], 1))
+            and np.allclose(one.place[-1], np.add(FAR[destination], 1))
+            for one in whole
+        )
+        pair = (origin, "in"), (destination, "out")
+        assert sum(one.count or 0 for one in rows if (one.origin, one.destination) == pair) == wanted
+        assert wanted or origin != destination, "W to W as well"
+    lost = [one for one in rows if one.destination == NOWHERE and one.origin[1] == "in"]
+    assert sum(one.count or 0 for one in lost) > 20
+    assert all(one.expected is None for one in lost)
+
+
+def test_movements_count_between_the_gates_that_are_named() -> None:
+    settings = TrafficSettings(turning=("north", "south"))
+    tracks = [turn(1, "north", "east", 0), turn(2, "north", "south", 5), turn(3, "west", "south", 9)]
+    found = movements(crossings(tracks, ARMS, NO_LANES, settings), settings)
+    assert [one.sides for one in found if NOWHERE not in one.sides] == [(("north", "in"), ("south", "out"))]

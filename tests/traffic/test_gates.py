@@ -1,0 +1,156 @@
+"""Gates: one event for a crossing, in the direction that the user has named, whatever the vehicle does on the line.
+
+Most cases are what other programs have got wrong, as their users tell.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skope.site.marks import Gate, Lane
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.gates import GateCrossing, crossings
+from skope.traffic.joining import joined
+from skope.traffic.lanes import LaneMap, lane_changes
+from skope.traffic.trajectories import Trajectory
+from tests.traffic.drives import GATE, along_x, drive, straight
+
+NO_LANES = LaneMap(())
+
+
+def crossed(*trajectories: Trajectory, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
+    return crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings))
+
+
+def directions(x: Any, **settings: Any) -> list[str]:
+    return [one.direction_name for one in crossed(along_x(1, x), **settings)]
+
+
+@pytest.mark.parametrize(
+    ("x", "expected"),
+    [
+        (np.linspace(-3, 3, 25), ["west"]),
+        (np.linspace(3, -3, 25), ["east"]),
+        (np.arange(-3.0, 4.0), ["west"]),  # one point lies exactly on the gate
+        (np.arange(3.0, -4.0, -1), ["east"]),
+        ([-3, -2, -1, 0, 0, 0, 0, 1, 2, 3], ["west"]),  # stops exactly on it
+        ([-3, -2, -1, 0, 0, -1, -2, -3], []),  # comes to it and goes back
+        ([-3, -2, -1, -0.1, 0.1, -0.2, 0.3, -0.1, 0.2, 1, 2], ["west"]),  # jitters on it
+        ([-3, -2, -1, *([0.2, -0.2] * 15), 1, 2, 3], ["west"]),  # for seconds
+        ([-3, -2, -1, -0.5, 0], ["west"]),  # ends on it
+        ([3, 2, 1, 0.5, 0], ["east"]),
+        ([-3, -2, -1, -0.1, 0.1, -0.1], ["west"]),  # ends jittering on it
+        ([0, 0.5, 1, 2, 3], []),  # begins on it: whoever came there has crossed it
+        ([0, -0.5, -1, -2, -3], []),
+        ([-3, -2.8, -2.6, 2.5, -2.4, -2.2, -2], []),  # a flicker of one frame
+        ([-3, -2, -1, 1, 2, -1, -1, -1, 3, 4, 5], ["west"]),  # jumps back for three frames
+        ([-3, -2.9, -2.8, 2, 2.1, 2.2, -2.2, -2.1, -2.0], []),  # and forth
+        ([-2, -1, 0.2, -1, -2, -3], []),  # not as far as the hysteresis
+        (3 - np.abs(np.linspace(-6, 6, 40)), ["west", "east"]),  # turns round beyond it
+        ([-0.3, -0.1, 0.1, 0.3], []),  # less than the least travel
+        ([-2.0, -2.0], []),
+        ([-2.0], []),
+    ],
+)
+def test_each_crossing_is_one_event(x: Any, expected: list[str]) -> None:
+    assert directions(x) == expected
+
+
+def test_a_track_that_breaks_on_the_gate_is_counted_once() -> None:
+    """Wherever it breaks, with a place on the gate and without."""
+    for shift in (0.0, 0.03, -0.1):
+        x = np.linspace(-6, 6, 61) + shift
+        for k in range(3, 58):
+            parts = [along_x(1, x[:k]), along_x(2, x[k:], np.arange(k, 61) * 0.1)]
+            assert len(crossed(*joined(parts))) == 1, (shift, k)
+
+
+def test_what_is_in_doubt_says_so() -> None:
+    (sure,) = crossed(along_x(1, np.linspace(-3, 3, 25)))
+    (ends,) = crossed(along_x(1, [-3, -2, -1, -0.5, 0.02]))
+    assert (sure.doubt, ends.doubt) == ("", "ends")
+    assert ends.probability < 0.75 * sure.probability
+
+
+@pytest.mark.parametrize("degrees", range(0, 360, 11))
+def test_directions_never_swap_their_meaning(degrees: int) -> None:
+    """Others decide by whether a line is more across or more upright: from 44 to 46 degrees IN becomes OUT."""
+    for turn in (math.radians(degrees), math.radians(44), math.radians(46)):
+        along, across = np.array([math.cos(turn), math.sin(turn)]), np.array([math.sin(turn), -math.cos(turn)])
+        gate = Gate(name="g", line=(tuple(-5 * along), tuple(5 * along)), directions=("in", "out"))
+        there = drive(1, np.linspace(-4, 4, 30)[:, None] * across + along)
+        back = drive(2, np.linspace(4, -4, 30)[:, None] * across - along)
+        assert [one.direction_name for one in crossed(there, gates=(gate,))] == ["in"]
+        assert [one.direction_name for one in crossed(back, gates=(gate,))] == ["out"]
+
+
+def test_who_stands_far_away_jitters_more() -> None:
+    """Places that are off by 0.6 m one after the other would pass a hysteresis of half a metre many times."""
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        wander = np.convolve(rng.normal(0, 0.6 / np.sqrt(5), 400), np.ones(5), "same")
+        x = np.interp(np.arange(400), [0, 60, 340, 400], [-30, 0, 0, 30]) + wander
+        assert [one.direction_name for one in crossed(along_x(1, x, sigma=0.6))] == ["west"]
+
+
+def test_a_gate_ends_where_it_ends() -> None:
+    """And of two gates with an end in common, one counts who passes there."""
+    for y, expected in ((4.9, 1), (5.1, 0), (-5.1, 0)):
+        assert len(crossed(straight(1, (-5, y), (10, 0), 1))) == expected
+    other = Gate(name="h", line=((0.0, 5.0), (0.0, 9.0)))
+    found = crossed(straight(1, (-5, 5.0), (10, 0), 1), gates=(GATE, other))
+    assert [(one.gate, one.direction_name) for one in found] == [("h", "1")]
+
+
+def test_gates_close_together_all_count() -> None:
+    gates = tuple(Gate(name=str(k), line=((0.3 * k, -5.0), (0.3 * k, 5.0))) for k in range(4))
+    assert [one.gate for one in crossed(straight(1, (-9, 0), (13, 0), 2), gates=gates)] == ["0", "1", "2", "3"]
+
+
+def test_the_time_is_that_of_the_frames() -> None:
+    """Frames that last differently long, and vehicles that pass within a whole second."""
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.02, 0.3, 60))
+    for speed in (8.0, 33.0):
+        (found,) = crossed(along_x(1, speed * (times - 4.321), times))
+        assert found.time_s == pytest.approx(4.321, abs=1e-6)
+        assert found.front_s == pytest.approx(4.321 - 2 / speed, abs=1e-6)
+        assert found.rear_s == pytest.approx(4.321 + 2 / speed, abs=1e-6)
+        assert found.speed == pytest.approx(speed)
+        assert found.sigma_s == pytest.approx(0.05 / speed, rel=1e-3)
+
+
+def test_the_stated_error_of_the_time_holds() -> None:
+    rng = np.random.default_rng(1)
+    within = 0
+    for _ in range(300):
+        clean = straight(1, (-20, 0), (9, 1), 4, sigma=0.3)
+        # A filter's errors change slowly: this one is shared by all places of a track.
+        moved = drive(1, clean.place + rng.normal(0, 0.3, 2), sigma=0.3)
+        (found,) = crossed(moved)
+        within += abs(found.time_s - 20 / 9) < 1.645 * found.sigma_s
+    assert 0.85 < within / 300 < 0.95
+
+
+def test_unconfirmed_and_parked_are_not_counted() -> None:
+    x = np.linspace(-3, 3, 25)
+    assert not crossed(along_x(1, x, confirmed=False), along_x(2, x, flags=("never_moved",)))
+    assert not crossed(along_x(1, x, class_name="bus"), classes=("car",))
+
+
+def test_lanes_and_their_changes() -> None:
+    lanes = LaneMap([Lane(name=str(k), line=((-100.0, y), (100.0, y)), width=3.5) for k, y in enumerate((-2.0, 1.5))])
+    t = np.arange(0, 10, 0.1)
+    y = -2 + 3.5 / (1 + np.exp(-2 * (t - 6)))
+    over = drive(1, np.stack([10 * t - 30, y], axis=1))
+    (found,) = crossings([over], [GATE], lanes, TrafficSettings())
+    assert found.lane == "0"
+    assert found.lane_probability > 0.99
+    (change,) = lane_changes([over], lanes, 0.3)
+    assert (change.from_lane, change.to_lane) == ("0", "1")
+    assert change.time_s == pytest.approx(6, abs=0.3)
+    weaving = drive(2, np.stack([10 * t - 30, -0.25 + 0.2 * np.sin(9 * t)], axis=1))
+    assert not lane_changes([weaving], lanes, 0.3)
+    assert lanes.lane_at(np.array([0.0, 20.0]), np.eye(2))[0] == ""

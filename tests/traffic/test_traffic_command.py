@@ -1,0 +1,311 @@
+"""`skope eval traffic`: from tracks to files, what is refused in one line, and the same from Python."""
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import skope as door
+from skope import cli
+from skope.dataset import coco
+from skope.errors import UserError
+from skope.eval.tracking.tracker import follow
+from skope.schema import AnnotationFile, Result, RoadUserResult
+from skope.site.site_file import parse_site, read_site
+from skope.site.traffic_settings import TrafficSettings
+from skope.site.write_site import save_site
+from skope.traffic.measure import measure
+from skope.traffic.observation import Observation, read_observation
+from skope.traffic.place_errors import place_covariance
+from skope.traffic.read_tracks import read_trajectories
+from tests.eval.cli.test_footage import numbered_video
+from tests.eval.sightings import CAMERA, drive
+from tests.traffic.drives import straight
+
+Skope = Callable[..., tuple[int, str, str]]
+HEAD = 'time_zone = "Europe/Berlin"\nstart = 2026-11-26T10:14:58\n'
+
+
+def site_of(file: AnnotationFile, name: str = "site.toml", head: str = HEAD) -> Path:
+    """A site file with a gate across the way that `drive` takes, in the middle."""
+    boxes = [a.box_3d for a in file.annotations if a.box_3d and a.track_id == 1]
+    middle, ahead = boxes[len(boxes) // 2].center[:2], boxes[-1].center[:2] - boxes[0].center[:2]
+    across = 8 * np.array([ahead[1], -ahead[0]]) / np.linalg.norm(ahead)
+    # From its right to its left as the car sees it: who comes is on the left of the line as drawn.
+    line = [(middle + across).round(3).tolist(), (middle - across).round(3).tolist()]
+    text = f'{head}[[gates]]\nname = "gate"\nline = {line}\ndirections = ["here", "away"]\n'
+    Path(name).write_text(text)
+    return Path(name)
+
+
+def rows_of(path: str) -> list[dict[str, str]]:
+    with Path(path).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AnnotationFile]:
+    """A folder of tracks of a car at 12 m/s, and one that stands, and what they were made of."""
+    file, folder = drive(5.0, 5.0), tmp_path_factory.mktemp("followed")
+    coco.write(folder / "road.json", file)
+    words = ["eval", "track", "--annotations", f"{folder}/road.json", "-q", "--out", f"{folder}/t"]
+    assert CliRunner().invoke(cli.app, words, catch_exceptions=False).exit_code == 0
+    return folder / "t", file
+
+
+@pytest.fixture
+def tracks(skope: Skope, followed: tuple[Path, AnnotationFile]) -> AnnotationFile:
+    """The tracks lie in the folder t."""
+    shutil.copytree(followed[0], "t")
+    return followed[1]
+
+
+def test_from_tracks_to_a_report(skope: Skope, tracks: AnnotationFile) -> None:
+    site_of(tracks)
+    code, out, err = skope("eval", "traffic", "t", "--out", "r")
+    assert code == 0, err
+    (gate,) = (row for row in rows_of("r/events.csv") if row["event"] == "gate")
+    assert (gate["place"], gate["direction"], gate["class"]) == ("gate", "here", "car")
+    assert float(gate["speed_kmh"]) == pytest.approx(12 * 3.6, abs=0.5)
+    passing = [a.image_id for a in tracks.annotations if a.track_id == 1]
+    assert float(gate["time_s"]) == pytest.approx((passing[len(passing) // 2] - 1) / 5, abs=0.02)
+    assert gate["time"].startswith("2026-11-26T10:15:00.")
+    counted = {(row["begin"][11:16], row["direction"]): row["count"] for row in rows_of("r/counts.csv")
+               if row["class"] == row["lane"] == "all"}  # fmt: skip
+    assert counted == {
+        ("10:00", "away"): "0", ("10:00", "here"): "0", ("10:15", "away"): "0", ("10:15", "here"): "1"
+    }  # fmt: skip
+    speeds = rows_of("r/speeds.csv")
+    assert all(row["v85_kmh"] == "" and "an interval needs 19" in row["refused"] for row in speeds)
+    summary = json.loads(Path("r/summary.json").read_text())
+    assert summary["site_revision"] == read_site(Path("site.toml")).revision
+    assert summary["settings"] == TrafficSettings().to_dict()
+    assert summary["observed_s"] == pytest.approx(5.0)
+    assert any("no lanes" in line for line in summary["refused"])
+    assert "gate    here" in out
+    moments = rows_of("r/trajectories.csv")
+    assert len(moments) < 0.6 * len(rows_of("t/tracks.csv")), "thinned"
+
+    before = {path.name: path.read_bytes() for path in Path("r").iterdir()}
+    assert skope("eval", "traffic", "t", "--out", "r", "-q")[0] == 0
+    assert {path.name: path.read_bytes() for path in Path("r").iterdir()} == before
+    Path("site.toml").write_text(Path("site.toml").read_text() + "[traffic]\ninterval_minutes = 5\n")
+    code, _, err = skope("eval", "traffic", "t", "--out", "r")
+    assert (code, "other work" in err) == (2, True)
+
+
+def test_python_counts_what_the_command_counts(tracks: AnnotationFile) -> None:
+    site = site_of(tracks)
+    report = door.measure_traffic("t", site)
+    (crossing,) = report.crossings
+    assert [one.count for one in door.count("t", str(site)) if one.count] == [1, 1]  # of all, and of cars
+    with Path("t/tracks.csv").open() as file:
+        assert sum(1 for _ in file) > 20
+    found = door.measure_traffic([], site, times_s=[0.0, 0.1, 0.2])
+    assert [one.count for one in found.counts if one.class_name == "all"] == [0, 0]
+    assert crossing.sigma_s < 0.05
+
+
+def test_a_moved_camera_observes_nothing(tracks: AnnotationFile) -> None:
+    document = json.loads(Path("t/footage.json").read_text())
+    assert document["common_sigma"] is None
+    assert document["eye"] == pytest.approx(CAMERA.position)
+    document["times_s"] = [time for time in document["times_s"] if not 1.0 < time < 3.0]
+    Path("t/footage.json").write_text(json.dumps(document))
+    report = door.measure_traffic("t", site_of(tracks))
+    assert any("were not observed" in line for line in report.refused)
+    assert report.observation.seconds_in(0, 5) == pytest.approx(5 - 2.0, abs=0.21)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("interval_minutes = 7", "traffic.interval_minutes: expected whole minutes that a day is a multiple of"),
+        ("interval_minutes = 0.5", "traffic.interval_minutes: expected a number from 1 to 1440"),
+        ('classes = ["car", "tram"]', "traffic.classes: 'tram' is none of the classes: car, van"),
+        ('turning = ["south"]', "traffic.turning: 'south' is none of the gates of this file: gate"),
+        ("ttc_s = -1", "traffic.ttc_s: expected a number from 0.1 to 10"),
+        ("queue_end_kmh = 2", "traffic.queue_end_kmh: expected 5 (queue_speed_kmh) or more"),
+        ("free_flow_kmh = true", "traffic.free_flow_kmh: expected a number from 5 to 250, got True"),
+    ],
+)
+def test_settings_that_are_wrong_get_one_line(
+    skope: Skope, text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("site.toml").write_text(f'[[gates]]\nname = "gate"\nline = [[0, 0], [0, 5]]\n[traffic]\n{text}\n')
+    code, _, err = skope("eval", "traffic", "nothing", "--out", "r")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"site.toml: {said}" in err
+    assert not Path("r").exists()
+
+
+def test_settings_are_read_kept_and_named(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text("# mine\n[traffic]\ninterval_minutes = 5 # short\nspeed_limit = 50\n")
+    site = read_site(path)
+    assert site.traffic == TrafficSettings(interval_minutes=5)
+    assert site.unknown == ("traffic.speed_limit",)
+    saved = save_site(path, {"traffic": {"ttc_s": 2.0}}, site.revision)
+    assert saved.traffic == TrafficSettings(interval_minutes=5, ttc_s=2.0)
+    assert "# short" in path.read_text()
+    assert "speed_limit = 50" in path.read_text()
+    assert parse_site(path, b"").traffic == TrafficSettings()
+
+
+def test_files_that_are_wrong_get_one_line(skope: Skope, tracks: AnnotationFile) -> None:
+    site_of(tracks)
+    whole = Path("t/tracks.csv").read_text()
+    footage = Path("t/footage.json").read_text()
+
+    def refused(said: str) -> None:
+        code, _, err = skope("eval", "traffic", "t", "--out", "r")
+        assert (code, err.count("\n")) == (2, 1), err
+        assert said in err
+        assert not Path("r").exists()
+
+    Path("t/tracks.csv").write_text(whole.replace("sigma_speed", "sigma"))
+    refused("t/tracks.csv: expected a column sigma_speed")
+    lines = whole.splitlines()
+    Path("t/tracks.csv").write_text(
+        "\n".join([*lines[:3], lines[3].replace(lines[3].split(",")[5], "here"), *lines[4:]])
+    )
+    refused("t/tracks.csv: line 4: x: expected a number, got 'here'")
+    Path("t/tracks.csv").write_text(whole)
+    Path("t/footage.json").write_text(footage.replace('"times_s":[0.0', '"times_s":[9.0'))
+    refused("t/footage.json: times_s: expected times that rise from frame to frame")
+    Path("t/footage.json").unlink()
+    refused("t/footage.json: no such file; `skope eval track` of this version writes it")
+    code, _, err = skope("eval", "traffic", "t", "--begins", "noon", "--out", "r")
+    assert (code, "--begins: expected a time" in err) == (2, True)
+
+
+def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope) -> None:
+    """Boxes that go to the right, over a gate that is drawn upwards: from its left to its right."""
+    file = drive(5.0, 10.0, speeds=(0.0,))
+    images = tuple(image for image in file.images)
+    rows: list[Result | RoadUserResult] = []
+    for k, image in enumerate(images):
+        for number, left in ((1, 10.0 + 8 * k), (2, 400.0 - 8 * k)):
+            points = np.zeros((33, 3))
+            rows.append(Result(image_id=image.id, score=0.9, bbox=np.array([left, 100.0, 60.0, 40.0]), keypoints=points,
+                               track_id=number))  # fmt: skip
+    Path("seen").mkdir()
+    bare = AnnotationFile(images=images, annotations=(), info={"source": "a.mp4"}, name="a.mp4", scheme=file.scheme)
+    coco.write(Path("seen/frames.json"), bare)
+    coco.write_results(Path("seen/predictions.json"), rows)
+    Path("site.toml").write_text(
+        '[[image_gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
+    )
+    code, out, err = skope("eval", "traffic", "seen", "--out", "r")
+    assert code == 0, err
+    assert "no metres: nothing calibrates the camera" in out
+    assert sorted(path.name for path in Path("r").iterdir()) == [
+        "counts.csv", "events.csv", "summary.json", "turning.csv", "work.json"
+    ]  # fmt: skip
+    events = rows_of("r/events.csv")
+    assert sorted((row["direction"], row["track"], row["speed_kmh"]) for row in events) == [
+        ("left", "2", ""), ("right", "1", "")
+    ]  # fmt: skip
+    assert {row["y"] for row in events} == {"140.000"}
+    Path("site.toml").write_text("")
+    code, _, err = skope("eval", "traffic", "seen", "--out", "other")
+    assert (code, "needs image_gates" in err) == (2, True)
+
+
+def test_tracks_in_memory_and_from_files_are_alike(tracks: AnnotationFile) -> None:
+    from tests.eval.tracking.test_tracker import seen, straight
+
+    times = (np.arange(60) / 10).tolist()
+    (made,) = follow(seen([straight(9.0, 0.0)], times), times)
+    site = site_of(tracks)
+    report = door.measure_traffic([made], site, times_s=times)
+    (one,) = report.trajectories
+    assert one.speed == pytest.approx(made.speed)
+    assert one.size == pytest.approx(tuple(made.size_lwh[:2]))
+    with pytest.raises(UserError, match="no such folder"):
+        read_trajectories(Path("nowhere"), read_observation(Path("t")))
+
+
+def test_far_places_are_less_certain_along_the_line_of_sight_alone() -> None:
+    """A vehicle that stands 4 cm higher than the plane seems 0.04 * distance / height nearer."""
+    seen = Observation(times_s=np.zeros(0), eye=(0.0, 0.0, 8.0), road_sigma_m=0.04)
+    spread = place_covariance(np.array([[80.0, 0.0]]), np.zeros(1), np.array([0.1]), seen)[0]
+    assert spread[0, 0] == pytest.approx(0.1**2 + 0.4**2)
+    assert spread[1, 1] == pytest.approx((0.1 * 2 * 8 / 80) ** 2)
+    assert spread[0, 1] == pytest.approx(0)
+
+
+def test_footage_is_detected_and_tracked_first_and_once(
+    skope: Skope, random_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that was stopped goes on after what it has: finished tracks are not made again."""
+    numbered_video(Path("v.mp4"), 8)
+    site = Path("site.toml")
+    site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
+    call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
+    code, _, err = skope(*call)
+    assert (code, "camera: missing" in err, Path("r").exists()) == (2, True, False)
+    camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
+    camera += 'covariance = { of = ["z"], matrix = [[0.0036]] }\n'  # 6 cm of 6 m: all distances are off by 1%
+    site.write_text(f"{site.read_text()}{camera}")
+    assert skope(*call)[0] == 0
+    assert {"seen", "tracks", "camera.json", "counts.csv", "summary.json"} <= {
+        path.name for path in Path("r").iterdir()
+    }
+    made = {path.name: path.read_bytes() for path in Path("r").glob("*.csv")}
+    assert json.loads(Path("r/tracks/footage.json").read_text())["times_s"] == pytest.approx(np.arange(8) / 10)
+    assert json.loads(Path("r/summary.json").read_text())["camera_common_sigma"] == pytest.approx(0.01, rel=0.1)
+
+    def never(*_: object) -> None:
+        raise AssertionError("detected again")
+
+    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", never)
+    Path("r/summary.json").unlink()
+    code, out, _ = skope(*call)
+    assert (code, "has the tracks of" in out) == (0, True)
+    assert {path.name: path.read_bytes() for path in Path("r").glob("*.csv")} == made
+    numbered_video(Path("v.mp4"), 9)
+    code, _, err = skope(*call)
+    assert (code, "other work" in err) == (2, True)
+
+
+def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:
+    """They have no heading while they may stand, and no length."""
+    names = "track,category,frame,time_s,seen,x,y,z,heading_deg,speed,vx,vy,measured,sigma_position,sigma_speed"
+    site = Path("site.toml")
+    x, y, _ = (CAMERA.position + 8).tolist()
+    line = [[x, y - 4], [x, y + 4]]
+    site.write_text(f'[[gates]]\nname = "kerb"\nline = {line}\ndirections = ["over", "back"]\n')
+    rows = [
+        f"7,pedestrian,{k},{k / 5},1,{x - 2 + 0.25 * k},{y},0,{'' if k < 3 else 0},1.25,1.25,0,1,0.1,0.05"
+        for k in range(20)
+    ]
+    Path("t/road_users.csv").write_text("\n".join([names, *rows]) + "\n")
+    report = door.measure_traffic("t", site)
+    (one,) = report.crossings
+    assert (one.trajectory.class_name, one.direction_name, one.trajectory.number) == ("pedestrian", "over", 7)
+    assert one.time_s == pytest.approx(1.6)
+    assert {row.class_name: row.count for row in report.counts if row.count} == {"all": 1, "pedestrian": 1}
+    assert not report.headways
+    Path("t/road_users.csv").write_text("\n".join([names, rows[0].replace("pedestrian", "horse")]))
+    with pytest.raises(UserError, match=r"road_users\.csv: line 2: category: expected one of bicycle"):
+        door.measure_traffic("t", site)
+
+
+def test_a_gate_near_the_edge_of_what_is_seen_is_warned_of(tmp_path: Path) -> None:
+    """Tracks that begin 1 m before it may well have begun after it."""
+    site = parse_site(tmp_path / "s.toml", b'[[gates]]\nname = "edge"\nline = [[0, -5], [0, 5]]\n')
+    watch = Observation(times_s=np.arange(600) / 10, common_sigma=0.0)
+    near = [straight(k, (-1.0, 0), (9, 0), 3, begin_s=5.0 + 5 * k) for k in range(6)]
+    far = [straight(k, (-20.0, 0), (9, 0), 5, begin_s=5.0 + 5 * k) for k in range(6)]
+    warned = [line for line in measure(near, watch, site).refused if "'edge'" in line]
+    assert warned == [
+        "gate 'edge': 6 tracks begin or end within 2 m of it (6 crossings): many may be missed; move it to where "
+        "vehicles are seen on both sides"
+    ]
+    assert not [line for line in measure(far, watch, site).refused if "'edge'" in line]
