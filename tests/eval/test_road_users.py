@@ -114,7 +114,7 @@ def test_predicting_images(skope: Any, categories_run: Path, tmp_path: Path) -> 
     assert len(list(Path("seen/overlays").rglob("*.jpg"))) == 2
 
 
-@pytest.mark.parametrize("more", [(), ("--every-frame",), ("--unconfirmed",)])
+@pytest.mark.parametrize("more", [(), pytest.param(("--every-frame",), marks=pytest.mark.slow), ("--unconfirmed",)])
 def test_predicting_a_video(skope: Any, categories_run: Path, stops_after: Any, more: tuple[str, ...]) -> None:
     """Numbers are one category's, and a stopped run ends with the same bytes."""
     writer = cv2.VideoWriter("v.mp4", cv2.VideoWriter.fourcc(*"mp4v"), 10, (96, 64))

@@ -339,7 +339,7 @@ def gate_pixels(page: SitePage) -> Any:
     return np.array(page.browser.run(f"{ends}.map((c) => ['cx', 'cy'].map((k) => Number(c.getAttribute(k))))"))
 
 
-@pytest.mark.parametrize("kept", ["image", "metres"])
+@pytest.mark.parametrize("kept", ["image", pytest.param("metres", marks=pytest.mark.slow)])
 def test_gates_under_a_camera_that_is_calibrated_again(
     open_page: Open, serve: Callable[..., Served], kept: str
 ) -> None:
@@ -424,7 +424,7 @@ def test_when_the_footage_was_taken(open_page: Open) -> None:
     assert (site.time_zone, str(site.start)) == ("Europe/Berlin", "2026-11-26 10:00:00+01:00")
 
 
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_picture_stays_where_it_is_between_two_clicks(
     open_page: Open, serve: Callable[..., Served], width: int
 ) -> None:

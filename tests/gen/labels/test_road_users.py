@@ -92,7 +92,7 @@ def tight(mask: np.ndarray) -> list[float]:
     return [columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1]
 
 
-@pytest.mark.parametrize("renderer", ["gl", "pybullet"])
+@pytest.mark.parametrize("renderer", ["gl", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_boxes_and_masks_are_those_of_the_ids(renderer: str) -> None:
     _, view = rendered(renderer)
     found = labels(renderer)
@@ -109,7 +109,7 @@ def test_boxes_and_masks_are_those_of_the_ids(renderer: str) -> None:
         assert user.occlusion == pytest.approx(1 - visible.sum() / whole.sum())
 
 
-@pytest.mark.parametrize("renderer", ["gl", "pybullet"])
+@pytest.mark.parametrize("renderer", ["gl", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_categories_and_what_is_known_of_the_body(renderer: str) -> None:
     recording, _ = rendered(renderer)
     found = labels(renderer)

@@ -89,6 +89,7 @@ def test_tracks_keep_their_category_and_move(made: Path) -> None:
     assert len(kinds) > 4
 
 
+@pytest.mark.slow
 def test_workers_and_shards_make_the_same(made: Path, tmp_path: Path) -> None:
     subprocess.run(command(tmp_path / "two", "--workers", "2"), check=True, capture_output=True)
     assert content(tmp_path / "two") == content(made)

@@ -48,7 +48,7 @@ def road_height(town: str, place: np.ndarray) -> float:
 
 @pytest.mark.parametrize("name", [pytest.param("t07_hollow_bend", marks=pytest.mark.slow), "t07_county_rise"])
 def test_tyres_stay_on_sloped_roads(name: str) -> None:
-    recording, checked, heights = recorded(name), 0, []
+    recording, checked, heights = recorded(name, 20), 0, []
     for frame in range(len(recording)):
         moment = recording.moment(frame).labelled()
         for vehicle, wheels in zip(moment.vehicles, moment.T_world_wheels, strict=True):

@@ -14,15 +14,11 @@ from skope.gen.vehicles.fleet import ParametricVehicle, build, fleet, parametric
 from skope.gen.vehicles.roof_loads import LOADS
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from skope.gen.vehicles.shape_jitter import jittered
+from tests.gen.thirds import a_third
 from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen, first_hits
 
 CARS = sorted(name for name in fleet() if parametric(name).style.family == "car")
 OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in range(1, len(detail.options))]
-
-
-def a_third(models: list[str]) -> list[object]:
-    """Every third model; the slow tests have the others."""
-    return [pytest.param(model, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, model in enumerate(models)]
 
 
 def with_details(model: str, **details: float) -> ParametricVehicle:

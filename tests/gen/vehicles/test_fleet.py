@@ -13,6 +13,7 @@ from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
 from skope.gen.vehicles.shape_jitter import jittered
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
+from tests.gen.thirds import a_third
 
 MODELS = sorted(fleet())
 OPEN = ("tipper", "flatbed", "hook", "platform", "crane", "recovery", "dropside")
@@ -160,13 +161,13 @@ def backs_seen(vehicle: Vehicle, rng: np.random.Generator, directions: int) -> i
     return back
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", a_third(MODELS))
 def test_surfaces_face_outward(model: str) -> None:
     """Rays from all around meet the front of the first triangle that they hit."""
     assert backs_seen(fleet()[model].vehicle, np.random.default_rng(1), 16) == 0
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", a_third(MODELS))
 def test_interior_lies_inside(model: str) -> None:
     vehicle = fleet()[model].vehicle
     interior = vehicle.interior
@@ -285,7 +286,7 @@ def test_lamps_are_parts_of_their_own(model: str) -> None:
         assert (at[:, 0] < 0).any()
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", a_third(MODELS))
 def test_jittered_shapes_keep_their_keypoints(model: str) -> None:
     rng = np.random.default_rng(5)
     shape = jittered(model, rng)
