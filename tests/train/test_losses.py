@@ -45,6 +45,7 @@ def model() -> KeypointRCNN:
     # As many as there are, so that the sampling that differs draws all there is.
     model.rpn.fg_bg_sampler.batch_size_per_image = ALL
     model.roi_heads.fg_bg_sampler.batch_size_per_image = ALL
+    model.rpn._post_nms_top_n = {"training": 200, "testing": 200}
     return model.train()
 
 
