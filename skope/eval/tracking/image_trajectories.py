@@ -21,6 +21,13 @@ _SHARE: Final = 0.03
 _FEWEST: Final = 3
 _SHORTEST_S: Final = 0.4
 """Who is seen more seldom, or for a shorter time, does not count."""
+_INSIDE: Final = 0.6
+"""Two tracks are one road user's where so much of the smaller box lies in the other one, in the median,"""
+_FOOT: Final = 0.35
+"""and their boxes stand as near as this, in widths of the larger one, in the median,"""
+_TOGETHER: Final = 0.5
+"""over so much of the shorter track."""
+Rows = list[tuple[float, ...]]
 
 
 def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
@@ -34,7 +41,7 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
     file = coco.read(folder / FRAMES)
     until_s = min((float(change["time_s"]) for change in file.info.get(CHANGES, ())), default=np.inf)
     times = {image.id: image.time_s for image in file.images}
-    rows: dict[tuple[int, int], list[tuple[float, ...]]] = defaultdict(list)
+    rows: dict[tuple[int, int], Rows] = defaultdict(list)
     results = read_all_results(folder / PREDICTIONS, file)
     for result in results:
         time_s = times[result.image_id]
@@ -46,10 +53,36 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
         raise UserError(
             f"{folder / PREDICTIONS}: track_id: missing: what images show is not followed from one to another"
         )
-    made = [_trajectory(k, number, np.array(sorted(own))) for k, ((number, _), own) in enumerate(rows.items(), start=1)]
+    tracks = [(category_id, np.array(sorted(own))) for (category_id, _), own in rows.items()]
+    made = [_trajectory(k, *track) for k, track in enumerate(_without_doubles(tracks), start=1)]
     times_s = np.array(sorted(seen))
     source = str(file.info.get("source", file.name))
     return [one for one in made if one.confirmed], Observation(times_s=times_s, source=source, common_sigma=None)
+
+
+def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]:
+    """Tracks of categories and rows (M, 5), those left out that follow somebody whom a longer one follows too.
+
+    Detectors see many a vehicle twice, as its front and as its whole, say.
+    """
+    kept: list[tuple[int, Array]] = []
+    for category_id, rows in sorted(tracks, key=lambda track: -len(track[1])):
+        if not any(_is_double(rows, longer) for _, longer in kept):
+            kept.append((category_id, rows))
+    return sorted(kept, key=lambda track: float(track[1][0, 0]))
+
+
+def _is_double(rows: Array, longer: Array) -> bool:
+    _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
+    if len(own) < max(1.0, _TOGETHER * len(rows)):
+        return False
+    a, b = rows[own], longer[other]
+    left, right = (np.stack([each[:, 1] + sign * each[:, 3] / 2 for each in (a, b)]) for sign in (-1, 1))
+    foot, top = np.stack([a[:, 2], b[:, 2]]), np.stack([a[:, 2] + a[:, 4], b[:, 2] + b[:, 4]])
+    shared = (right.min(axis=0) - left.max(axis=0)).clip(0) * (top.min(axis=0) - foot.max(axis=0)).clip(0)
+    smaller = np.minimum(a[:, 3] * a[:, 4], b[:, 3] * b[:, 4])
+    apart = np.linalg.norm(a[:, 1:3] - b[:, 1:3], axis=1) / np.maximum(a[:, 3], b[:, 3])
+    return bool(np.median(shared / smaller) >= _INSIDE and np.median(apart) <= _FOOT)
 
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
