@@ -6,6 +6,7 @@ It prints each track's road users by their numbers in the labels, those that it 
 """
 
 import argparse
+import math
 import subprocess
 import sys
 from collections import Counter, defaultdict
@@ -21,6 +22,7 @@ from traffic_gates import SITE
 from skope.dataset import coco
 from skope.schema import CATEGORIES, AnnotationFile, Labelled
 from skope.traffic.gates import GateCrossing
+from skope.traffic.measure import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import SUMMARY
 
@@ -33,6 +35,10 @@ AT_GATE_S: Final = 0.5
 """Whether somebody is visible at a gate is asked so long before and after."""
 AROUND_S: Final = 2.0
 """And whether it was found and followed there, so long."""
+SAME_S: Final = 2.0
+"""The crossing of one and the same vehicle is found when it is so near in time."""
+NEAR_S, NEAR_M = 0.7, 2.5
+"""That of a vehicle that nothing says is the same, when it is so near in time and place."""
 SCORE: Final = 0.5
 """Detections above this are tracked."""
 Times = Mapping[int, list[float]]
@@ -98,11 +104,11 @@ def owners_of(tracks: Path, file: AnnotationFile) -> Owners:
             frame, number, *box = line.split(",")[:6]
             boxes[int(frame) - 1].append((number, np.array(box, dtype=float)))
     seen: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    for frame, labels in enumerate(labels_of(file)):
-        taken = matched(labels, boxes[frame])  # type: ignore[arg-type]  # it asks for boxes and ids alone
+    for at, labels in enumerate(labels_of(file)):
+        taken = matched(labels, boxes[at])  # type: ignore[arg-type]  # it asks for boxes and ids alone
         for label in labels:
             if label.id in taken and label.track_id is not None:
-                seen[int(taken[label.id])].append((float(file.images[frame].time_s or 0.0), label.track_id))
+                seen[int(taken[label.id])].append((float(file.images[at].time_s or 0.0), label.track_id))
     return Owners(seen)
 
 
@@ -123,12 +129,17 @@ class Evidence:
     categories: Mapping[str, int]
     """How often a detection of somebody had which category, as "20-40 m: vehicle as pedestrian"; empty without."""
 
+    def is_visible(self, number: int, time_s: float) -> bool:
+        """Whether somebody is visible around a time."""
+        return _near(self.visible.get(number, ()), time_s, AROUND_S)
+
     def state_of(self, crossing: GateCrossing) -> str:
-        """Seen, hardly (only ignored labels), hidden (there), or never seen in the clip."""
-        number = crossing.trajectory.number
-        if _near(self.clear.get(number, ()), crossing.time_s, AT_GATE_S):
+        """Seen (before and after), hardly (by ignored labels too), hidden (there), or never seen in the clip."""
+        number, time_s = crossing.trajectory.number, crossing.time_s
+        clear = self.clear.get(number, ())
+        if any(0 <= time_s - t < AT_GATE_S for t in clear) and any(0 <= t - time_s < AT_GATE_S for t in clear):
             return "seen"
-        if _near(self.visible.get(number, ()), crossing.time_s, AT_GATE_S):
+        if _near(self.visible.get(number, ()), time_s, AT_GATE_S):
             return "hardly"
         return "hidden" if number in self.visible else "never"
 
@@ -146,7 +157,9 @@ class Evidence:
         if all(self.owner[who] != number for who in tracks):
             return "joined wrongly"
         before, after = ({who for t, who in around if (t < time_s) == first} for first in (True, False))
-        if before and after and not before & after:
+        if not before or not after:
+            return "tracked on one side of the gate"
+        if not before & after:
             return "tracked in pieces"
         return "tracked, not across the gate"
 
@@ -201,6 +214,55 @@ def _detected(file: AnnotationFile, results: Path) -> tuple[Times, Mapping[str, 
                 far = int((label.distance or 0.0) // 20) * 20
                 categories[f"{far}-{far + 20} m: {true} as {taken[label.id].split()[1]}"] += 1
     return times, dict(sorted(categories.items()))
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What is known and what is said of a clip."""
+
+    file: AnnotationFile
+    truth: Sequence[Trajectory]
+    real: TrafficReport
+    told: TrafficReport
+    owners: Owners
+    evidence: Evidence
+    plain: Mapping[tuple[str, int], list[tuple[int, float]]]
+    light: str
+
+    @property
+    def category(self) -> Mapping[int, str]:
+        """Of each true road user."""
+        return {one.number: one.category for one in self.truth}
+
+    @property
+    def eye(self) -> Any:
+        camera = self.file.images[0].camera
+        assert camera is not None
+        return camera.position
+
+    def distance(self, crossing: GateCrossing) -> float:
+        """From the camera, metres."""
+        return math.hypot(math.dist(crossing.place, self.eye[:2]), self.eye[2])
+
+
+def paired(clip: Clip) -> dict[int, int]:
+    """Index of the true crossing that each counted one is, by its index."""
+    real, told = clip.real.crossings, clip.told.crossings
+    options = []
+    for j, d in enumerate(told):
+        owner = clip.owners.of(d.trajectory, d.time_s)
+        for i, c in enumerate(real):
+            late = abs(c.time_s - d.time_s)
+            if (c.gate, c.direction) != (d.gate, d.direction) or late > SAME_S:
+                continue
+            same = owner == c.trajectory.number
+            if same or (late < NEAR_S and math.dist(c.place, d.place) < NEAR_M):
+                options.append((not same, late, j, i))
+    out: dict[int, int] = {}
+    for _, _, j, i in sorted(options):
+        if j not in out and i not in out.values():
+            out[j] = i
+    return out
 
 
 def main() -> None:

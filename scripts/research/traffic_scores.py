@@ -11,56 +11,32 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from traffic_evidence import LABELS, SEEN, Evidence, Owners, evidence_of, owners_of, reported
+from traffic_evidence import LABELS, SEEN, Clip, evidence_of, owners_of, paired, reported
 from traffic_gates import SITE
 from traffic_tables import VISIBLE, middle_of, print_tables
 from traffic_truth import check_labels, plain_counts, read_truth
 
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
+from skope.errors import UserError
 from skope.files.json_files import read_json
-from skope.schema import AnnotationFile
 from skope.site.site_file import read_site
-from skope.traffic.gates import GateCrossing
-from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.count_interval import count_interval
+from skope.traffic.gates import direction_names
+from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_tracks import read_trajectories
+from skope.traffic.trajectories import VEHICLE
 from skope.traffic.write_report import SUMMARY
 
 RESULTS: Final = "results.json"
-SAME_S: Final = 2.0
-"""The crossing of one and the same vehicle is found when it is so near in time."""
-NEAR_S, NEAR_M = 0.7, 2.5
-"""That of a vehicle that nothing says is the same, when it is so near in time and place."""
+KINDS: Final = {"all": (True, False), "vehicles": (True,), "others": (False,)}
+"""Whom counts are of, and whether these are vehicles."""
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Clip:
-    """What is known and what is said of a clip."""
-
-    file: AnnotationFile
-    real: TrafficReport
-    told: TrafficReport
-    owners: Owners
-    evidence: Evidence
-    plain: Mapping[tuple[str, int], list[tuple[int, float]]]
-    light: str
-
-    @property
-    def eye(self) -> Any:
-        camera = self.file.images[0].camera
-        assert camera is not None
-        return camera.position
-
-    def distance(self, crossing: GateCrossing) -> float:
-        """From the camera, metres."""
-        return math.hypot(math.dist(crossing.place, self.eye[:2]), self.eye[2])
 
 
 def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> Row:
@@ -75,6 +51,7 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     found = None if true_keypoints else folder / SEEN / PREDICTIONS
     this = Clip(
         file=file,
+        truth=truth.trajectories,
         real=measure(truth.trajectories, Observation(times_s=truth.times_s), site),
         told=told,
         owners=owners,
@@ -99,55 +76,58 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     }
 
 
-def paired(clip: Clip) -> dict[int, int]:
-    """Index of the true crossing that each counted one is, by its index."""
-    real, told = clip.real.crossings, clip.told.crossings
-    options = []
-    for j, d in enumerate(told):
-        owner = clip.owners.of(d.trajectory, d.time_s)
-        for i, c in enumerate(real):
-            late = abs(c.time_s - d.time_s)
-            if (c.gate, c.direction) != (d.gate, d.direction) or late > SAME_S:
-                continue
-            same = owner == c.trajectory.number
-            if same or (late < NEAR_S and math.dist(c.place, d.place) < NEAR_M):
-                options.append((not same, late, j, i))
-    out: dict[int, int] = {}
-    for _, _, j, i in sorted(options):
-        if j not in out and i not in out.values():
-            out[j] = i
-    return out
-
-
 # ---------------------------------------------------------------------------------------------------------------- rows
 
 
 def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> list[Row]:
-    """By gate and direction; GEH is that of the hourly volumes that these would be."""
+    """By gate, direction and kind of road user; GEH is that of the hourly volumes that these would be."""
     hourly = 3600 / (float(times_s[-1] - times_s[0]) or 1.0)
     rows = []
-    for row in told:
-        own = [c for c in clip.real.crossings if (c.gate, c.direction_name) == (row["gate"], row["direction"])]
-        states = Counter(clip.evidence.state_of(c) for c in own)
-        true, count = sum(states[name] for name in VISIBLE), row["count"]
-        direction = own[0].direction if own else None
-        plain = len(clip.plain[row["gate"], direction]) if direction is not None else None
-        rows.append(
-            {
-                **row,
-                "truth": true,
-                "hidden_at_gate": states["hidden"],
-                "hidden_always": states["never"],
-                "truth_all": len(own),
-                "plain_all": plain if plain is not None else 0,
-                "difference": count - true,
-                "percent": 100 * (count - true) / true if true else None,
-                "geh": math.sqrt(2 * hourly * (count - true) ** 2 / (count + true)) if count + true else 0.0,
-                "holds": row["low"] <= true <= row["high"],
-                "holds_all": row["low"] <= len(own) <= row["high"],
-            }
-        )
+    for side in told:
+        for who, chosen in KINDS.items():
+            real, counted = (
+                [
+                    c
+                    for c in report.crossings
+                    if (c.gate, c.direction_name) == (side["gate"], side["direction"])
+                    and (c.trajectory.category == VEHICLE) in chosen
+                ]
+                for report in (clip.real, clip.told)
+            )
+            if who == "all" and len(counted) != side["count"]:
+                raise UserError(f"{side}: what the command counted is not what was measured here: {len(counted)}")
+            states = Counter(clip.evidence.state_of(c) for c in real)
+            true, count = sum(states[name] for name in VISIBLE), len(counted)
+            expected = count_interval([d.probability for d in counted])
+            plain = [number for number, _ in clip.plain[side["gate"], side_of(side, clip)]]
+            rows.append(
+                {
+                    "gate": side["gate"],
+                    "direction": side["direction"],
+                    "who": who,
+                    "truth": true,
+                    "seen": states["seen"],
+                    "hidden_at_gate": states["hidden"],
+                    "hidden_always": states["never"],
+                    "truth_all": len(real),
+                    "plain_all": sum((clip.category[number] == VEHICLE) in chosen for number in plain),
+                    "count": count,
+                    "low": expected.low,
+                    "high": expected.high,
+                    "difference": count - true,
+                    "percent": 100 * (count - true) / true if true else None,
+                    "geh": math.sqrt(2 * hourly * (count - true) ** 2 / (count + true)) if count + true else 0.0,
+                    "holds": expected.low <= true <= expected.high,
+                    "holds_all": expected.low <= len(real) <= expected.high,
+                }
+            )
     return rows
+
+
+def side_of(side: Mapping[str, Any], clip: Clip) -> int:
+    """Which of a gate's two directions a row of the summary is of."""
+    (gate,) = (gate for gate in clip.real.site.gates if gate.name == side["gate"])
+    return direction_names(gate).index(side["direction"])
 
 
 def turning_rows(clip: Clip) -> list[Row]:
@@ -210,8 +190,12 @@ def headway_rows(clip: Clip, pairs: Mapping[int, int]) -> Row:
 
 
 def conflict_rows(clip: Clip) -> Row:
-    """PET by both definitions, pairs matched by their road users."""
-    real = {frozenset((c.first.number, c.second.number)): c for c in clip.real.conflicts.conflicts}
+    """PET by both definitions, pairs matched by their road users, of whom both are visible about then."""
+    real = {
+        frozenset((c.first.number, c.second.number)): c
+        for c in clip.real.conflicts.conflicts
+        if all(clip.evidence.is_visible(one.number, c.time_s) for one in (c.first, c.second))
+    }
     told = {
         frozenset((clip.owners.whole(c.first), clip.owners.whole(c.second))): c for c in clip.told.conflicts.conflicts
     }

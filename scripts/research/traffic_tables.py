@@ -27,7 +27,7 @@ def print_tables(clips: Sequence[Row]) -> None:
     crossings = [row for clip in clips for row in clip["crossings"]]
     besides = [row for clip in clips for row in clip["besides"]]
     print("\n                      crossings  missed (90%)        double  nobody's  who did not cross  time within 90%")
-    for title, key in (("distance", distance_of), ("class", class_of), ("light", light_of)):
+    for title, key in (("distance", distance_of), ("class", class_of), ("light", light_of), ("label", state_of)):
         by_kind(crossings, besides, title, key)
     hidden = Counter(row["state"] for row in crossings if row["state"] not in VISIBLE)
     counted = sum(row["counted"] for row in crossings if row["state"] not in VISIBLE)
@@ -60,19 +60,24 @@ def light_of(row: Row) -> str:
     return str(row["light"])
 
 
+def state_of(row: Row) -> str:
+    """Whether its labels at the gate are not ignored; of who is besides, nothing."""
+    return str(row.get("state", "-"))
+
+
 def by_gate(clips: Sequence[Row]) -> None:
     """A line for each gate and direction."""
-    print("clip                        gate   dir   truth hidden  all plain  counted   off      %   GEH  90% interval")
+    print("clip                        gate   dir   who      truth hidden  all plain counted  off      %  GEH 90%")
     for clip in clips:
         for row in clip["counts"]:
+            if row["who"] == "all" or not (row["who"] == "vehicles" or row["truth_all"] or row["count"]):
+                continue
             percent = "-" if row["percent"] is None else f"{row['percent']:+.0f}"
             hidden = row["hidden_at_gate"] + row["hidden_always"]
             interval = f"{row['low']}-{row['high']} {'holds' if row['holds'] else 'FAILS'}"
-            print(
-                f"{clip['clip']['name']:27.27} {row['gate']:6.6} {row['direction']:5.5} {row['truth']:5d} {hidden:6d} "
-                f"{row['truth_all']:4d} {row['plain_all']:5d} {row['count']:8d} {row['difference']:+5d} {percent:>6} "
-                f"{row['geh']:5.1f}  {interval}"
-            )
+            name = f"{clip['clip']['name']:27.27} {row['gate']:6.6} {row['direction']:5.5} {row['who']:8}"
+            true = f"{row['truth']:5d} {hidden:6d} {row['truth_all']:4d} {row['plain_all']:5d}"
+            print(f"{name} {true} {row['count']:7d} {row['difference']:+4d} {percent:>6} {row['geh']:4.1f} {interval}")
 
 
 def by_clip(clips: Sequence[Row]) -> None:

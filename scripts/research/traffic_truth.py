@@ -63,7 +63,8 @@ def plan_as_video(
 
 def write_truth(path: Path, recording: Recording) -> None:
     """Write the place of each road user in each frame, as labels have it: under the middle of its box."""
-    rows, who = [], {}
+    rows = []
+    who: dict[int, tuple[str, str, float, float, bool]] = {}
     for frame in range(len(recording)):
         moment = recording.moment(frame)
         for i, recorded in enumerate(moment.vehicles):
