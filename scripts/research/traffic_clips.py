@@ -2,8 +2,8 @@
 
     python scripts/research/traffic_clips.py make --out clips                          # many cores and a GPU
     python scripts/research/traffic_clips.py detect clips --checkpoint NEW.safetensors --gpus 0,1,2,3
-    python scripts/research/traffic_clips.py score clips                               # anywhere, on a CPU
-    python scripts/research/traffic_clips.py score clips --true-keypoints              # labels with 2 px of noise
+    python scripts/research/traffic_clips.py score clips/travel --out scored           # anywhere, on a CPU
+    python scripts/research/traffic_clips.py score clips/travel --out scored --true-keypoints  # labels, 2 px of noise
 
 Four sites by day, at night and in rain, and one of them at 25 frames a second too. `detect` packs what `score` needs,
 without pictures, in the folder `travel`: CLIP.tar.gz in parts of at most 15 MiB (CLIP.tar.gz.00, ...), with their
@@ -31,7 +31,7 @@ from traffic_evidence import LABELS, SEEN
 from traffic_gates import SITE, gates_of, road_of, write_site
 from traffic_scores import RESULTS, score_clip
 from traffic_tables import print_tables
-from traffic_truth import FOV_DEG, TRUTH
+from traffic_truth import FOV_DEG, TRUTH, check_labels, read_truth
 
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.files.atomic import write_bytes
@@ -42,8 +42,12 @@ PART_BYTES: Final = 15 * 2**20
 CLIP: Final = "clip.json"
 """What a clip was made with; written last."""
 TRAVEL: Final = "travel"
-NOT_NEEDED: Final = ("segmentation", "keypoints_3d", "bbox_visible", "color", "model", "contrast", "area_full")
-"""Of a label, what no score asks for."""
+NOT_NEEDED: Final = (
+    *("segmentation", "keypoints_3d", "bbox_visible", "color", "model", "contrast", "area_full", "num_keypoints"),
+    *("box_3d", "velocity", "articulation", "parked", "vehicle_type"),
+)
+"""Of a label, what no score asks for; nor are keypoints of ignored ones."""
+OFF: Final = "labels_off_m"
 PER_GPU: Final = 2
 TRAVELS: Final = (CLIP, SITE, TRUTH, LABELS, f"{SEEN}/{FRAMES}", f"{SEEN}/{PREDICTIONS}")
 
@@ -71,7 +75,7 @@ SITES: Final = {
 }
 LIGHTS: Final = {"day": ("clear", "noon"), "night": ("clear", "night"), "rain": ("rain", "noon")}
 CLIPS: Final = (
-    Clip("t05_third_median", "day", fps=25.0),  # the longest one begins first
+    Clip("t05_third_median", "day", fps=25.0, seconds=120.0),  # the longest one begins first
     *(Clip(site, light) for site in SITES for light in LIGHTS),
 )
 
@@ -103,7 +107,8 @@ def make_one(clip: Clip, options: argparse.Namespace, small: ProcessPoolExecutor
     folder = options.out / clip.name
     asked = asked_for(clip, options)
     if (folder / CLIP).is_file():
-        if read_json(folder / CLIP) == asked:
+        made = read_json(folder / CLIP)
+        if {key: made.get(key) for key in asked} == asked:
             return True
         print(f"{folder}: holds another clip of this name; choose another --out")
         return False
@@ -120,10 +125,10 @@ def make_one(clip: Clip, options: argparse.Namespace, small: ProcessPoolExecutor
         if max([process.wait() for process in started]):
             print(f"{clip.name}: failed; {folder}/make.log says why")
             return False
-    small.submit(slim, folder / f"{clip.site}.json", folder / LABELS).result()
+    off = small.submit(slim, folder, folder / f"{clip.site}.json").result()
     width, height = map(int, options.size.split("x"))
     write_site(folder / SITE, gates_of(*road_of(clip.site, (width, height))))
-    write_json(folder / CLIP, asked)
+    write_json(folder / CLIP, {**asked, OFF: off})
     print(f"{clip.name}: made", flush=True)
     return True
 
@@ -144,14 +149,17 @@ def asked_for(clip: Clip, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def slim(labels: Path, out: Path) -> None:
-    """Write labels without what no score asks for."""
+def slim(folder: Path, labels: Path) -> float:
+    """Write labels without what no score asks for; how far they are from the truth, metres, at most."""
     document = read_json(labels)
+    off = check_labels(read_truth(folder), document)
     for row in document["annotations"]:
         for key in NOT_NEEDED:
             row.pop(key, None)
-        row["keypoints"] = [round(value, 1) for value in row["keypoints"]]
-    write_bytes(out, json_bytes(document))
+        points = [0] * len(row["keypoints"]) if row["iscrowd"] else row["keypoints"]
+        row["keypoints"] = [int(value) if value == int(value) else round(value, 1) for value in points]
+    write_bytes(folder / LABELS, json_bytes(document))
+    return off
 
 
 # ----------------------------------------------------------------------------------------------------------- detecting
@@ -180,7 +188,7 @@ def detect(options: argparse.Namespace) -> None:
 
 def detect_one(folder: Path, clip: Clip, gpu: str, options: argparse.Namespace) -> bool:
     """Whether what was found in the clip is packed now."""
-    packed = options.folder / TRAVEL
+    packed = options.travel or options.folder / TRAVEL
     if (packed / f"{clip.name}.parts.json").is_file():
         return True
     video = ["eval", "predict", str(folder / f"{clip.site}.mp4"), "--checkpoint", str(options.checkpoint)]
@@ -219,11 +227,11 @@ def pack(folder: Path, out: Path) -> int:
     return len(whole)
 
 
-def unpack(folder: Path) -> None:
-    """Unpack the clips whose parts are all there and whole; says which are not."""
+def unpack(folder: Path, out: Path) -> None:
+    """Unpack the clips of a folder whose parts are all there and whole; says which are not."""
     for manifest in sorted(folder.glob("*.parts.json")):
         name = manifest.name.removesuffix(".parts.json")
-        if (folder / name / CLIP).is_file():
+        if (out / name / CLIP).is_file():
             continue
         whole, parts = bytearray(), read_json(manifest)
         for part, digest in parts.items():
@@ -234,7 +242,7 @@ def unpack(folder: Path) -> None:
             whole += data
         else:
             with tarfile.open(fileobj=io.BytesIO(bytes(whole)), mode="r:gz") as tar:
-                tar.extractall(folder, filter="data")
+                tar.extractall(out, filter="data")
 
 
 # ------------------------------------------------------------------------------------------------------------- scoring
@@ -242,15 +250,16 @@ def unpack(folder: Path) -> None:
 
 def score(options: argparse.Namespace) -> None:
     """Tables on the terminal, and everything in results.json."""
-    unpack(options.folder)
+    work = options.out or options.folder
+    unpack(options.folder, work)
     names = [clip.name for clip in chosen(options.only)]
-    folders = [options.folder / name for name in names if (options.folder / name / CLIP).is_file()]
+    folders = [work / name for name in names if (work / name / CLIP).is_file()]
     if not folders:
-        sys.exit(f"{options.folder}: no clips")
+        sys.exit(f"{work}: no clips")
     scored: Sequence[Mapping[str, Any]] = [
         score_clip(folder, true_keypoints=options.true_keypoints, clip=read_json(folder / CLIP)) for folder in folders
     ]
-    out = options.folder / (RESULTS if not options.true_keypoints else f"true_{RESULTS}")
+    out = work / (RESULTS if not options.true_keypoints else f"true_{RESULTS}")
     write_json(out, {"clips": scored})
     print_tables(scored)
     print(f"wrote {out}")
@@ -269,9 +278,11 @@ def main() -> None:
     detecting.add_argument("folder", type=Path)
     detecting.add_argument("--checkpoint", default="road33")
     detecting.add_argument("--gpus", default="0", help="numbers of the GPUs, separated by commas")
+    detecting.add_argument("--travel", type=Path, help=f"where what travels is packed; default: FOLDER/{TRAVEL}")
     detecting.set_defaults(run=detect)
     scoring = commands.add_parser("score", help="tracks, counts and the truth")
-    scoring.add_argument("folder", type=Path)
+    scoring.add_argument("folder", type=Path, help="of clips, or of what travelled")
+    scoring.add_argument("--out", type=Path, help="where clips are unpacked and scored; default: FOLDER")
     scoring.add_argument("--true-keypoints", action="store_true", help="labels with 2 px of noise, no detections")
     scoring.set_defaults(run=score)
     for command in (making, detecting, scoring):

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -129,9 +129,15 @@ class Evidence:
     categories: Mapping[str, int]
     """How often a detection of somebody had which category, as "20-40 m: vehicle as pedestrian"; empty without."""
 
-    def is_visible(self, number: int, time_s: float) -> bool:
-        """Whether somebody is visible around a time."""
-        return _near(self.visible.get(number, ()), time_s, AROUND_S)
+    def shown(self, one: Trajectory) -> Trajectory | None:
+        """A true trajectory from the first to the last moment at which it is visible; None where that is never."""
+        times = self.visible.get(one.number, [])
+        rows = (one.times_s >= min(times, default=1) - 1e-6) & (one.times_s <= max(times, default=0) + 1e-6)
+        if rows.sum() < 2:
+            return None
+        names = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
+        values: dict[str, Any] = {name: getattr(one, name)[rows] for name in names}
+        return replace(one, **values)
 
     def state_of(self, crossing: GateCrossing) -> str:
         """Seen (before and after), hardly (by ignored labels too), hidden (there), or never seen in the clip."""

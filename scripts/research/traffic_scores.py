@@ -18,13 +18,14 @@ import numpy as np
 from traffic_evidence import LABELS, SEEN, Clip, evidence_of, owners_of, paired, reported
 from traffic_gates import SITE
 from traffic_tables import VISIBLE, middle_of, print_tables
-from traffic_truth import check_labels, plain_counts, read_truth
+from traffic_truth import plain_counts, read_truth
 
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
 from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.site.site_file import read_site
+from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import count_interval
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
@@ -44,7 +45,6 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     out = folder / ("true" if true_keypoints else "found")
     reported(folder, out, true_keypoints)
     site, truth, file = read_site(folder / SITE), read_truth(folder), coco.read(folder / LABELS)
-    off = check_labels(truth, file)
     observation = read_observation(out / "tracks")
     told = measure(read_trajectories(out / "tracks", observation), observation, site)
     owners = owners_of(out / "tracks", file)
@@ -63,7 +63,6 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     summary = read_json(out / "report" / SUMMARY)
     return {
         "clip": dict(clip),
-        "labels_off_m": off,
         "true_tracks_joined": sum(bool(one.joined) for one in this.real.trajectories),
         "counts": count_rows(this, summary["counts"], truth.times_s),
         "turning": turning_rows(this),
@@ -190,12 +189,13 @@ def headway_rows(clip: Clip, pairs: Mapping[int, int]) -> Row:
 
 
 def conflict_rows(clip: Clip) -> Row:
-    """PET by both definitions, pairs matched by their road users, of whom both are visible about then."""
-    real = {
-        frozenset((c.first.number, c.second.number)): c
-        for c in clip.real.conflicts.conflicts
-        if all(clip.evidence.is_visible(one.number, c.time_s) for one in (c.first, c.second))
-    }
+    """PET by both definitions, pairs matched by their road users; the true ways are as long as they are visible.
+
+    What lies beyond the image, or is hidden, makes the area larger that two drive over.
+    """
+    shown = [seen for one in clip.truth if (seen := clip.evidence.shown(one)) is not None]
+    search = conflicts(shown, clip.real.site.traffic, np.random.default_rng(0))
+    real = {frozenset((c.first.number, c.second.number)): c for c in search.conflicts}
     told = {
         frozenset((clip.owners.whole(c.first), clip.owners.whole(c.second))): c for c in clip.told.conflicts.conflicts
     }

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.road_user_bodies import vehicle_of
 from skope.gen.simulation.simulate import simulate
-from skope.schema import AnnotationFile
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.trajectories import VEHICLE, Trajectory
@@ -134,22 +133,22 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
     )
 
 
-def check_labels(truth: Truth, file: AnnotationFile) -> float:
-    """How far labels are from the truth's places, metres, at most; an error where they are of other traffic."""
+def check_labels(truth: Truth, document: Mapping[str, Any]) -> float:
+    """How far labels are from the truth's places, metres, at most; an error where they are of other traffic.
+
+    `document` is the file that `skope gen video` wrote.
+    """
     at = {
         (one.number, round(float(time_s), 4)): place
         for one in truth.trajectories
         for time_s, place in zip(one.times_s, one.place, strict=True)
     }
-    times = {image.id: round(float(image.time_s or 0.0), 4) for image in file.images}
-    worst, missing = 0.0, 0
-    for label in (*file.annotations, *file.road_users):
-        if label.box_3d is None or label.track_id is None:
-            continue
-        place = at.get((label.track_id, times[label.image_id]))
-        missing += place is None
-        worst = max(worst, 0.0 if place is None else math.dist(place, label.box_3d.center[:2]))
-    if worst > 0.05 or missing > 0.01 * len(file.annotations):
+    times = {image["id"]: round(float(image["time_s"]), 4) for image in document["images"]}
+    places = [at.get((row["track_id"], times[row["image_id"]])) for row in document["annotations"]]
+    pairs = zip(places, document["annotations"], strict=True)
+    worst = max((math.dist(p, row["box_3d"]["center"][:2]) for p, row in pairs if p is not None), default=0.0)
+    missing = sum(place is None for place in places)
+    if worst > 0.05 or missing > 0.01 * len(places):
         raise UserError(f"the truth is of other traffic than the labels: {worst:.2f} m off, {missing} are not in it")
     return worst
 
