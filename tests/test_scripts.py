@@ -144,6 +144,13 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
+    Run(
+        "research/traffic_clips.py",
+        "make --only t06_plaza_opening_day --seconds 0.5 --size 96x54 --out {out}",
+        says="t06_plaza_opening_day: made",
+        apart=True,
+        slow=True,
+    ),
     Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
     Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm3"),
     Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),

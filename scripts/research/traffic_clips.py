@@ -23,6 +23,7 @@ import tarfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final
@@ -95,7 +96,10 @@ def chosen(only: str) -> list[Clip]:
 def make(options: argparse.Namespace) -> None:
     """All clips at once, each with its truth, its gates and labels that are small enough to travel."""
     clips = chosen(options.only)
-    with ThreadPoolExecutor(len(clips)) as threads, ProcessPoolExecutor(min(len(clips), os.cpu_count() or 1)) as small:
+    with (
+        ThreadPoolExecutor(len(clips)) as threads,
+        ProcessPoolExecutor(min(len(clips), os.cpu_count() or 1), get_context("spawn")) as small,
+    ):
         jobs = [threads.submit(make_one, clip, options, small) for clip in clips]
         failed = [clip.name for clip, job in zip(clips, jobs, strict=True) if not job.result()]
     if failed:
@@ -117,17 +121,17 @@ def make_one(clip: Clip, options: argparse.Namespace, small: ProcessPoolExecutor
     video = ["-m", "skope", "gen", "video", clip.site, "--road-users", "--fov", f"{FOV_DEG:g}", "-q", *same]
     truth = [str(HERE / "traffic_truth.py"), clip.site, *same]
     folder.mkdir(parents=True, exist_ok=True)
+    few = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}  # many run side by side
     with (folder / "make.log").open("wb") as log:
         started = [
-            subprocess.Popen(["nice", "-n", "10", sys.executable, *words], stdout=log, stderr=log)
+            subprocess.Popen(["nice", "-n", "10", sys.executable, *words], stdout=log, stderr=log, env=few)
             for words in (video, truth)
         ]
         if max([process.wait() for process in started]):
             print(f"{clip.name}: failed; {folder}/make.log says why")
             return False
     off = small.submit(slim, folder, folder / f"{clip.site}.json").result()
-    width, height = map(int, options.size.split("x"))
-    write_site(folder / SITE, gates_of(*road_of(clip.site, (width, height))))
+    write_site(folder / SITE, gates_of(*road_of(clip.site, options.size)))
     write_json(folder / CLIP, {**asked, OFF: off})
     print(f"{clip.name}: made", flush=True)
     return True
@@ -252,8 +256,7 @@ def score(options: argparse.Namespace) -> None:
     """Tables on the terminal, and everything in results.json."""
     work = options.out or options.folder
     unpack(options.folder, work)
-    names = [clip.name for clip in chosen(options.only)]
-    folders = [work / name for name in names if (work / name / CLIP).is_file()]
+    folders = [work / clip.name for clip in chosen(options.only) if (work / clip.name / CLIP).is_file()]
     if not folders:
         sys.exit(f"{work}: no clips")
     scored: Sequence[Mapping[str, Any]] = [

@@ -126,10 +126,11 @@ def write_site(path: Path, gates: Sequence[Gate]) -> None:
     path.write_text("\n".join(rows).replace("'", '"'))
 
 
-def road_of(name: str, size: tuple[int, int]) -> tuple[RoadGraph, Camera, float]:
-    """Network, camera and height of the road of a site."""
+def road_of(name: str, size: str) -> tuple[RoadGraph, Camera, float]:
+    """Network, camera and height of the road of a site; `size` of the image as 1280x720."""
+    width, height = map(int, size.split("x"))
     here = site(name)
-    graph, camera = RoadGraph.of(here.town), here.camera(size, FOV_DEG)
+    graph, camera = RoadGraph.of(here.town), here.camera((width, height), FOV_DEG)
     yaw = camera.angles[0]
     return graph, camera, graph.road_level(camera.position[:2] + 25 * np.array([math.cos(yaw), math.sin(yaw)]))
 
@@ -141,8 +142,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the clip")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    width, height = map(int, options.size.split("x"))
-    gates = gates_of(*road_of(options.site, (width, height)))
+    gates = gates_of(*road_of(options.site, options.size))
     write_site(options.out / SITE, gates)
     for gate in gates:
         print(gate.name, *gate.line)
