@@ -129,7 +129,8 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
         measured=np.ones(n, dtype=bool),
         length=float(length),
         width=float(width),
-        flags=() if moves and parked == "False" else ("never_moved",),
+        # Tracks with that flag are joined to no others, as true ones must not be; it changes nothing else of a count.
+        flags=("impossible_motion",) if moves and parked == "False" else ("never_moved",),
     )
 
 
