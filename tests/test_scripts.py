@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 import torch
 
@@ -142,6 +143,19 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
+    Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
+    Run(
+        "research/traffic_clips.py",
+        "make --only t06_plaza_opening_day --seconds 0.5 --size 96x54 --out {out}",
+        says="t06_plaza_opening_day: made",
+        apart=True,
+        slow=True,
+    ),
+    Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
+    Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm3"),
+    Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
+    Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
+    Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
     Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
@@ -176,6 +190,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> di
     (folder / "camera.json").write_text(json.dumps({"width": 96, "height": 64, **camera.to_dict()}))
     return {
         "camera": folder / "camera.json",
+        "clips": one_clip(folder / "clips"),
         "dataset": dataset,
         "labels": dataset / "labels.json",
         "predictions": folder / "predictions.json",
@@ -185,6 +200,35 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, random_weights: Path) -> di
         "footage": folder / "footage",
         "checkpoint": random_weights,
     }
+
+
+def one_clip(folder: Path) -> Path:
+    """A folder of generated clips with one, in which a sedan drives across a gate and another one stands."""
+    name = "t06_plaza_opening_day"
+    road = drive(5, 10)
+    vehicles = [a for a in road.annotations if a.box_3d and a.velocity is not None]
+    state = [[*a.box_3d.center[:2], a.box_3d.yaw, *a.velocity[:2]] for a in vehicles if a.box_3d]
+    (folder / name).mkdir(parents=True)
+    for path in (folder, folder / name):
+        coco.write(path / "labels.json", road)
+    np.savez(
+        folder / name / "truth.npz",
+        times_s=np.array([image.time_s for image in road.images]),
+        frame=np.array([a.image_id - 1 for a in vehicles]),
+        track=np.array([a.track_id for a in vehicles]),
+        state=np.array(state),
+        who=np.array([(str(k), "vehicle", "car", "4.5", "1.8", "False") for k in (1, 2)]),
+    )
+    moving = np.array([row for row, a in zip(state, vehicles, strict=True) if a.track_id == 1])
+    middle, ahead = moving[len(moving) // 2, :2], moving[0, 3:]
+    across = 5 * np.array([ahead[1], -ahead[0]]) / np.linalg.norm(ahead)
+    line = [(middle + across).tolist(), (middle - across).tolist()]
+    (folder / name / "site.toml").write_text(f'[[gates]]\nname = "gate"\nline = {line}\n')
+    (folder / name / "clip.json").write_text(json.dumps({"name": name, "light": "day"}))
+    boxes = [f"{a.image_id},{a.track_id},{','.join(map(str, a.bbox))},1" for a in vehicles]
+    (folder / "mot.txt").write_text("\n".join(boxes))
+    (folder / "no_results.json").write_text('{"clips": []}')
+    return folder
 
 
 @pytest.fixture
