@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -133,11 +133,7 @@ class Evidence:
         """A true trajectory from the first to the last moment at which it is visible; None where that is never."""
         times = self.visible.get(one.number, [])
         rows = (one.times_s >= min(times, default=1) - 1e-6) & (one.times_s <= max(times, default=0) + 1e-6)
-        if rows.sum() < 2:
-            return None
-        names = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
-        values: dict[str, Any] = {name: getattr(one, name)[rows] for name in names}
-        return replace(one, **values)
+        return one.taken(rows) if rows.sum() > 1 else None
 
     def state_of(self, crossing: GateCrossing) -> str:
         """Seen (before and after), hardly (by ignored labels too), hidden (there), or never seen in the clip."""

@@ -29,9 +29,10 @@ from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import count_interval
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
+from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_tracks import read_trajectories
-from skope.traffic.trajectories import VEHICLE
+from skope.traffic.trajectories import KMH, VEHICLE
 from skope.traffic.write_report import SUMMARY
 
 RESULTS: Final = "results.json"
@@ -160,7 +161,7 @@ def speed_rows(clip: Clip) -> list[Row]:
     rows = []
     for where, one in real.items():
         own = [
-            3.6 * c.speed
+            KMH * c.speed
             for c in clip.real.crossings
             if f"{c.gate} ({c.direction_name})" == where and c.trajectory.class_name not in ("bicycle", "pedestrian")
         ]
@@ -170,7 +171,7 @@ def speed_rows(clip: Clip) -> list[Row]:
             true = float(np.quantile(own, share))
             row: Row = {"where": where, "name": name, "number": one.number, "truth": true, "told": None}
             if value is not None and low is not None and high is not None:
-                row |= {"told": 3.6 * value, "holds": 3.6 * low <= true <= 3.6 * high}
+                row |= {"told": KMH * value, "holds": KMH * low <= true <= KMH * high}
             rows.append(row)
     return rows
 
@@ -231,7 +232,7 @@ def crossing_rows(clip: Clip, pairs: Mapping[int, int]) -> list[Row]:
         if i in counted:
             d = counted[i]
             row |= {"counted_class": d.trajectory.class_name, "late_s": round(d.time_s - c.time_s, 3)}
-            row |= {"time_holds": abs(d.time_s - c.time_s) < 1.645 * d.sigma_s, "faster": round(d.speed - c.speed, 3)}
+            row |= {"time_holds": abs(d.time_s - c.time_s) < Z * d.sigma_s, "faster": round(d.speed - c.speed, 3)}
         else:
             row["cause"] = clip.evidence.cause_of(c)
         rows.append(row)

@@ -71,16 +71,15 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
     return by_places(shrunk[0], shrunk[1], most_s + 1.0) is not None
 
 
-def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None, rows: tuple[int, int]) -> float:
+def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None) -> float:
     """Standard deviation of an encroachment's time: of the two times, by places, lengths and speeds."""
     if reached is None:
         return math.nan
     total = 0.0
     for path, time_s in zip((one, other), in_order((reached.first_s, reached.second_s), reached), strict=True):
         trajectory = path.trajectory
-        spread = float(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, time_s))[-1])
         speed = max(0.1, float(trajectory.at(trajectory.speed, time_s)))
-        total += (spread + (LENGTH_SIGMA_M / 2) ** 2) / speed**2
+        total += (trajectory.place_sigma(time_s) ** 2 + (LENGTH_SIGMA_M / 2) ** 2) / speed**2
     return math.sqrt(total)
 
 

@@ -182,7 +182,7 @@ def _between(
         drac_high_ms2=drac_high,
         pet_places_s=reached.seconds if reached is not None else math.nan,
         pet_area_s=area.seconds if area is not None and area.seconds <= settings.pet_s else math.nan,
-        pet_sigma_s=pet_sigma(one, other, reached, (i, j)),
+        pet_sigma_s=pet_sigma(one, other, reached),
     )
 
 

@@ -83,13 +83,18 @@ def crossings(
     return sorted(found, key=lambda one: (one.time_s, one.trajectory.number, one.gate))
 
 
+def _axis(gate: Gate) -> tuple[Array, Array]:
+    """(2,) a gate's first end, and the (2,) unit vector from there to the other one."""
+    start, end = np.array(gate.line)
+    return start, (end - start) / np.linalg.norm(end - start)
+
+
 def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
     """(M,) distances of places (M, 2) from the gate's line, positive to its left, and (M,) how far along it they lie.
 
     Both in metres; along it counts from the first end.
     """
-    start, end = np.array(gate.line)
-    along = (end - start) / np.linalg.norm(end - start)
+    start, along = _axis(gate)
     away = places - start
     return along[0] * away[:, 1] - along[1] * away[:, 0], away @ along
 
@@ -117,8 +122,7 @@ def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSe
 
 def _normal(gate: Gate) -> Array:
     """(2,) unit vector to the left of the gate."""
-    start, end = np.array(gate.line)
-    along = (end - start) / np.linalg.norm(end - start)
+    _, along = _axis(gate)
     return np.array([-along[1], along[0]])
 
 

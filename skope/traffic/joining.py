@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.traffic.trajectories import Trajectory
+from skope.traffic.trajectories import COLUMNS, Trajectory, worst_sigma
 
 _LONGEST_S: Final = 8.0
 """Who is not seen for longer is somebody else."""
@@ -86,7 +86,7 @@ def _likelihood(before: Trajectory, after: Trajectory) -> float:
     sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
     sigma_v = math.hypot(sigma_v, _UNEVEN * gap / 4)
     spread = before.covariance[-1] + after.covariance[0] + (sigma_v * gap) ** 2 * np.eye(2)
-    if math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) > _MOST_M:
+    if worst_sigma(spread) > _MOST_M:
         return 0.0
     turned = after.velocity[0] - before.velocity[-1]
     slack = float(before.speed_sigma[-1]) ** 2 + float(after.speed_sigma[0]) ** 2 + 0.25 + (_SWERVE * gap) ** 2
@@ -98,24 +98,19 @@ def _likelihood(before: Trajectory, after: Trajectory) -> float:
     return density * math.exp(-total / 2) if total < 16 else 0.0
 
 
-_COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
-"""Fields of a trajectory that have a row for each moment."""
-
-
 def _until(track: Trajectory, end_s: float) -> Trajectory | None:
     """A trajectory before a time; None where it has not begun by then."""
     if track.times_s[-1] < end_s:
         return track
     rows = track.times_s < end_s
-    values: dict[str, Any] = {name: getattr(track, name)[rows] for name in _COLUMNS}
-    return replace(track, **values) if rows.any() else None
+    return track.taken(rows) if rows.any() else None
 
 
 def _together(before: Trajectory, after: Trajectory, probability: float) -> Trajectory:
     """One trajectory of two; between them there is a straight line, as `Trajectory.at` has it."""
     kept = _until(before, float(after.times_s[0]))
     assert kept is not None
-    whole: dict[str, Any] = {name: np.concatenate([getattr(kept, name), getattr(after, name)]) for name in _COLUMNS}
+    whole: dict[str, Any] = {name: np.concatenate([getattr(kept, name), getattr(after, name)]) for name in COLUMNS}
     longer, shorter = sorted((before, after), key=lambda one: -int(one.measured.sum()))
     return replace(
         longer,

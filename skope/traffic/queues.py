@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.lanes import LaneMap
+from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation
-from skope.traffic.speeds import SectionPass, SpeedGroup
-from skope.traffic.trajectories import Trajectory
+from skope.traffic.speeds import MOTOR, SectionPass, SpeedGroup
+from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 from skope.types import Array
 
 _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
 """Who is slow for a shorter time has not stopped."""
-_KMH: Final = 3.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ def stops(trajectory: Trajectory, begin_s: float, end_s: float, settings: Traffi
     rows = np.flatnonzero((times >= begin_s) & (times <= end_s))
     if not len(rows):
         return 0, 0.0
-    slow = standing(trajectory.speed[rows], settings.stop_kmh / _KMH, 2 * settings.stop_kmh / _KMH)
+    slow = standing(trajectory.speed[rows], settings.stop_kmh / KMH, 2 * settings.stop_kmh / KMH)
     runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(slow)) + 1)
     lengths = [float(times[rows[run[-1]]] - times[rows[run[0]]]) for run in runs if slow[run[0]]]
     lasting = [length for length in lengths if length >= _STOP_S]
@@ -127,14 +127,14 @@ def _in_lane(
         if not trajectory.confirmed or trajectory.category == "pedestrian":
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
-        begin, end = settings.queue_speed_kmh / _KMH, settings.queue_end_kmh / _KMH
+        begin, end = settings.queue_speed_kmh / KMH, settings.queue_end_kmh / KMH
         # A speed that is not known so well is no sign of standing.
         slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
         there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
         if not len(there):
             continue
         places = trajectory.at(trajectory.place, there)
-        spread = np.sqrt(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, there))[:, -1])
+        spread = worst_sigma(trajectory.at(trajectory.covariance, there))
         inside = lanes.indices(places)[0] == lane
         along = lanes.along(lane, places)
         half = trajectory.size[0] / 2
@@ -166,10 +166,10 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
     free: dict[str, tuple[float, float]] = {}
     for group in groups:
         v85 = group.percentiles["v85"]
-        if group.kind == "section" and group.interval is None and group.class_name == "motor" and v85.value:
+        if group.kind == "section" and group.interval is None and group.class_name == MOTOR and v85.value:
             assert v85.low is not None
             assert v85.high is not None
-            free[group.where] = v85.value, (v85.high - v85.low) / 2 / 1.645
+            free[group.where] = v85.value, (v85.high - v85.low) / 2 / Z
     out = []
     for one in sections:
         origin, destination = one.movement.origin, one.movement.destination
@@ -177,7 +177,7 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
         assert destination is not None
         number, stopped_s = stops(origin.trajectory, origin.time_s, destination.time_s, settings)
         told = settings.free_flow_kmh
-        speed, sigma = (told / _KMH, 0.0) if told else free.get(one.name, (math.nan, math.nan))
+        speed, sigma = (told / KMH, 0.0) if told else free.get(one.name, (math.nan, math.nan))
         out.append(
             Delay(
                 section=one,

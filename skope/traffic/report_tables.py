@@ -8,9 +8,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any, Final
-
-import numpy as np
+from typing import Any
 
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval
@@ -18,10 +16,9 @@ from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.measure import TrafficReport
 from skope.traffic.speed_percentiles import PERCENTILES
-from skope.traffic.trajectories import Trajectory
+from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
 Row = Sequence[Any]
-_KMH: Final = 3.6
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ def _events(report: TrafficReport) -> ReportTable:
     def rows() -> Iterator[tuple[float, Row]]:
         for one in report.crossings:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
-            ends = (one.speed * _KMH, one.speed_sigma * _KMH, one.front_s, one.rear_s)
+            ends = (one.speed * KMH, one.speed_sigma * KMH, one.front_s, one.rear_s)
             tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
             where = one.gate, one.direction_name, one.lane
             yield one.time_s, ("gate", one.sigma_s, *_who(one.trajectory), *where, *tail)
@@ -119,8 +116,8 @@ def _trajectories(report: TrafficReport) -> ReportTable:
                 heading = math.degrees(one.heading[i])
                 yield (
                     *(one.number, one.class_name, float(one.times_s[i]), clock(report, float(one.times_s[i]))),
-                    *(*one.place[i].tolist(), heading, float(one.speed[i]) * _KMH),
-                    *(math.sqrt(float(np.linalg.eigvalsh(one.covariance[i])[-1])), float(one.speed_sigma[i]) * _KMH),
+                    *(*one.place[i].tolist(), heading, float(one.speed[i]) * KMH),
+                    *(float(worst_sigma(one.covariance[i])), float(one.speed_sigma[i]) * KMH),
                     *(one.length, one.width, int(one.measured[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
                 )
@@ -178,7 +175,7 @@ def _speeds(report: TrafficReport) -> ReportTable:
             cells: list[Any] = []
             for name in PERCENTILES:
                 one = group.percentiles[name]
-                cells += [None if v is None else v * _KMH for v in (one.value, one.low, one.high)]
+                cells += [None if v is None else v * KMH for v in (one.value, one.low, one.high)]
             why = "; ".join(f"{name}: {one.refused}" for name, one in group.percentiles.items() if one.refused)
             yield (
                 *_of_interval(group.interval),
@@ -242,7 +239,7 @@ def _delays(report: TrafficReport) -> ReportTable:
             yield (
                 *(first.time_s, clock(report, first.time_s), first.trajectory.number, first.trajectory.class_name),
                 *(section.name, section.length_m, section.seconds, section.seconds_sigma),
-                *(section.speed * _KMH, section.speed_sigma * _KMH),
+                *(section.speed * KMH, section.speed_sigma * KMH),
                 *(one.stops, one.stopped_s, one.delay_s, one.sigma_s),
             )
 

@@ -7,8 +7,7 @@ from skope.traffic.count_interval import count_interval
 from skope.traffic.measure import TrafficReport
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
-
-_KMH = 3.6
+from skope.traffic.trajectories import KMH
 
 
 def report_lines(report: TrafficReport) -> Iterator[str]:
@@ -53,7 +52,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
 def _speed(one: Percentile | None) -> str:
     if one is None or one.value is None or one.low is None or one.high is None:
         return "-"
-    return f"{one.value * _KMH:.1f} ({one.low * _KMH:.1f} to {one.high * _KMH:.1f})"
+    return f"{one.value * KMH:.1f} ({one.low * KMH:.1f} to {one.high * KMH:.1f})"
 
 
 def _movements(report: TrafficReport) -> Iterator[list[str]]:

@@ -1,9 +1,9 @@
 """A road user's way over the road, as everything that is measured of traffic sees it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ OTHER_SIZES: Final[Mapping[str, tuple[float, float]]] = {
 """Lengths and widths, metres, that are taken for road users whose own are not measured."""
 LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's length, metres."""
+KMH: Final = 3.6
+"""Kilometres an hour in a metre a second."""
+COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
+"""Fields of a trajectory that have a row for each moment."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,6 +107,15 @@ class Trajectory:
         out = np.stack([np.interp(times, self.times_s, rows[:, k]) for k in range(rows.shape[1])], axis=1)
         return np.asarray(out.reshape((*np.shape(times_s), *columns.shape[1:])))
 
+    def taken(self, rows: NDArray[np.bool_]) -> Self:
+        """The trajectory at some of its moments: (M,) which."""
+        values: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return replace(self, **values)
+
+    def place_sigma(self, time_s: float) -> float:
+        """Standard deviation of the place at a time in the worst direction, metres."""
+        return float(worst_sigma(self.at(self.covariance, time_s)))
+
     def class_probability(self, name: str) -> float:
         """Probability that it is of the class `name`.
 
@@ -116,6 +129,11 @@ class Trajectory:
             return 1 / len(VEHICLE_CLASSES)
         rest = (1 - self.class_confidence) / (len(VEHICLE_CLASSES) - 1)
         return self.class_confidence if name == self.class_name else rest
+
+
+def worst_sigma(covariance: Array) -> Array:
+    """(...,) standard deviations in the worst direction, metres, of covariances (..., 2, 2)."""
+    return np.asarray(np.sqrt(np.maximum(0.0, np.linalg.eigvalsh(covariance)[..., -1])))
 
 
 def wandering(trajectory: Trajectory) -> bool:

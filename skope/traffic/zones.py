@@ -107,5 +107,4 @@ def _sigma_s(trajectory: Trajectory, time_s: float) -> float:
     """Standard deviation of a time at which a border is crossed, seconds; NaN for none."""
     if math.isnan(time_s):
         return math.nan
-    spread = math.sqrt(float(np.linalg.eigvalsh(trajectory.at(trajectory.covariance, time_s))[-1]))
-    return spread / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)
+    return trajectory.place_sigma(time_s) / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.errors import UserError
@@ -77,12 +78,10 @@ def _is_double(rows: Array, longer: Array) -> bool:
     if len(own) < max(1.0, _TOGETHER * len(rows)):
         return False
     a, b = rows[own], longer[other]
-    left, right = (np.stack([each[:, 1] + sign * each[:, 3] / 2 for each in (a, b)]) for sign in (-1, 1))
-    foot, top = np.stack([a[:, 2], b[:, 2]]), np.stack([a[:, 2] + a[:, 4], b[:, 2] + b[:, 4]])
-    shared = (right.min(axis=0) - left.max(axis=0)).clip(0) * (top.min(axis=0) - foot.max(axis=0)).clip(0)
-    smaller = np.minimum(a[:, 3] * a[:, 4], b[:, 3] * b[:, 4])
+    one, two = (boxes.xywh_to_xyxy(each[:, 1:] - each[:, 3:4] * [0.5, 0, 0, 0]) for each in (a, b))
+    inside = np.maximum(boxes.share_inside_each(one, two), boxes.share_inside_each(two, one))
     apart = np.linalg.norm(a[:, 1:3] - b[:, 1:3], axis=1) / np.maximum(a[:, 3], b[:, 3])
-    return bool(np.median(shared / smaller) >= _INSIDE and np.median(apart) <= _FOOT)
+    return bool(np.median(inside) >= _INSIDE and np.median(apart) <= _FOOT)
 
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
