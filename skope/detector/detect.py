@@ -101,11 +101,15 @@ def _corrected(
     (Cascade R-CNN; Cai and Vasconcelos, 2018; here by one head).
     """
     _, offsets = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, rectangles, inner_sizes)))
-    label = torch.cat(list(labels))
-    own = offsets.view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label].float()
+    own = offsets_of_label(offsets, torch.cat(list(labels))).float()
     moved = heads.box_coder.decode_single(own, torch.cat(list(rectangles)))
     of_image = torch.split(moved, [len(each) for each in rectangles])
     return [clip_boxes_to_image(each, size) for each, size in zip(of_image, inner_sizes, strict=True)]
+
+
+def offsets_of_label(offsets: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
+    """(N, 4) of the box head's offsets (N, 4 C) for C labels, those of each box's own (N,)."""
+    return offsets.view(len(labels), -1, 4)[torch.arange(len(labels), device=labels.device), labels]
 
 
 def _road_users(

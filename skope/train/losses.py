@@ -24,6 +24,7 @@ from torchvision.ops import batched_nms
 
 from skope import schema
 from skope.detector.build import box_passes_of
+from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
 from skope.train.assignment import DISCARD, assign, sample
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
@@ -148,8 +149,7 @@ def _best_boxes(
     best = rpn._get_top_n_idx(objectness, per_level)
     boxes = _moved(anchors[best], _pick(deltas, best), rpn.box_coder)
     scores = objectness.gather(1, best).sigmoid()
-    limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
-    boxes = torch.minimum(boxes.clamp(min=0), limits)
+    boxes = _clipped(boxes, sizes)
     there = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
     counts = [min(count, rpn.pre_nms_top_n()) for count in per_level]
     choose = _chosen_at_once if boxes.is_cuda else _chosen_in_turn
@@ -206,8 +206,11 @@ def _head_losses(
     logits, deltas = (each.float() for each in heads.box_predictor(heads.box_head(pooled)))
     label = labels.clamp(min=0).flatten()
     wrong = functional.cross_entropy(logits, label, reduction="none").view_as(drawn)
-    own = deltas.view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label]
-    offsets, truth, somebody = own.view_as(boxes), _pick(batch.boxes, matched), drawn & (labels > 0)
+    offsets, truth, somebody = (
+        offsets_of_label(deltas, label).view_as(boxes),
+        _pick(batch.boxes, matched),
+        drawn & (labels > 0),
+    )
     error = _box_error(offsets, truth, boxes, heads.box_coder.weights, somebody).sum()
     if looks_again:
         error = error + _second_look(heads, features, boxes, offsets.detach(), truth, labels, somebody, sizes)
@@ -243,16 +246,13 @@ def _second_look(
         somebody: (B, S) bool which of them are somebody's, and learnt from.
         sizes: Of the images inside the network.
     """
-    limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
-    moved = torch.minimum(_moved(boxes, offsets, heads.box_coder).clamp(min=0), limits)
-    found = moved[somebody]
+    found = _clipped(_moved(boxes, offsets, heads.box_coder), sizes)[somebody]
     found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + _LEAST_SIDE)], dim=1)
     counts = somebody.sum(dim=1).tolist()
     pooled = heads.box_roi_pool(features, list(torch.split(found, counts)), sizes)
     _, deltas = heads.box_predictor(heads.box_head(pooled))
-    label = labels[somebody]
-    own = deltas.float().view(len(label), -1, 4)[torch.arange(len(label), device=label.device), label]
-    everyone = torch.ones(1, len(label), dtype=torch.bool, device=label.device)
+    own = offsets_of_label(deltas.float(), labels[somebody])
+    everyone = torch.ones(own.shape[:1], dtype=torch.bool, device=own.device)[None]
     return _box_error(own[None], truth[somebody][None], found[None], heads.box_coder.weights, everyone).sum()
 
 
@@ -325,6 +325,12 @@ def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:
     centres = centres + torch.stack([x, y], dim=-1) * sides
     halves = 0.5 * (torch.stack([w, h], dim=-1).clamp(max=coder.bbox_xform_clip).exp() * sides)
     return torch.cat([centres - halves, centres + halves], dim=-1)
+
+
+def _clipped(boxes: Tensor, sizes: Sequence[Size]) -> Tensor:
+    """(B, S, 4) boxes clipped to the B images of these sizes."""
+    limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
+    return torch.minimum(boxes.clamp(min=0), limits)
 
 
 def _pick(rows: Tensor, at: Tensor) -> Tensor:
