@@ -206,11 +206,8 @@ def _head_losses(
     logits, deltas = (each.float() for each in heads.box_predictor(heads.box_head(pooled)))
     label = labels.clamp(min=0).flatten()
     wrong = functional.cross_entropy(logits, label, reduction="none").view_as(drawn)
-    offsets, truth, somebody = (
-        offsets_of_label(deltas, label).view_as(boxes),
-        _pick(batch.boxes, matched),
-        drawn & (labels > 0),
-    )
+    offsets = offsets_of_label(deltas, label).view_as(boxes)
+    truth, somebody = _pick(batch.boxes, matched), drawn & (labels > 0)
     error = _box_error(offsets, truth, boxes, heads.box_coder.weights, somebody).sum()
     if looks_again:
         error = error + _second_look(heads, features, boxes, offsets.detach(), truth, labels, somebody, sizes)
