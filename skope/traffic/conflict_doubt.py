@@ -13,7 +13,7 @@ from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
 from skope.traffic.normal_distribution import LEVEL, Z
-from skope.traffic.trajectories import LENGTH_SIGMA_M
+from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory
 from skope.types import Array
 
 STEP_S: Final = 0.1
@@ -24,6 +24,29 @@ _SAMPLES: Final = 200
 """So many draws of places and speeds tell how uncertain a time to collision is."""
 _FEWER: Final = 60
 """And so many a deceleration, which takes longer."""
+
+_FEWEST_PLACES: Final = 10
+_SHORTEST_S: Final = 2.0
+"""Who is in a conflict has so many places, and is followed for so long at least;"""
+_AROUND_S: Final = 1.0
+_LONGEST_GAP_S: Final = 0.6
+"""from so long before the conflict until so long after it there is no longer time without a place (a detector that sees
+key frames alone sees two a second);"""
+_WORST_M: Final = 0.5
+"""and the place is known so well then, one standard deviation."""
+
+
+def is_followed(trajectory: Trajectory, time_s: float) -> bool:
+    """Whether somebody is followed well enough around a time for a conflict then to be believed.
+
+    Of pieces of tracks, and of what a detector takes for a vehicle for a moment, nearly all conflicts are none.
+    """
+    times = trajectory.times_s[trajectory.measured]
+    if len(times) < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
+        return False
+    near = times[np.abs(times - time_s) <= _AROUND_S]
+    gaps = np.diff(np.concatenate([[time_s - _AROUND_S], near, [time_s + _AROUND_S]]))
+    return bool(gaps.max() <= _LONGEST_GAP_S and trajectory.place_sigma(time_s) <= _WORST_M)
 
 
 def ttc_doubt(

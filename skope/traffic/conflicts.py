@@ -16,6 +16,7 @@ from skope.traffic.conflict_doubt import (
     STEP_S,
     hardest_needed,
     in_order,
+    is_followed,
     pet_sigma,
     surely_encroaches,
     ttc_doubt,
@@ -43,6 +44,8 @@ class Conflict:
     """Who gets where the other one was, or, where that does not happen, who drives behind."""
     time_s: float
     """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
+    first_s: float
+    """The same, but where there is no time to collision, when the first one was there."""
     place: Array
     """(2,) the middle between the two then, metres."""
     zone: str
@@ -76,8 +79,10 @@ class ConflictSearch:
 
     conflicts: tuple[Conflict, ...]
     overlapping: int
-    """Pairs whose footprints overlap while they drive: two tracks of one vehicle, or places that are wrong. They are
-    no conflicts."""
+    """Pairs whose footprints overlap while they drive, or touch: two tracks of one vehicle, or places that are wrong.
+    They are no conflicts."""
+    unsteady: int
+    """Pairs of which one is not followed well enough where they meet to say that it is a conflict."""
 
 
 def conflicts(
@@ -91,16 +96,24 @@ def conflicts(
     `zones` give the conflicts in them a name.
     """
     made = paths([one for one in trajectories if wandering(one)], STEP_S)
-    found, overlapping = [], 0
+    found, overlapping, unsteady = [], 0, 0
     for one, other in _pairs(made, settings.pet_s):
         if not near(one, other, max(settings.pet_s, settings.ttc_s)):
             continue
         if _overlapping(one, other):
             overlapping += 1
-        elif (conflict := _between(one, other, settings, rng, zones)) is not None:
+        elif (conflict := _between(one, other, settings, rng, zones)) is None:
+            continue
+        elif not (
+            is_followed(conflict.first, conflict.first_s) and is_followed(conflict.second, conflict.time_s)
+        ):
+            unsteady += 1
+        elif conflict.ttc_s <= 0:
+            overlapping += 1
+        else:
             found.append(conflict)
     found.sort(key=lambda conflict: conflict.time_s)
-    return ConflictSearch(conflicts=tuple(found), overlapping=overlapping)
+    return ConflictSearch(conflicts=tuple(found), overlapping=overlapping, unsteady=unsteady)
 
 
 def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[FootprintPath, FootprintPath]]:
@@ -169,6 +182,7 @@ def _between(
         first=(other if swapped else one).trajectory,
         second=(one if swapped else other).trajectory,
         time_s=float(one.times_s[i]) if close or reached is None else reached.second_s,
+        first_s=float(one.times_s[i]) if close or reached is None else reached.first_s,
         place=middle,
         zone=next((zone.name for zone in zones if inside(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),

@@ -74,7 +74,7 @@ def count_in_image(
         occupancies=(),
         queues=(),
         delays=(),
-        conflicts=ConflictSearch(conflicts=(), overlapping=0),
+        conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
         brakings=(),
         refused=(_WHY,),
         metres=False,

@@ -1,12 +1,13 @@
 """Trajectories that are made up, so that what is measured of them can be worked out by hand."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from skope.site.marks import Gate
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import COLUMNS, VEHICLE, Trajectory
 
 
 def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05, **others: Any) -> Trajectory:
@@ -49,6 +50,15 @@ def straight(
     """A vehicle at constant velocity."""
     since = np.arange(round(seconds / step_s) + 1) * step_s
     return drive(number, np.array(start) + since[:, None] * np.array(velocity), begin_s + since, **others)
+
+
+def then(track: Trajectory, velocity: tuple[float, float], seconds: float = 1.0) -> Trajectory:
+    """A vehicle that goes on at once at another velocity; it faces where it did."""
+    more = straight(track.number, tuple(track.place[-1]), velocity, seconds, begin_s=float(track.times_s[-1]))
+    columns = {name: np.concatenate([getattr(track, name), getattr(more, name)[1:]]) for name in COLUMNS}
+    columns["velocity"][len(track.times_s) :] = velocity
+    columns["heading"][len(track.times_s) :] = track.heading[-1]
+    return replace(track, **columns)
 
 
 def along_x(number: int, x: Any, times_s: Any = None, **others: Any) -> Trajectory:

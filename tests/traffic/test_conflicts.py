@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, corners, meeting, overlap
 from skope.traffic.joining import joined
 from skope.traffic.trajectories import Trajectory
-from tests.traffic.drives import drive, straight
+from tests.traffic.drives import drive, straight, then
 
 
 def found(*tracks: Trajectory, **settings: float) -> Sequence[Conflict]:
@@ -48,6 +49,7 @@ def test_one_behind_the_other() -> None:
     seconds = times_to_collision(*paths, rows, 3.0)
     assert seconds == pytest.approx(gap / 10)
     assert deceleration_to_avoid(*paths, rows, seconds) == pytest.approx(100 / (2 * gap))
+    slow, fast = then(slow, (5, 0)), then(fast, (5, 0))  # it brakes then
     (one,) = found(slow, fast)
     assert (one.first.number, one.second.number, one.kind) == (1, 2, "rear end")
     assert one.ttc_s == pytest.approx((20 - 15) / 10)
@@ -84,9 +86,9 @@ def test_encroachment_of_crossing_ways(late_s: float) -> None:
 
 
 def test_collision_course_of_crossing_ways() -> None:
-    """Both would be in the middle at once; one is lost sight of a second before, and the other one 1.2 s."""
+    """Both would be in the middle at once; a second before they stop."""
     one, other = straight(1, (-30, 0), (10, 0), 2.0), straight(2, (0, -30), (0, 10), 2.0)
-    (conflict,) = found(one, other)
+    (conflict,) = found(then(one, (0, 0)), then(other, (0, 0)))
     # From 10 m before: fronts meet when each of them has 1 m of half width and 2 m of half length to go.
     assert conflict.ttc_s == pytest.approx((10 - 2 - 1) / 10, abs=1e-6)
     assert conflict.kind == "crossing"
@@ -129,6 +131,21 @@ def test_two_tracks_of_one_vehicle_are_no_conflict() -> None:
         np.random.default_rng(0),
     )
     assert (len(search.conflicts), search.overlapping) == (0, 1)
+
+
+@pytest.mark.parametrize("wrong", ["gap", "end", "few", "vague"])
+def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
+    first, second = crossing(1.0)
+    assert not conflicts((first, second), TrafficSettings(), np.random.default_rng(0)).unsteady
+    there = np.abs(second.times_s - 4.3) < 0.4
+    worse = {
+        "gap": replace(second, measured=~there),
+        "end": second.taken(second.times_s < 4.5),
+        "few": replace(second, measured=np.arange(len(second.times_s)) % 14 == 0),
+        "vague": replace(second, covariance=np.where(there[:, None, None], np.eye(2), second.covariance)),
+    }[wrong]
+    search = conflicts((first, worse), TrafficSettings(), np.random.default_rng(0))
+    assert (search.conflicts, search.unsteady) == ((), 1)
 
 
 # ----------------------------------------------------------------------------------------------------------- joining
