@@ -104,9 +104,7 @@ def conflicts(
             overlapping += 1
         elif (conflict := _between(one, other, settings, rng, zones)) is None:
             continue
-        elif not (
-            is_followed(conflict.first, conflict.first_s) and is_followed(conflict.second, conflict.time_s)
-        ):
+        elif not (is_followed(conflict.first, conflict.first_s) and is_followed(conflict.second, conflict.time_s)):
             unsteady += 1
         elif conflict.ttc_s <= 0:
             overlapping += 1

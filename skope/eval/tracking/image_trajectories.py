@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.errors import UserError
+from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES
 from skope.site.traffic_settings import UNKNOWN
@@ -22,12 +22,10 @@ _SHARE: Final = 0.03
 _FEWEST: Final = 3
 _SHORTEST_S: Final = 0.4
 """Who is seen more seldom, or for a shorter time, does not count."""
-_INSIDE: Final = 0.6
-"""Two tracks are one road user's where so much of the smaller box lies in the other one, in the median,"""
-_FOOT: Final = 0.35
-"""and their boxes stand as near as this, in widths of the larger one, in the median,"""
 _TOGETHER: Final = 0.5
-"""over so much of the shorter track."""
+"""Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
+_TO_CORNER: Final = np.array([[0.5, 0, 0, 0], [0, 1.0, 0, 0]])
+"""(2, 4) from the size of a box: how far its corner is from where it stands."""
 Rows = list[tuple[float, ...]]
 
 
@@ -77,11 +75,10 @@ def _is_double(rows: Array, longer: Array) -> bool:
     _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
     if len(own) < max(1.0, _TOGETHER * len(rows)):
         return False
-    a, b = rows[own], longer[other]
-    one, two = (boxes.xywh_to_xyxy(each[:, 1:] - each[:, 3:4] * [0.5, 0, 0, 0]) for each in (a, b))
-    inside = np.maximum(boxes.share_inside_each(one, two), boxes.share_inside_each(two, one))
-    apart = np.linalg.norm(a[:, 1:3] - b[:, 1:3], axis=1) / np.maximum(a[:, 3], b[:, 3])
-    return bool(np.median(inside) >= _INSIDE and np.median(apart) <= _FOOT)
+    # A row has the middle of the lower edge, upwards, and the sizes.
+    one, two = (each[:, 1:] * [1, -1, 1, 1] - each[:, 3:] @ _TO_CORNER for each in (rows[own], longer[other]))
+    inside, apart = inside_and_apart(one, two)
+    return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT)
 
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:

@@ -1,11 +1,13 @@
 """People on foot and on two wheels followed over the road by the places where they stand.
 
 They have no pose: a place is that of their box's lower edge, a heading that in which they move. A sight joins the track
-that shares its number (what `skope eval predict` has followed from frame to frame), or else the nearest one of its
-category in variances, as each moves by the filter that vehicles move by.
+that shares its number (what `skope eval predict` has followed from frame to frame), or else the nearest one in
+variances, as each moves by the filter that vehicles move by. A detector that takes a rider for a cyclist now and for
+somebody on foot then still sees one: a track is of the category that its sights are most surely.
 """
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Self
@@ -20,6 +22,8 @@ from skope.eval.tracking.kalman import GATE, State
 from skope.schema import CATEGORIES
 from skope.types import Array
 
+Link = tuple[int, int]
+"""Category and number of a road user, as a detector's results have them."""
 _SPEEDS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
 """Standard deviation of the speed of somebody who is seen for the first time, m/s."""
 _SLACK_M: Final = 0.3
@@ -28,12 +32,17 @@ _LOST_S: Final = 1.0
 """Who is not seen for so long is somebody else when coming back."""
 _LAG_S: Final = 20.0
 """What was seen so long ago is not changed by what is seen now."""
+_OTHER_KIND: Final = 4.0
+"""Added to the squared distance, in variances, of a sight of another category than the track's."""
 _FEWEST: Final = 3
 """A track has at least so many places."""
 _SHORTEST_S: Final = 0.4
 """A track lasts at least this long."""
-_SIDEWALK_M: Final = 0.1
-"""Standard deviation of the height of pedestrians' feet over the road: a kerb is 10 to 15 cm high."""
+_HEIGHTS_M: Final = {"bicycle": 0.06, "motorcycle": 0.06, "pedestrian": 0.1}
+"""Standard deviation of the height over the road at which boxes end all the way: a kerb is 10 to 15 cm high, and a box
+that ends too low by 3% of its height does so in frame after frame."""
+_HALF_WHEELBASE_M: Final = 0.6
+"""A two-wheeler's box stands on the nearer wheel, so far from its middle where it comes or goes."""
 _MOVES: Final = 2.0
 """Who moves by so many standard deviations of the speed, and by `_LEAST_SPEED`, has a heading."""
 _LEAST_SPEED: Final = 0.5
@@ -45,16 +54,22 @@ class RoadUserTrack(GroundTrack):
 
     category: str
 
-    def on_sidewalks(self, eye: Array) -> Self:
-        """The track where who walks may do so above the road all the way, seen by a camera at `eye` (3,).
+    def under_body(self, eye: Array) -> Self:
+        """The track of the body's middle, with what all its places are uncertain by, seen by a camera at `eye` (3,).
 
         That is no noise that more frames would average away.
         """
-        if self.category != "pedestrian":
-            return self
-        away = np.linalg.norm(self.position[:, :2] - eye[:2], axis=1)
+        line = self.position[:, :2] - eye[:2]
+        away = np.linalg.norm(line, axis=1)
         per_metre = away / np.maximum(1.0, eye[2] - self.position[:, 2])
-        return replace(self, position_sigma=np.hypot(self.position_sigma, _SIDEWALK_M * per_metre))
+        position = self.position.copy()
+        if self.category != "pedestrian":
+            along = np.abs(np.cos(self.heading - np.arctan2(line[:, 1], line[:, 0])))
+            # Whether it comes or crosses is not known of one that stands.
+            shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
+            position[:, :2] += line * (shift / np.maximum(away, 1e-9))[:, None]
+        shared = _HEIGHTS_M[self.category] * per_metre
+        return replace(self, position=position, position_sigma=np.hypot(self.position_sigma, shared))
 
     @cached_property
     def heading(self) -> Array:
@@ -79,13 +94,12 @@ class _Step:
 class _Open:
     """A track that is being followed."""
 
-    category_id: int
     steps: list[_Step]
     """The frames that can still change."""
-    link: int | None
-    """What the latest sight shares with others."""
     last_s: float
     """Time of the latest place."""
+    scores: Counter[int] = field(default_factory=Counter)
+    """How surely it is of each category, over all sights."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
     """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, sigmas, z, box, score."""
 
@@ -96,10 +110,16 @@ class _Open:
     def take(self, sight: Sight) -> None:
         """Take in the latest frame's sight."""
         step = self.steps[-1]
-        step.sight, self.link = sight, sight.link
+        step.sight = sight
+        self.scores.update(sight.scores)
         if sight.point is not None:
             step.filtered = kalman.updated_at(step.filtered, sight.point.place, sight.point.covariance)
             self.last_s = step.time_s
+
+    @property
+    def category_id(self) -> int:
+        """Of which category it most surely is."""
+        return max(self.scores, key=lambda category_id: self.scores[category_id])
 
     def settle(self, until_s: float) -> None:
         """Smooth, and keep what came before `until_s` as it then is."""
@@ -151,6 +171,7 @@ def follow_road_users(
     """
     live: list[_Open] = []
     ended: list[_Open] = []
+    owners: dict[Link, _Open] = {}
     before = times_s[0] if times_s else 0.0
     for frame, (sights, time_s) in enumerate(zip(images, times_s, strict=True)):
         F, Q = kalman.motion(time_s - before)
@@ -159,11 +180,14 @@ def follow_road_users(
         for track in live:
             ahead = kalman.predicted(track.state, F, Q)
             track.steps.append(_Step(frame, time_s, F, ahead, ahead))
-        for known, sight in _pairs(live, sights):
+        for known, sight in _pairs(live, sights, owners):
             if known is not None:
                 known.take(sight)
             elif sight.point is not None:
-                live.append(_begun(frame, time_s, sight, sight.point))
+                known = _begun(frame, time_s, sight, sight.point)
+                live.append(known)
+            if known is not None:
+                _own(owners, known, sight.links, live)
         for track in live:
             if time_s - track.steps[0].time_s > 2 * _LAG_S:
                 track.settle(time_s - _LAG_S)
@@ -173,20 +197,30 @@ def follow_road_users(
     return [replace(track, number=number) for number, track in enumerate(tracks, start=first_number)]
 
 
+def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: Sequence[_Open]) -> None:
+    """Give a track the numbers of its sight that no other track has that is still followed."""
+    for link in links:
+        if link not in owners or owners[link] not in live:
+            owners[link] = track
+
+
 def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
     speed = _SPEEDS[CATEGORIES[sight.category_id - 1]]
     state = kalman.first_state_at(point.place, point.covariance, speed)
-    return _Open(sight.category_id, [_Step(frame, time_s, np.eye(6), state, state, sight)], sight.link, time_s)
+    begun = _Open([_Step(frame, time_s, np.eye(6), state, state, sight)], time_s)
+    begun.scores.update(sight.scores)
+    return begun
 
 
-def _pairs(live: Sequence[_Open], sights: Sequence[Sight]) -> list[tuple[_Open | None, Sight]]:
-    """Each sight with its track; None where it has none."""
+def _pairs(
+    live: Sequence[_Open], sights: Sequence[Sight], owners: Mapping[Link, _Open]
+) -> list[tuple[_Open | None, Sight]]:
+    """Each sight with its track; None where it has none. `owners` are the tracks that have had numbers."""
     of_sight: dict[int, _Open] = {}
-    names = {(track.category_id, track.link): track for track in live if track.link is not None}
     for i, sight in enumerate(sights):
-        # Out of the names, so that of two sights with one number only the first has the track.
-        if sight.link is not None and (track := names.pop((sight.category_id, sight.link), None)) is not None:
-            of_sight[i] = track
+        known = [owners[link] for link in sight.links if link in owners]
+        # Of two sights with one number only the first has the track.
+        of_sight.update((i, track) for track in known[:1] if track in live and track not in of_sight.values())
     taken = {id(track) for track in of_sight.values()}
     free = [track for track in live if id(track) not in taken]
     rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
@@ -199,7 +233,7 @@ def _pairs(live: Sequence[_Open], sights: Sequence[Sight]) -> list[tuple[_Open |
 def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
     """(T, P) squared distances of places, with their categories, from where tracks are expected, in variances.
 
-    Infinite for another category.
+    Another category than the track's is farther away.
     """
     means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
     spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)
@@ -209,4 +243,4 @@ def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]
     total = spreads + covariances + _SLACK_M**2 * np.eye(2)
     squared = np.einsum("tpi,tpij,tpj->tp", away, np.linalg.inv(total), away)
     alike = np.equal.outer([track.category_id for track in tracks], [category for category, _ in points])
-    return np.where(alike, squared, np.inf)
+    return np.asarray(squared + np.where(alike, 0.0, _OTHER_KIND))

@@ -139,7 +139,7 @@ def _road_users(job: TrackJob, times: list[float], first_number: int) -> list[Ro
         return []
     sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
     eye = job.scene.camera_of(job.scene.file.images[0]).position
-    return [track.on_sidewalks(eye) for track in follow_road_users(sights, times, first_number)]
+    return [track.under_body(eye) for track in follow_road_users(sights, times, first_number)]
 
 
 def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[int]) -> list[str]:
