@@ -39,7 +39,9 @@ def poisson_binomial(probabilities: Sequence[float]) -> Array:
     return out
 
 
-def count_interval(probabilities: Sequence[float], missed: tuple[float, float] = MISSED) -> CountInterval:
+def count_interval(
+    probabilities: Sequence[float], missed: tuple[float, float] = MISSED, *, possible: int = 0
+) -> CountInterval:
     """The interval of how many there were.
 
     Args:

@@ -10,6 +10,7 @@ from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, count_interval
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
+from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
 _WHOLE: Final = 0.999
@@ -32,8 +33,8 @@ class Count:
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is, of what was observed; None where nothing was, or of the class unknown,
-    which nobody is in truth."""
+    """Between which numbers the truth is, of what was observed; None where nothing was, where nobody was ever seen near
+    the gate, or of the class unknown, which nobody is in truth."""
 
     @property
     def observed(self) -> str:
@@ -55,6 +56,7 @@ def counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
+    unseen: Unseen,
 ) -> list[Count]:
     """A count for each interval, gate and direction: of all, of each class, and of each lane.
 
@@ -63,12 +65,22 @@ def counts(
     out = []
     for interval in intervals:
         observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
-        there = [one for one in crossings if interval.begin_s <= one.time_s < interval.end_s]
+        there, doubtful = (
+            [one for one in every if interval.begin_s <= one.time_s < interval.end_s]
+            for every in (crossings, unseen.doubtful)
+        )
         for gate in gates:
             for k, direction in enumerate(direction_names(gate)):
-                own = [one for one in there if one.gate == gate.name and one.direction == k]
+                own, perhaps = (
+                    [one for one in every if one.gate == gate.name and one.direction == k]
+                    for every in (there, doubtful)
+                )
                 used = [lane for lane in lanes if any(one.lane == lane for one in crossings if one.gate == gate.name)]
                 for lane, class_name in _kinds(used, settings):
+                    told = None
+                    if observed_s > 0 and gate.name not in unseen.gates:
+                        kind = None if class_name == ALL else class_name
+                        told = expected([*own, *perhaps], lane, class_name, unseen.most(gate.name, k, interval, kind))
                     out.append(
                         Count(
                             interval=interval,
@@ -78,7 +90,7 @@ def counts(
                             lane=lane,
                             class_name=class_name,
                             count=_number(own, lane, class_name) if observed_s > 0 else None,
-                            expected=expected(own, lane, class_name) if observed_s > 0 else None,
+                            expected=told,
                         )
                     )
     return out
@@ -98,15 +110,17 @@ def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> in
     return sum(lane in (ALL, one.lane) and class_name in (ALL, one.trajectory.class_name) for one in crossings)
 
 
-def expected(crossings: Sequence[GateCrossing], lane: str = ALL, class_name: str = ALL) -> CountInterval | None:
-    """The interval of how many there were, of all in a lane and of a class.
+def expected(
+    crossings: Sequence[GateCrossing], lane: str = ALL, class_name: str = ALL, possible: int = 0
+) -> CountInterval | None:
+    """The interval of how many there were, of all in a lane and of a class; `possible` others may have been there.
 
     Who is counted in another lane or class may be of this one: each counts with the probability that it is.
     """
     if class_name == UNKNOWN:
         return None
     probabilities = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in crossings]
-    return count_interval([p for p in probabilities if p > 0])
+    return count_interval([p for p in probabilities if p > 0], possible=possible)
 
 
 def _in_lane(crossing: GateCrossing, lane: str) -> float:

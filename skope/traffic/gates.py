@@ -10,7 +10,7 @@ import numpy as np
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.event_probability import event_probability
+from skope.traffic.event_probability import crossing_probability, event_probability, usual_step
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.passages import Passage, passages
@@ -70,15 +70,24 @@ def direction_names(gate: Gate) -> tuple[str, str]:
 
 
 def crossings(
-    trajectories: Sequence[Trajectory], gates: Sequence[Gate], lanes: LaneMap, settings: TrafficSettings
+    trajectories: Sequence[Trajectory],
+    gates: Sequence[Gate],
+    lanes: LaneMap,
+    settings: TrafficSettings,
+    *,
+    metres: bool = True,
 ) -> list[GateCrossing]:
-    """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none."""
+    """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none.
+
+    In `metres` it is known how certain places are, and by that how probable crossings are; in pixels it is not.
+    """
+    step_s = usual_step(trajectories) if metres else None
     found = [
         crossing
         for trajectory in trajectories
         if wandering(trajectory) and trajectory.class_name in settings.classes
         for gate in gates
-        for crossing in _of_one(trajectory, gate, lanes, settings)
+        for crossing in _of_one(trajectory, gate, lanes, settings, step_s)
     ]
     return sorted(found, key=lambda one: (one.time_s, one.trajectory.number, one.gate))
 
@@ -99,13 +108,15 @@ def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
     return along[0] * away[:, 1] - along[1] * away[:, 0], away @ along
 
 
-def _of_one(trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: TrafficSettings) -> list[GateCrossing]:
+def _of_one(
+    trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float | None
+) -> list[GateCrossing]:
     signed, along = signed_distances(gate, trajectory.place)
     length = math.dist(*gate.line)
     rule = _rule(trajectory, gate, signed, settings)
     # Half-open along the gate too: of two gates that share an end, one counts.
     return [
-        _crossing(trajectory, gate, passage, lanes, rule)
+        _crossing(trajectory, gate, passage, lanes, rule, step_s)
         for passage in passages(signed, trajectory.times_s, **rule)
         if 0 <= float(trajectory.at(along, passage.time_s)) < length
     ]
@@ -127,7 +138,12 @@ def _normal(gate: Gate) -> Array:
 
 
 def _crossing(
-    trajectory: Trajectory, gate: Gate, passage: Passage, lanes: LaneMap, rule: dict[str, float]
+    trajectory: Trajectory,
+    gate: Gate,
+    passage: Passage,
+    lanes: LaneMap,
+    rule: dict[str, float],
+    step_s: float | None,
 ) -> GateCrossing:
     time_s = passage.time_s
     normal = _normal(gate)
@@ -138,6 +154,7 @@ def _crossing(
     place = trajectory.at(trajectory.place, time_s)
     lane, lane_probability = lanes.lane_at(place, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
+    real = event_probability(trajectory) if step_s is None else crossing_probability(trajectory, time_s, step_s)
     return GateCrossing(
         trajectory=trajectory,
         gate=gate.name,
@@ -152,7 +169,7 @@ def _crossing(
         speed_sigma=float(trajectory.at(trajectory.speed_sigma, time_s)),
         lane=lane,
         lane_probability=lane_probability,
-        probability=event_probability(trajectory) * sure,
+        probability=real * sure,
         doubt=" ".join(word for word, holds in (("begins", passage.begins), ("ends", passage.ends)) if holds),
     )
 

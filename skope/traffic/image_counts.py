@@ -14,16 +14,19 @@ from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import counts
 from skope.traffic.gates import crossings
 from skope.traffic.lanes import LaneMap
-from skope.traffic.measure import TrafficReport, whole_footage
+from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, whole_footage
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
+from skope.traffic.vanished import LEAST_PROBABILITY, unseen
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
 _HYSTERESIS: Final = 3.0
 """In standard deviations of where a box stands."""
+_NEAR_PX: Final = 50.0
+"""Who is this near to a gate is seen near it, pixels."""
 _WHY: Final = (
     "no metres: nothing calibrates the camera. Counts are of boxes' feet over gates in the image; speeds, headways, "
     "queues, delays and conflicts are refused (`skope eval site` calibrates a camera)"
@@ -46,14 +49,16 @@ def count_in_image(
     begin = local_start(site) if start is None else start
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
-    crossed = sorted(
+    every = sorted(
         (
             crossing
             for track in tracks
-            for crossing in crossings([track], gates, LaneMap(()), _in_pixels(track, settings))
+            for crossing in crossings([track], gates, LaneMap(()), _in_pixels(track, settings), metres=False)
         ),
         key=lambda one: one.time_s,
     )
+    missed = unseen(tracks, gates, every, observation, _NEAR_PX)
+    crossed = [one for one in every if one.probability >= LEAST_PROBABILITY]
     moved = movements(crossed, settings)
     return TrafficReport(
         site=site,
@@ -64,7 +69,8 @@ def count_in_image(
         crossings=tuple(crossed),
         visits=(),
         lane_changes=(),
-        counts=tuple(counts(crossed, gates, [], intervals, observation, settings)),
+        counts=tuple(counts(crossed, gates, [], intervals, observation, settings, missed)),
+        counts_total=total_counts(crossed, gates, observation, settings, missed),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, gates, intervals, observation, settings)),
         turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings)),
@@ -76,7 +82,7 @@ def count_in_image(
         delays=(),
         conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
         brakings=(),
-        refused=(_WHY,),
+        refused=(_WHY, *unseen_lines(missed)),
         metres=False,
     )
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import HardBraking, hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch, conflicts
-from skope.traffic.counts import Count, counts
+from skope.traffic.counts import ALL, Count, counts
 from skope.traffic.gates import GateCrossing, crossings, signed_distances
 from skope.traffic.headways import Headway, Occupancy, headways, occupancies
 from skope.traffic.joining import joined
@@ -22,6 +23,7 @@ from skope.traffic.queues import Delay, QueueRecord, delays, queues
 from skope.traffic.speeds import SectionPass, SpeedGroup, section_passes, speed_groups
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
+from skope.traffic.vanished import LEAST_PROBABILITY, Unseen, unseen
 from skope.traffic.zones import ZoneVisit, visits
 
 if TYPE_CHECKING:
@@ -51,6 +53,8 @@ class TrafficReport:
     visits: tuple[ZoneVisit, ...]
     lane_changes: tuple[LaneChange, ...]
     counts: tuple[Count, ...]
+    counts_total: tuple[Count, ...]
+    """Those of the whole footage, whole gates, all classes together."""
     movements: tuple[Movement, ...]
     turning: tuple[TurningCount, ...]
     turning_total: tuple[TurningCount, ...]
@@ -86,12 +90,15 @@ def measure(
     lanes = LaneMap(site.lanes)
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
-    crossed = crossings(trajectories, site.gates, lanes, settings)
+    every = crossings(trajectories, site.gates, lanes, settings)
+    missed = unseen(trajectories, site.gates, every, observation)
+    crossed = [one for one in every if one.probability >= LEAST_PROBABILITY]
     moved = movements(crossed, settings)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)
     search = conflicts(trajectories, settings, np.random.default_rng(_SEED), site.zones)
     late = delays(sections, speeds, settings)
+    names = [lane.name for lane in site.lanes]
     return TrafficReport(
         site=site,
         start=begin,
@@ -101,7 +108,8 @@ def measure(
         crossings=tuple(crossed),
         visits=tuple(visits(trajectories, site.zones, settings)),
         lane_changes=tuple(lane_changes(trajectories, lanes, settings.hysteresis_m)),
-        counts=tuple(counts(crossed, site.gates, [lane.name for lane in site.lanes], intervals, observation, settings)),
+        counts=tuple(counts(crossed, site.gates, names, intervals, observation, settings, missed)),
+        counts_total=total_counts(crossed, site.gates, observation, settings, missed),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings)),
         turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings)),
@@ -113,8 +121,28 @@ def measure(
         delays=tuple(late),
         conflicts=search,
         brakings=tuple(hard_brakings(trajectories, settings)),
-        refused=tuple(_refused(site, begin, observation, trajectories, crossed, search, late)),
+        refused=tuple(_refused(site, begin, observation, trajectories, crossed, search, late, missed)),
     )
+
+
+def total_counts(
+    crossed: Sequence[GateCrossing],
+    gates: Sequence[Gate],
+    observation: Observation,
+    settings: TrafficSettings,
+    missed: Unseen,
+) -> tuple[Count, ...]:
+    """The counts of the whole footage, of each gate and direction."""
+    found = counts(crossed, gates, (), [whole_footage(observation)], observation, settings, missed)
+    return tuple(one for one in found if one.class_name == ALL)
+
+
+def unseen_lines(missed: Unseen) -> Iterator[str]:
+    """The gates whose counts are not known, and what is not counted, in sentences."""
+    for name in sorted(missed.gates):
+        yield f"gate {name!r}: nobody was ever seen near it: nobody crossed it, or nobody can be seen there"
+    if missed.doubtful:
+        yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
 
 
 def whole_footage(observation: Observation) -> ClockInterval:
@@ -132,6 +160,7 @@ def _refused(
     crossed: Sequence[GateCrossing],
     search: ConflictSearch,
     late: Sequence[Delay],
+    missed: Unseen,
 ) -> Iterator[str]:
     """What the report lacks, in sentences."""
     if not site.gates:
@@ -157,6 +186,7 @@ def _refused(
             f"conflicts: {search.unsteady} pairs are left out of which one is not followed well enough where they meet "
             "(without a gap of 0.6 s, known to 0.5 m): there may be conflicts among them, most are none"
         )
+    yield from unseen_lines(missed)
     for gate in site.gates:
         yield from _cut_at(gate, trajectories, crossed, observation)
 

@@ -39,12 +39,11 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
         for one in report.speeds
         if one.kind == "spot" and one.interval is None and one.class_name == MOTOR
     }
-    for gate, direction in dict.fromkeys((one.gate, one.direction) for one in report.counts):
-        own = [one for one in report.crossings if (one.gate, one.direction_name) == (gate, direction)]
-        told = count_interval([one.probability for one in own])
-        found = speeds.get(f"{gate} ({direction})", {})
+    for one in report.counts_total:
+        told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+        found = speeds.get(f"{one.gate} ({one.direction})", {})
         yield [
-            *(gate, direction, str(len(own)), f"{told.low} to {told.high}"),
+            *(one.gate, one.direction, str(one.count or 0), told),
             *(_speed(found.get(name)) for name in ("v50", "v85")),
         ]
 

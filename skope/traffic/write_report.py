@@ -66,12 +66,15 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
     """What a result was made of and by, so that it can be made again, and its totals."""
     observation = report.observation
     spans = observation.spans
-    sides = dict.fromkeys((one.gate, one.direction) for one in report.counts)
-    totals = []
-    for gate, direction in sides:
-        own = [one for one in report.crossings if (one.gate, one.direction_name) == (gate, direction)]
-        told = count_interval([one.probability for one in own])
-        totals.append({"gate": gate, "direction": direction, "count": len(own), "low": told.low, "high": told.high})
+    totals = [
+        {
+            "gate": one.gate,
+            "direction": one.direction,
+            "count": one.count,
+            **({} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}),
+        }
+        for one in report.counts_total
+    ]
     likely = [one.probability for one in report.conflicts.conflicts if not math.isnan(one.probability)]
     sure = count_interval(likely, (0.0, 1.0))
     return {

@@ -18,6 +18,7 @@ from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import NOWHERE, movements, turning_counts
+from skope.traffic.vanished import Unseen
 from tests.traffic.drives import GATE, drive, straight, watched
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -92,7 +93,7 @@ def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
     seen = Observation(times_s=times)
     start = datetime(2026, 11, 26, 10, 0, tzinfo=BERLIN)
     found = crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
-    rows = counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings())
+    rows = counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), Unseen())
     west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL)]
     assert west == [("all", 0), *[("nothing", None)] * 4, ("part", 1)]
     assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
@@ -109,7 +110,7 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
     ]
     settings = TrafficSettings()
     found = crossings(tracks, [GATE], NO_LANES, settings)
-    rows = counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings)
+    rows = counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
     by_class = {one.class_name: one for one in rows if one.direction == "west"}
     assert by_class.pop(ALL).count == 40
     assert sum(one.count or 0 for one in by_class.values()) == 40
@@ -159,7 +160,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
     rows = turning_counts(moved, ARMS, intervals, watched(520), settings)
-    per_gate = counts(found, ARMS, [], intervals, watched(520), settings)
+    per_gate = counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
     for arm, direction in itertools.product(names, ("in", "out")):
         side = arm, direction
         total = sum(one.gate == arm and one.direction_name == direction for one in found)

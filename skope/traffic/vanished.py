@@ -1,0 +1,124 @@
+"""Who may have crossed a gate and is not counted: tracks that end before a gate or begin behind it, doubtful crossings.
+
+A gate where the camera loses vehicles counts few, and that few are seen there does not show in the count: only in the
+tracks around it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.traffic.clock import ClockInterval
+from skope.traffic.gates import GateCrossing, signed_distances
+from skope.traffic.observation import Observation
+from skope.traffic.trajectories import Trajectory, wandering
+
+_SOON_S: Final = 3.0
+"""Who would be at the gate within this time after the track ends may have crossed it, seconds; or has come from there
+so long before it begins."""
+_SLOWEST: Final = 0.5
+"""Who moves along the gate's normal by less than this when lost, m/s, was on no way across it."""
+_CUT_S: Final = 1.0
+"""A track that begins or ends so near to where the footage does, or a gap in it, is cut, not lost."""
+NEAR_M: Final = 10.0
+"""A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
+LEAST_PROBABILITY: Final = 0.5
+"""Who crosses with less is not counted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Vanished:
+    """A track that was lost before a gate, or found behind it."""
+
+    trajectory: Trajectory
+    gate: str
+    direction: int
+    """In which it would have crossed, or has: 0 from the gate's left to its right."""
+    time_s: float
+    """When, at the speed that it had, seconds of the footage."""
+    begins: bool
+    """Whether the track begins behind the gate; else it ends before."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unseen:
+    """What a camera may have missed at gates."""
+
+    vanished: tuple[Vanished, ...] = ()
+    doubtful: tuple[GateCrossing, ...] = ()
+    """Crossings that are more probably none than one: they are not counted."""
+    gates: frozenset[str] = frozenset()
+    """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
+
+    def most(self, gate: str, direction: int, interval: ClockInterval, class_name: str | None = None) -> int:
+        """How many more may have crossed a gate in a direction and an interval, of a class or, with None, of all.
+
+        Who ends before a gate and who begins behind it may be one and the same.
+        """
+        own = [
+            one
+            for one in self.vanished
+            if (one.gate, one.direction) == (gate, direction)
+            and interval.begin_s <= one.time_s < interval.end_s
+            and class_name in (None, one.trajectory.class_name)
+        ]
+        begun = sum(one.begins for one in own)
+        return max(begun, len(own) - begun)
+
+
+def unseen(
+    trajectories: Sequence[Trajectory],
+    gates: Sequence[Gate],
+    crossings: Sequence[GateCrossing],
+    observation: Observation,
+    near: float = NEAR_M,
+) -> Unseen:
+    """Who may have crossed without being counted, of all crossings; `near` to a gate is who is so far from it."""
+    counted = {(one.trajectory.number, one.gate) for one in crossings}
+    found = [
+        Vanished(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
+        for one in trajectories
+        if wandering(one)
+        for gate in gates
+        if (one.number, gate.name) not in counted
+        for begins in (False, True)
+        for direction, time_s in _would_cross(one, gate, begins, observation)
+    ]
+    confirmed = [one for one in trajectories if one.confirmed]
+    blind = {gate.name for gate in gates if not any(_is_near(gate, one, near) for one in confirmed)}
+    return Unseen(
+        vanished=tuple(sorted(found, key=lambda one: one.time_s)),
+        doubtful=tuple(one for one in crossings if one.probability < LEAST_PROBABILITY),
+        gates=frozenset(blind),
+    )
+
+
+def _would_cross(trajectory: Trajectory, gate: Gate, begins: bool, observation: Observation) -> list[tuple[int, float]]:
+    """Direction and time of the crossing that a track's end, or its beginning, speaks for; empty where it does not."""
+    row = 0 if begins else -1
+    end_s = float(trajectory.times_s[row])
+    if not len(observation.spans) or np.abs(observation.spans - end_s).min() < _CUT_S:
+        return []
+    velocity = trajectory.velocity[row]
+    places = np.stack([trajectory.place[row], trajectory.place[row] + velocity])
+    (signed, ahead), (along, later) = signed_distances(gate, places)
+    across = ahead - signed
+    if abs(across) < _SLOWEST:
+        return []
+    after_s = float(-signed / across)
+    if not (-_SOON_S < after_s <= 0 if begins else 0 <= after_s < _SOON_S):
+        return []
+    at = along + (later - along) * after_s
+    length = math.dist(*gate.line)
+    return [(0 if across < 0 else 1, end_s + after_s)] if 0 <= at < length else []
+
+
+def _is_near(gate: Gate, trajectory: Trajectory, near: float) -> bool:
+    signed, along = signed_distances(gate, trajectory.place)
+    length = math.dist(*gate.line)
+    beside = np.maximum(0.0, np.maximum(-along, along - length))
+    return bool((np.hypot(signed, beside) < near).any())
