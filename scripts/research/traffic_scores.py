@@ -25,10 +25,12 @@ from skope.dataset.folder import PREDICTIONS
 from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.site.site_file import read_site
+from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
 from skope.traffic.conflicts import conflicts
-from skope.traffic.count_interval import count_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.event_probability import MISSED
 from skope.traffic.gates import direction_names
-from skope.traffic.measure import measure
+from skope.traffic.measure import TrafficReport, measure
 from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_tracks import read_trajectories
@@ -98,7 +100,7 @@ def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> l
                 raise UserError(f"{side}: what the command counted is not what was measured here: {len(counted)}")
             states = Counter(clip.evidence.state_of(c) for c in real)
             true, count = sum(states[name] for name in VISIBLE), len(counted)
-            expected = count_interval([d.probability for d in counted])
+            expected = expected_of(clip.told, side, chosen)
             plain = [number for number, _ in clip.plain[side["gate"], side_of(side, clip)]]
             rows.append(
                 {
@@ -112,16 +114,32 @@ def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> l
                     "truth_all": len(real),
                     "plain_all": sum((clip.category[number] == VEHICLE) in chosen for number in plain),
                     "count": count,
-                    "low": expected.low,
-                    "high": expected.high,
+                    "low": expected.low if expected else None,
+                    "high": expected.high if expected else None,
                     "difference": count - true,
                     "percent": 100 * (count - true) / true if true else None,
                     "geh": math.sqrt(2 * hourly * (count - true) ** 2 / (count + true)) if count + true else 0.0,
-                    "holds": expected.low <= true <= expected.high,
-                    "holds_all": expected.low <= len(real) <= expected.high,
+                    "holds": expected and expected.low <= true <= expected.high,
+                    "holds_all": expected and expected.low <= len(real) <= expected.high,
                 }
             )
     return rows
+
+
+def expected_of(told: TrafficReport, side: Mapping[str, Any], chosen: Sequence[bool]) -> CountInterval | None:
+    """Between what the count of vehicles, of others, or of both is said to be; None: not known."""
+    (total,) = (one for one in told.counts_total if (one.gate, one.direction) == (side["gate"], side["direction"]))
+    if len(chosen) > 1 or total.expected is None:
+        return total.expected
+    names = [name for name in CLASSES if (name in (*VEHICLE_CLASSES, UNKNOWN)) in chosen]
+    own = [
+        one.probability
+        for one in (*told.crossings, *told.unseen.doubtful)
+        if (one.gate, one.direction_name) == (total.gate, total.direction) and one.trajectory.class_name in names
+    ]
+    (gate,) = (gate for gate in told.site.gates if gate.name == total.gate)
+    most = told.unseen.most(gate.name, direction_names(gate).index(total.direction), total.interval, names)
+    return joint_interval([Group(own, MISSED[chosen[0]], most)])
 
 
 def side_of(side: Mapping[str, Any], clip: Clip) -> int:

@@ -13,12 +13,12 @@ from typing import Final
 import numpy as np
 from scipy.special import betainc, betaincinv
 
-from skope.traffic.event_probability import MISSED
 from skope.traffic.normal_distribution import LEVEL
 from skope.types import Array
 
 _NODES: Final = 24
 """So many values stand for the distribution of the share that is missed."""
+_DRAWS: Final = 20_000
 _TAIL: Final = 1e-6
 """Probabilities of a Poisson binomial number that are left out at either end."""
 
@@ -39,24 +39,54 @@ def poisson_binomial(probabilities: Sequence[float]) -> Array:
     return out
 
 
-def count_interval(
-    probabilities: Sequence[float], missed: tuple[float, float] = MISSED, *, possible: int = 0
-) -> CountInterval:
-    """The interval of how many there were.
+@dataclass(frozen=True)
+class Group:
+    """What was counted of those who are missed alike."""
 
-    Args:
-        probabilities: Of each event that was seen, how probable it is that it happened and is counted once.
-        missed: The share of what happens that nothing sees, as a Beta distribution's two parameters; (0, 1): nothing
-            is missed.
-    """
-    happened = poisson_binomial(probabilities)
-    kept = np.flatnonzero(happened > _TAIL * happened.max())
-    weights = happened[kept] / happened[kept].sum()
+    probabilities: Sequence[float]
+    """Of each event that was seen, how probable it is that it happened and is counted once."""
+    missed: tuple[float, float]
+    """The share of what happens that nothing sees, as a Beta distribution's two parameters; (0, 1): nothing is."""
+    possible: int = 0
+    """How many more there may have been, of whom nothing is known but that: any number is as probable as any other."""
+
+    def happened(self) -> tuple[Array, Array]:
+        """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""
+        every = np.convolve(poisson_binomial(self.probabilities), np.full(self.possible + 1, 1 / (self.possible + 1)))
+        kept = np.flatnonzero(every > _TAIL * every.max())
+        return kept, every[kept] / every[kept].sum()
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """(`_DRAWS`,) numbers that there may have been, in no order."""
+        numbers, weights = self.happened()
+        happened = rng.choice(numbers, _DRAWS, p=weights)
+        if self.missed[0] == 0:
+            return np.asarray(happened)
+        shares = (rng.permutation(_DRAWS) + 0.5) / _DRAWS
+        return np.asarray(happened + rng.negative_binomial(happened + 1, 1 - betaincinv(*self.missed, shares)))
+
+
+def count_interval(probabilities: Sequence[float], missed: tuple[float, float]) -> CountInterval:
+    """The interval of how many there were of one `Group`."""
+    return joint_interval([Group(probabilities, missed)])
+
+
+def joint_interval(groups: Sequence[Group]) -> CountInterval:
+    """The interval of how many there were of all groups together; of several, from draws that are always the same."""
+    told = [one for one in groups if len(one.probabilities) or one.possible]
+    told = told or [max(groups, key=lambda one: one.missed[0] / sum(one.missed))]
     tail = (1 - LEVEL) / 2
-    if missed[0] == 0:
+    if len(told) > 1:
+        rng = np.random.default_rng(0)
+        total = np.sum([one.drawn(rng) for one in told], axis=0)
+        low, high = np.quantile(total, (tail, 1 - tail), method="inverted_cdf")
+        return CountInterval(int(low), int(high))
+    (one,) = told
+    kept, weights = one.happened()
+    if one.missed[0] == 0:
         below = np.cumsum(weights)
         return CountInterval(*(int(kept[np.searchsorted(below, q)]) for q in (tail, 1 - tail)))
-    seen = 1 - betaincinv(*missed, (np.arange(_NODES) + 0.5) / _NODES)
+    seen = 1 - betaincinv(*one.missed, (np.arange(_NODES) + 0.5) / _NODES)
 
     def at_most(number: int) -> float:
         besides = number - kept[:, None]

@@ -1,15 +1,18 @@
 """How many crossed each gate, by direction, lane, class and interval on the clock."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from skope.site.marks import Gate
-from skope.site.traffic_settings import UNKNOWN, TrafficSettings
+from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES, TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.event_probability import MISSED
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE
 from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
@@ -79,8 +82,8 @@ def counts(
                 for lane, class_name in _kinds(used, settings):
                     told = None
                     if observed_s > 0 and gate.name not in unseen.gates:
-                        kind = None if class_name == ALL else class_name
-                        told = expected([*own, *perhaps], lane, class_name, unseen.most(gate.name, k, interval, kind))
+                        most = partial(unseen.most, gate.name, k, interval)
+                        told = expected([*own, *perhaps], lane, class_name, most)
                     out.append(
                         Count(
                             interval=interval,
@@ -111,16 +114,28 @@ def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> in
 
 
 def expected(
-    crossings: Sequence[GateCrossing], lane: str = ALL, class_name: str = ALL, possible: int = 0
+    crossings: Sequence[GateCrossing],
+    lane: str = ALL,
+    class_name: str = ALL,
+    most: Callable[[Collection[str]], int] = lambda _: 0,
 ) -> CountInterval | None:
-    """The interval of how many there were, of all in a lane and of a class; `possible` others may have been there.
+    """The interval of how many there were, of all in a lane and of a class.
 
-    Who is counted in another lane or class may be of this one: each counts with the probability that it is.
+    Who is counted in another lane or class may be of this one: each counts with the probability that it is. `most` is
+    how many more there may have been of classes.
     """
     if class_name == UNKNOWN:
         return None
-    probabilities = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in crossings]
-    return count_interval([p for p in probabilities if p > 0], possible=possible)
+    groups = []
+    for vehicles in (True, False):
+        names = {name for name in CLASSES if (name in (*VEHICLE_CLASSES, UNKNOWN)) == vehicles}
+        if class_name not in (ALL, *names):
+            continue
+        own = [one for one in crossings if (one.trajectory.category == VEHICLE) == vehicles]
+        chances = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in own]
+        kinds = names if class_name == ALL else {class_name, UNKNOWN}
+        groups.append(Group([p for p in chances if p > 0], MISSED[vehicles], most(kinds)))
+    return joint_interval(groups)
 
 
 def _in_lane(crossing: GateCrossing, lane: str) -> float:

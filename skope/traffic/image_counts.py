@@ -71,6 +71,7 @@ def count_in_image(
         lane_changes=(),
         counts=tuple(counts(crossed, gates, [], intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, gates, observation, settings, missed),
+        unseen=missed,
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, gates, intervals, observation, settings)),
         turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings)),

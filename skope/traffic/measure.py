@@ -55,6 +55,8 @@ class TrafficReport:
     counts: tuple[Count, ...]
     counts_total: tuple[Count, ...]
     """Those of the whole footage, whole gates, all classes together."""
+    unseen: Unseen
+    """Who may have crossed gates and is not counted."""
     movements: tuple[Movement, ...]
     turning: tuple[TurningCount, ...]
     turning_total: tuple[TurningCount, ...]
@@ -110,6 +112,7 @@ def measure(
         lane_changes=tuple(lane_changes(trajectories, lanes, settings.hysteresis_m)),
         counts=tuple(counts(crossed, site.gates, names, intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, site.gates, observation, settings, missed),
+        unseen=missed,
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings)),
         turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings)),

@@ -13,9 +13,11 @@ from typing import Final
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.event_probability import MISSED
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE, Trajectory
 
 Side = tuple[str, str]
 """A gate and the name of a direction."""
@@ -41,6 +43,13 @@ class Movement:
     def sides(self) -> tuple[Side, Side]:
         """Where from and where to."""
         return _side(self.origin), _side(self.destination)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Whose it is."""
+        one = self.origin or self.destination
+        assert one is not None
+        return one.trajectory
 
     @property
     def probability(self) -> float:
@@ -126,6 +135,11 @@ def _expected(
 ) -> CountInterval:
     """Who was lost after the first gate may have gone this way: with the share of the others from there that did."""
     lost = [one for one in there if one.sides == (pair[0], NOWHERE)]
-    return count_interval(
-        [*(one.probability for one in own), *(one.probability * share.get(pair, 0.0) for one in lost)]
-    )
+    groups = []
+    for vehicles in (True, False):
+        went, may = (
+            [one for one in every if (one.trajectory.category == VEHICLE) == vehicles] for every in (own, lost)
+        )
+        chances = [*(one.probability for one in went), *(one.probability * share.get(pair, 0.0) for one in may)]
+        groups.append(Group(chances, MISSED[vehicles]))
+    return joint_interval(groups)

@@ -5,7 +5,7 @@ tracks around it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -54,8 +54,8 @@ class Unseen:
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
 
-    def most(self, gate: str, direction: int, interval: ClockInterval, class_name: str | None = None) -> int:
-        """How many more may have crossed a gate in a direction and an interval, of a class or, with None, of all.
+    def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
+        """How many more may have crossed a gate in a direction and an interval, of some classes.
 
         Who ends before a gate and who begins behind it may be one and the same.
         """
@@ -64,7 +64,7 @@ class Unseen:
             for one in self.vanished
             if (one.gate, one.direction) == (gate, direction)
             and interval.begin_s <= one.time_s < interval.end_s
-            and class_name in (None, one.trajectory.class_name)
+            and one.trajectory.class_name in classes
         ]
         begun = sum(one.begins for one in own)
         return max(begun, len(own) - begun)

@@ -1,6 +1,7 @@
 """Counts on the clock, how sure they are, and movements that add up to them."""
 
 import itertools
+from dataclasses import replace
 from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
@@ -10,7 +11,7 @@ import pytest
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals
-from skope.traffic.count_interval import count_interval, poisson_binomial
+from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counts import ALL, counts
 from skope.traffic.event_probability import MISSED
 from skope.traffic.gates import crossings
@@ -35,27 +36,48 @@ def test_poisson_binomial_equals_counting_all_outcomes() -> None:
 
 
 def test_nothing_counted_is_not_nothing_there() -> None:
-    """One may have been missed, unless nothing ever is."""
-    assert (count_interval([]).low, count_interval([]).high) == (0, 1)
+    """One may have been missed, who is missed often, unless nothing ever is."""
+    assert (count_interval([], MISSED[False]).low, count_interval([], MISSED[False]).high) == (0, 1)
+    both = joint_interval([Group([], MISSED[True]), Group([], MISSED[False])])
+    assert (both.low, both.high) == (0, 1)
     assert (count_interval([], (0.0, 1.0)).low, count_interval([], (0.0, 1.0)).high) == (0, 0)
-    large = count_interval([0.97] * 3000)
+    large = count_interval([0.97] * 3000, MISSED[True])
     assert large.low < 3000 < large.high < 5000
 
 
-def test_count_intervals_hold_the_truth_as_often_as_they_say() -> None:
+@pytest.mark.parametrize("vehicles", [True, False])
+def test_count_intervals_hold_the_truth_as_often_as_they_say(vehicles: bool) -> None:
     """The truth is drawn, then what is seen of it, and what is seen in error."""
     rng = np.random.default_rng(0)
     held = 0
     for _ in range(400):
         true = int(rng.integers(0, 80))
-        seen = rng.binomial(true, 1 - rng.beta(*MISSED))
+        seen = rng.binomial(true, 1 - rng.beta(*MISSED[vehicles]))
         chances = rng.uniform(0.8, 1.0, 200)
         # So many events that as many of them happened as were seen.
         happened = np.cumsum(rng.random(200) < chances)
         number = int(np.searchsorted(happened, seen)) if seen else 0
-        found = count_interval(chances[:number].tolist())
+        found = count_interval(chances[:number].tolist(), MISSED[vehicles])
         held += found.low <= true <= found.high
     assert 0.86 < held / 400 <= 0.97
+
+
+def test_groups_together_are_their_sum() -> None:
+    """Against draws of each of them; and who may have been there is there in any number."""
+    rng = np.random.default_rng(1)
+    groups = [Group([0.9] * 30, MISSED[True]), Group([0.6] * 8, MISSED[False], 5)]
+    total = sum(
+        (rng.random((9000, len(one.probabilities))) < one.probabilities).sum(axis=1)
+        + rng.integers(0, one.possible + 1, 9000)
+        for one in groups
+    )
+    nothing_missed = joint_interval([replace(one, missed=(0.0, 1.0)) for one in groups])
+    assert (nothing_missed.low, nothing_missed.high) == pytest.approx(np.quantile(total, (0.05, 0.95)), abs=1)
+    told = joint_interval(groups)
+    assert told.low <= nothing_missed.low + 3
+    assert told.high > nothing_missed.high
+    alone = joint_interval([Group([], (0.0, 1.0), 9)])
+    assert (alone.low, alone.high) == (0, 9)
 
 
 def test_days_with_a_change_of_the_clock() -> None:
